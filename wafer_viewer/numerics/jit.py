@@ -1,0 +1,42 @@
+"""One place that says how numba compiles our kernels, and where it keeps them.
+
+The compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` moves it), so that a read-only
+installation still starts fast and every child process loads what the first one compiled.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config as numba_config
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def cache_folder() -> Path:
+    """The folder of compiled kernels: ``WAFER_VIEWER_CACHE``, else ``~/.cache/wafer-viewer/kernels``."""
+    home = os.environ.get("WAFER_VIEWER_CACHE")
+    base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
+    return base / "kernels"
+
+
+numba_config.CACHE_DIR = str(cache_folder())
+
+
+def kernel(function: F) -> F:
+    """Compile a module-level function once per machine; it runs without the interpreter's lock."""
+    return numba.njit(cache=True, nogil=True)(function)
+
+
+def fast_kernel(function: F) -> F:
+    """A `kernel` that may reorder float arithmetic; not for code that looks for NaN."""
+    return numba.njit(cache=True, nogil=True, fastmath=True)(function)
+
+
+def inline_kernel(function: F) -> F:
+    """A small function copied into the kernels that call it."""
+    return numba.njit(inline="always")(function)
