@@ -1,0 +1,1 @@
+"""Plan to frames, over the device protocols."""

@@ -1,0 +1,1 @@
+"""The browser's side: panels, scene, tiles, access."""

@@ -1,0 +1,1 @@
+"""Height map to numbers. Pure."""

@@ -1,0 +1,1 @@
+"""What things are: frozen data and the roles that devices play. Touches nothing."""

@@ -1,0 +1,39 @@
+"""Everything that can go wrong, by who can mend it. Each message is one sentence: the thing, the value, the limit, the mend."""
+
+from __future__ import annotations
+
+
+class WaferViewerError(Exception):
+    """Whatever this program tells a person instead of a traceback."""
+
+
+class PlanError(WaferViewerError):
+    """A plan, a sample or a setting that cannot be."""
+
+
+class RigError(WaferViewerError):
+    """A device that is not there, refuses, or cannot do what is asked."""
+
+
+class RigTimeout(RigError):
+    """A device did not answer in time."""
+
+
+class MissedPulse(RigError):
+    """A pulse that the box should have sent was not sent."""
+
+
+class WireError(RigError):
+    """A line that came over a wire damaged or out of order."""
+
+
+class DatasetError(WaferViewerError):
+    """Files that are missing, damaged, held by another process, or not what they are said to be."""
+
+
+class ComputeError(WaferViewerError):
+    """A reconstruction or a stitch that cannot be made from what there is."""
+
+
+class MeasureError(WaferViewerError):
+    """A measurement that the surface does not allow."""

@@ -1,0 +1,78 @@
+"""How a stack becomes a surface: every choice of the reconstruction, each of them settable."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import msgspec
+
+from wafer_viewer.model.errors import ComputeError, WaferViewerError
+from wafer_viewer.model.spec import Positive, Spec, Within
+
+Auto = Literal["auto"]
+Window = Annotated[int, Within(3, 25, odd=True)]
+
+
+class Levy(Spec, frozen=True, kw_only=True):
+    """Levy-flight smoothing, eq. 7-14 of the paper; `guided` and `switching_median` are the forms that remove noise."""
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    mode: Literal["none", "literal", "guided", "switching_median"] = "switching_median"
+    alpha: Positive = 0.5
+    beta: Annotated[float, Within(0, 2, open_low=True)] = 1.5
+    iterations: Annotated[int, Within(1, 1000)] | Auto = "auto"
+    seed: Annotated[int, Within(0)] = 1
+
+
+class Outliers(Spec, frozen=True, kw_only=True):
+    """Statistical outlier removal: a point further from its neighbours than mean + n_sigma deviations is dropped.
+
+    The threshold is never under `floor_um` (``auto``: from the step of the sweep), so that it cannot eat step edges.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    mode: Literal["none", "lattice", "cloud"] = "lattice"
+    neighbours: Annotated[int, Within(4, 64)] = 24
+    n_sigma: Positive = 3.0
+    floor_um: Positive | Auto = "auto"
+
+
+class Fill(Spec, frozen=True, kw_only=True):
+    """Spline fill of gaps up to `max_gap_px`, rows then columns; never across a step; filled pixels are marked."""
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    mode: Literal["none", "small_gaps", "all"] = "small_gaps"
+    max_gap_px: Annotated[int, Within(1, 10000)] = 9
+
+
+class Stitching(Spec, frozen=True, kw_only=True):
+    """How fields become one surface: where they are placed and how overlaps are blended."""
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    poses: Literal["stage"] = "stage"
+    blend: Literal["ramp"] = "ramp"
+
+
+class Recipe(Spec, frozen=True, kw_only=True):
+    """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose."""
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    focus_measure: Literal["sml", "tenengrad", "glv"] = "tenengrad"
+    window: Window | Auto = "auto"
+    peak: Literal["argmax", "gaussian", "tent"] = "tent"
+    min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
+    clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
+    levy: Levy = Levy()
+    outliers: Outliers = Outliers()
+    fill: Fill = Fill()
+    stitching: Stitching = Stitching()
+    measure_on: Literal["unsmoothed", "smoothed"] = "unsmoothed"
+
+    @property
+    def has_auto(self) -> bool:
+        """Whether any choice is left to the data."""
+        return "auto" in _values(msgspec.to_builtins(self))
+
+
+def _values(data: object) -> list[object]:
+    return [v for item in data.values() for v in _values(item)] if isinstance(data, dict) else [data]

@@ -1,0 +1,96 @@
+"""A part of the sample in stage um, never in pixels."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.spec import NonNegative, Spec, Within
+
+
+class Point(Spec, frozen=True, kw_only=True, array_like=True):
+    """A place on the stage."""
+
+    x_um: float
+    y_um: float
+
+
+_POINTS = {"rectangle": (2, 2), "circle": (1, 1), "polygon": (3, 10_000), "line": (2, 2)}
+
+
+class Region(Spec, frozen=True, kw_only=True):
+    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners) or line (two ends)."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    kind: Literal["rectangle", "circle", "polygon", "line"]
+    points: tuple[Point, ...]
+    radius_um: NonNegative = 0.0
+    width_um: Annotated[float, Within(0)] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, high = _POINTS[self.kind]
+        if not low <= len(self.points) <= high:
+            self.refuse(
+                "points",
+                f"{low} points for a {self.kind}" if low == high else f"at least {low} points for a {self.kind}",
+            )
+        if self.kind == "circle" and self.radius_um == 0:
+            self.refuse("radius_um", "over 0 for a circle")
+
+    @classmethod
+    def rectangle(cls, x0_um: float, y0_um: float, x1_um: float, y1_um: float) -> Region:
+        """The rectangle between two opposite corners."""
+        return cls(kind="rectangle", points=(Point(x_um=x0_um, y_um=y0_um), Point(x_um=x1_um, y_um=y1_um)))
+
+    @classmethod
+    def circle(cls, x_um: float, y_um: float, radius_um: float) -> Region:
+        """The circle round a centre."""
+        return cls(kind="circle", points=(Point(x_um=x_um, y_um=y_um),), radius_um=radius_um)
+
+    @classmethod
+    def polygon(cls, *corners: tuple[float, float]) -> Region:
+        """The polygon through corners (x_um, y_um), in order."""
+        return cls(kind="polygon", points=tuple(Point(x_um=x, y_um=y) for x, y in corners))
+
+    @classmethod
+    def line(cls, x0_um: float, y0_um: float, x1_um: float, y1_um: float, width_um: float = 0.0) -> Region:
+        """The line between two ends; width_um is averaged over, across the line."""
+        ends = (Point(x_um=x0_um, y_um=y0_um), Point(x_um=x1_um, y_um=y1_um))
+        return cls(kind="line", points=ends, width_um=width_um)
+
+    @property
+    def bounds_um(self) -> tuple[float, float, float, float]:
+        """(x low, y low, x high, y high) of the smallest upright rectangle round the region."""
+        xs, ys = [p.x_um for p in self.points], [p.y_um for p in self.points]
+        pad = self.radius_um if self.kind == "circle" else self.width_um / 2
+        return min(xs) - pad, min(ys) - pad, max(xs) + pad, max(ys) + pad
+
+    def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of the points (arrays that broadcast together) lie inside; a line contains none."""
+        x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
+        if self.kind == "line":
+            return np.zeros(x.shape, bool)
+        if self.kind == "circle":
+            center = self.points[0]
+            return np.hypot(x - center.x_um, y - center.y_um) <= self.radius_um
+        if self.kind == "rectangle":
+            x0, y0, x1, y1 = self.bounds_um
+            return (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
+        return _inside_polygon(x, y, [(p.x_um, p.y_um) for p in self.points])
+
+
+def _inside_polygon(
+    x: NDArray[np.float64], y: NDArray[np.float64], corners: list[tuple[float, float]]
+) -> NDArray[np.bool_]:
+    """Even-odd rule: a point is inside when a ray to the right crosses the outline an odd number of times."""
+    inside = np.zeros(x.shape, bool)
+    for (xa, ya), (xb, yb) in zip(corners, corners[1:] + corners[:1], strict=True):
+        if ya == yb:
+            continue
+        crosses = (ya > y) != (yb > y)
+        inside ^= crosses & (x < xa + (y - ya) * (xb - xa) / (yb - ya))
+    return inside

@@ -1,0 +1,213 @@
+"""Specs: settings that are the same thing as a TOML file, as command-line flags and as a form in the browser.
+
+A spec checks itself when it is made: every field against its declared type and against the limit written in its
+annotation, with a sentence that names field, value and limit.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+import types
+import typing
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+import msgspec
+
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """The limit of a number: ``low <= value <= high``; an open end excludes its own value."""
+
+    low: float | None = None
+    high: float | None = None
+    open_low: bool = False
+    odd: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        if self.low is not None and (value < self.low or (self.open_low and value == self.low)):
+            return False
+        if self.high is not None and value > self.high:
+            return False
+        return not self.odd or value % 2 == 1
+
+    def __str__(self) -> str:
+        parts: list[str] = []
+        if self.low is not None and self.high is not None:
+            parts.append(f"between {self.low:g} and {self.high:g}")
+        elif self.low is not None:
+            parts.append(f"{'over' if self.open_low else 'at least'} {self.low:g}")
+        elif self.high is not None:
+            parts.append(f"at most {self.high:g}")
+        if self.odd:
+            parts.append("odd")
+        return " and ".join(parts) or "a number"
+
+
+Positive = Annotated[float, Within(0, open_low=True)]
+NonNegative = Annotated[float, Within(0)]
+Fraction = Annotated[float, Within(0, 1)]
+Count = Annotated[int, Within(1)]
+
+
+class Spec(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The base of all specs: frozen, refuses unknown keys, checks itself when made."""
+
+    error: ClassVar[type[WaferViewerError]] = PlanError
+
+    def __post_init__(self) -> None:
+        for name, check in _checks(type(self)):
+            if (wrong := check(getattr(self, name))) is not None:
+                self.refuse(name, wrong)
+
+    def refuse(self, name: str, limit: str) -> typing.NoReturn:
+        """Raise this spec's error: `limit` completes the sentence 'it must be ...'."""
+        raise self.error(f"{type(self).__name__}.{name} is {getattr(self, name)!r}: it must be {limit}.")
+
+
+S = TypeVar("S", bound=Spec)
+Form = Literal["toml", "json"]
+
+
+def replace(spec: S, **changes: Any) -> S:
+    """A copy of `spec` with some fields changed, checked anew."""
+    return msgspec.structs.replace(spec, **changes)
+
+
+def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> S:
+    """Read a spec from TOML or JSON `text`; `name` is what errors call the text, a file's name as a rule."""
+    try:
+        data = (
+            tomllib.loads(text.decode() if isinstance(text, bytes) else text)
+            if form == "toml"
+            else msgspec.json.decode(text)
+        )
+        return msgspec.convert(data, kind)
+    except (tomllib.TOMLDecodeError, msgspec.DecodeError, UnicodeDecodeError) as fault:
+        raise kind.error(f"{name}: {_plain(str(fault))}.") from fault
+    except WaferViewerError as fault:
+        raise type(fault)(f"{name}: {fault}") from fault
+
+
+def encode(spec: Spec, form: Form = "toml") -> str:
+    """Write a spec as TOML or JSON text; what is None is left out of TOML."""
+    if form == "json":
+        return msgspec.json.format(msgspec.json.encode(spec), indent=2).decode()
+    import tomli_w
+
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(spec)))
+
+
+def limit_of(kind: type[Spec], name: str) -> Within | None:
+    """The limit written beside a field, for forms that show it."""
+    hint = typing.get_type_hints(kind, include_extras=True)[name]
+    found = [m for m in _metadata(hint) if isinstance(m, Within)]
+    return found[0] if found else None
+
+
+def _plain(message: str) -> str:
+    return (
+        message.replace("Object contains unknown field", "unknown key")
+        .replace("`", "'")
+        .replace(" - at '$", " at '")
+        .rstrip(".")
+    )
+
+
+def _without_none(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {k: _without_none(v) for k, v in typing.cast(dict[str, Any], data).items() if v is not None}
+    if isinstance(data, list | tuple):
+        return [_without_none(v) for v in typing.cast(list[Any], data)]
+    return data
+
+
+def _metadata(hint: Any) -> tuple[Any, ...]:
+    own = tuple(getattr(hint, "__metadata__", ()))
+    return own + tuple(m for part in typing.get_args(hint) for m in _metadata(part))
+
+
+Check = typing.Callable[[Any], str | None]
+
+
+@cache
+def _checks(kind: type[Spec]) -> tuple[tuple[str, Check], ...]:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    return tuple((name, _check_of(hints[name])) for name in kind.__struct_fields__)
+
+
+def _check_of(hint: Any) -> Check:
+    limit = next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Within)), None)
+    plain = hint.__origin__ if limit is not None else hint
+    of_type = _type_check(plain)
+    if limit is None:
+        return of_type
+
+    def check(value: Any) -> str | None:
+        wrong = of_type(value)
+        if wrong is not None or isinstance(value, str) or value is None:
+            return wrong
+        return None if value in limit else str(limit)
+
+    return check
+
+
+def _type_check(hint: Any) -> Check:
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if hint in (int, float):
+        return _number_check(hint)
+    if origin is Annotated:
+        return _check_of(hint)
+    if origin is Literal:
+        choices = ", ".join(repr(a) for a in args)
+        return lambda v: None if v in args else f"one of {choices}" if len(args) > 1 else choices
+    if origin in (typing.Union, types.UnionType):
+        return _union_check([_type_check(a) for a in args])
+    if origin is tuple and len(args) == 2 and args[1] is Ellipsis:
+        return _sequence_check(_type_check(args[0]))
+    return lambda v: None if _is_a(v, hint) else _type_name(hint)
+
+
+def _number_check(kind: type) -> Check:
+    def check(value: Any) -> str | None:
+        if isinstance(value, bool) or not isinstance(value, (int, float) if kind is float else int):
+            return "a number" if kind is float else "a whole number"
+        return None if math.isfinite(value) else "a finite number"
+
+    return check
+
+
+def _union_check(checks: list[Check]) -> Check:
+    def check(value: Any) -> str | None:
+        wrongs = [c(value) for c in checks]
+        return None if any(w is None for w in wrongs) else " or ".join(dict.fromkeys(w for w in wrongs if w))
+
+    return check
+
+
+def _sequence_check(item: Check) -> Check:
+    def check(value: Any) -> str | None:
+        if not isinstance(value, tuple):
+            return "a list"
+        wrong = next((w for v in typing.cast(tuple[Any, ...], value) if (w := item(v)) is not None), None)
+        return None if wrong is None else f"a list, each {wrong}"
+
+    return check
+
+
+def _is_a(value: Any, hint: Any) -> bool:
+    try:
+        msgspec.convert(value, hint, strict=True)
+    except msgspec.ValidationError:
+        return False
+    return True
+
+
+def _type_name(hint: Any) -> str:
+    return {str: "a text", bool: "true or false", type(None): "left out"}.get(
+        hint, f"a {getattr(hint, '__name__', hint)}"
+    )

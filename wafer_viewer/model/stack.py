@@ -1,0 +1,94 @@
+"""Pictures: one frame as the camera gave it, and the focus stack of a field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
+
+Image = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+class FrameStatus(Enum):
+    """What became of a pulse's frame."""
+
+    OK = "ok"
+    INCOMPLETE = "incomplete"
+    MISSING = "missing"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One image and where it belongs: its slot, the pulse that took it, the stage at mid-exposure.
+
+    image: uint8 or uint16 [row, col]; None when the frame is missing.
+    """
+
+    shot: Shot
+    pulse_count: int
+    x_um: float
+    y_um: float
+    z_um: float
+    exposure_us: float
+    device_time_us: int
+    status: FrameStatus
+    image: Image | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldStack:
+    """The focus stack of one field.
+
+    images: [k, row, col], uint8 or uint16, may be memory-mapped; z_um: float64 [k], rising;
+    present: bool [k], False where no frame came (an empty slot is not a black frame).
+
+    Raises DatasetError when the shapes disagree or fewer than three frames are present.
+    """
+
+    field: Field
+    images: Image
+    z_um: NDArray[np.float64]
+    present: NDArray[np.bool_]
+    pixel_um: float
+    calibration: Calibration | None = None
+    simulated: bool = False
+    checksum: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):
+            raise DatasetError(
+                f"The stack of field {self.field.number} has images of shape {self.images.shape}, "
+                f"{len(self.z_um)} z values and {len(self.present)} flags: all three need the same number of frames."
+            )
+        if int(np.count_nonzero(self.present)) < MIN_FRAMES:
+            raise DatasetError(
+                f"The stack of field {self.field.number} has {int(np.count_nonzero(self.present))} frames: "
+                f"at least {MIN_FRAMES} are needed to find a focus peak."
+            )
+
+    @property
+    def n_frames(self) -> int:
+        """Slots of the stack, present or not."""
+        return len(self.images)
+
+    @property
+    def z_step_um(self) -> float:
+        """The mean distance between neighbouring frames."""
+        return float(np.abs(self.z_um[-1] - self.z_um[0])) / max(1, len(self.z_um) - 1)
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0)."""
+        return self.field.x_um - (self.images.shape[2] - 1) / 2 * self.pixel_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0)."""
+        return self.field.y_um + (self.images.shape[1] - 1) / 2 * self.pixel_um

@@ -1,0 +1,1 @@
+"""Stack to height map to mosaic. Pure."""

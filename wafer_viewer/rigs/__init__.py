@@ -1,0 +1,1 @@
+"""The devices: real ones and the simulated one, one file each."""

@@ -1,0 +1,154 @@
+"""One die from above: bevel, bare rim, seal ring, bond pads, and a core of eight blocks.
+
+(u, v) are um from the die's lower left corner. Every part gives (radiance, rise_um, contrast): the mean brightness
+as a share of white, the height over the die's top, and the strength of the grain, which is what focus lives on.
+"""
+
+from __future__ import annotations
+
+import math
+
+from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.rigs.virtual.noise import chance
+from wafer_viewer.rigs.virtual.scenes.lettering import two_lines
+from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle
+
+WIDTH_UM, HEIGHT_UM = 456.0, 336.0
+BEVEL_UM, BEVEL_SLOPE = 5.0, 0.6
+RIM_UM, SEAL_UM = 19.0, 33.0
+PAD_UM, PAD_PITCH_UM, PADS = 28.0, 38.0, 10
+PAD_LEFT_UM, PAD_ROW_UM = 43.0, 40.0
+CORE_LEFT_UM, CORE_BOTTOM_UM = 44.0, 78.0
+BLOCK_WIDTH_UM, BLOCK_HEIGHT_UM = 92.0, 90.0
+SILICON = 0.13  # radiance of the bare die
+MEMORY, LINES_UP, LOGIC, BLANK, LOGIC_2, LETTERS, LINES_ACROSS, MEMORY_2 = range(8)
+
+
+@fast_kernel
+def die(u, v, column, row, inset, footprint):
+    """The die at (u, v); inset is the distance from its edge, which chips may have eaten into."""
+    if inset < RIM_UM:
+        return rim(inset)
+    if inset < SEAL_UM:
+        return seal_ring(inset, footprint)
+    from_row = min(v, HEIGHT_UM - v) - PAD_ROW_UM
+    if -1.0 <= from_row <= PAD_UM + 1.0:
+        return pad(u, from_row, column, row * 2 + (v > HEIGHT_UM / 2), footprint)
+    return core(u - CORE_LEFT_UM, v - CORE_BOTTOM_UM, column, row, footprint)
+
+
+@fast_kernel
+def bevel_drop(inset):
+    """How far the sawn edge falls below the die's top."""
+    return BEVEL_SLOPE * max(0.0, BEVEL_UM - abs(inset))
+
+
+@fast_kernel
+def rim(inset):
+    """The sawn bevel and the bare rim inside it: dark, and without grain."""
+    return blend(0.022, 0.045, inside(inset - BEVEL_UM, 2.0)), -bevel_drop(inset), 0.0
+
+
+@fast_kernel
+def seal_ring(inset, footprint):
+    """Two metal lines round the die."""
+    metal = bar(inset, 21.0, 23.6, footprint) + bar(inset, 26.5, 29.1, footprint)
+    return 0.075 + 0.42 * metal, 0.6 * metal, 0.03 + 0.08 * metal
+
+
+@fast_kernel
+def pad(u, v, column, row, footprint):
+    """A row of bond pads; v from the row's foot. The probe left its mark on each, never at the same place."""
+    number = math.floor((u - PAD_LEFT_UM) / PAD_PITCH_UM)
+    if number < 0 or number >= PADS:
+        return SILICON, 0.0, 0.03
+    x = u - PAD_LEFT_UM - number * PAD_PITCH_UM
+    metal = rectangle(x, v, 0.0, PAD_UM, 0.0, PAD_UM, footprint)
+    frame = metal - rectangle(x, v, 2.2, PAD_UM - 2.2, 2.2, PAD_UM - 2.2, footprint)
+    mark = probe_mark(x, v, number, column * 7 + row, footprint)
+    radiance = blend(SILICON, (0.56 + 0.10 * frame) * (1.0 - 0.62 * mark), metal)
+    return radiance, (0.9 - 0.5 * mark) * metal, 0.03 + 0.06 * metal + 0.12 * mark
+
+
+@fast_kernel
+def probe_mark(x, y, number, salt, footprint):
+    """The ellipse that a probe needle scrubbed near the middle of a pad."""
+    across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, 11) - 0.5)) / 3.2
+    along = (y - PAD_UM / 2 - 5.0 * (chance(number, salt, 57) - 0.5)) / 7.5
+    return inside(3.0 * (1.0 - math.sqrt(across * across + along * along)), footprint)
+
+
+@fast_kernel
+def core(u, v, column, row, footprint):
+    """Four by two blocks, each within a thin bright border; (u, v) from the core's corner."""
+    across, up = math.floor(u / BLOCK_WIDTH_UM), math.floor(v / BLOCK_HEIGHT_UM)
+    if across < 0 or across > 3 or up < 0 or up > 1:
+        return SILICON, 0.0, 0.08
+    x, y = u - across * BLOCK_WIDTH_UM, v - up * BLOCK_HEIGHT_UM
+    kind = int(across + 4 * up)
+    within = rectangle(x, y, 3.0, 89.0, 3.0, 87.0, footprint)
+    if kind == BLANK:
+        return blend(SILICON, 0.105, within), 0.0, blend(0.055, 0.003, within)
+    radiance, rise_um, contrast = pattern(kind, x, y, column, row, footprint)
+    ground = 0.115 if kind == LETTERS else SILICON
+    return ground + radiance * within + border(x, y, footprint), rise_um * within, contrast
+
+
+@fast_kernel
+def border(x, y, footprint):
+    """Radiance that the thin line along a block's left and lower side adds."""
+    left = rectangle(x, y, 0.8, 2.2, 0.8, 89.2, footprint)
+    lower = rectangle(x, y, 2.2, 91.2, 0.8, 2.2, footprint)
+    return 0.10 * (left + lower)
+
+
+@fast_kernel
+def pattern(kind, x, y, column, row, footprint):
+    """What fills a block: (radiance over the ground, rise_um, contrast)."""
+    soft = max(footprint, 0.7)  # lithography is no sharper than this
+    if kind == LETTERS:
+        ink = two_lines(x, y, column, row, footprint)
+        return 0.45 * ink, 0.8 * ink, 0.08
+    if kind == MEMORY or kind == MEMORY_2:
+        cells = memory(x, y, soft)
+        return 0.20 * cells, 0.25 * cells, 0.055
+    if kind == LINES_UP:
+        lines = bars(x, 5.0, 0.5, soft)
+        return 0.15 * lines, 0.3 * lines, 0.055
+    if kind == LINES_ACROSS:
+        lines = bars(y, 7.0, 0.5, soft)
+        return 0.13 * lines, 0.3 * lines, 0.055
+    wires = logic(x, y, kind, soft)
+    return 0.24 * wires, 0.3 * wires, 0.055
+
+
+@fast_kernel
+def memory(x, y, soft):
+    """Staggered cells, their word lines, and a column strap now and then."""
+    stagger = 3.6 * (math.floor(x / 5.2) % 2)
+    cells = bars(x, 5.2, 0.5, soft) * bars(y + stagger, 7.2, 0.55, soft)
+    return 0.8 * cells + 0.35 * bars(y, 7.2, 0.16, soft) + 0.4 * bars(x, 26.0, 0.07, soft)
+
+
+@fast_kernel
+def logic(x, y, salt, soft):
+    """Rows of standard cells: bars that are there or not as chance has it, between supply rails."""
+    row = math.floor(y / 6.0)
+    up = y - 6.0 * row
+    strength = 0.5 + 0.5 * chance(math.floor(x / 9.6), row, salt + 31)
+    return cell_bars(x, row, salt, soft) * bar(up, 1.3, 5.2, soft) * strength + 0.7 * bar(up, 0.0, 0.9, soft)
+
+
+@fast_kernel
+def cell_bars(x, row, salt, soft):
+    """Bars 2.4 um wide, present or absent, softened where a present one meets an absent one."""
+    number = math.floor(x / 2.4)
+    along = x - 2.4 * number
+    before, here, after = taken(number - 1, row, salt), taken(number, row, salt), taken(number + 1, row, salt)
+    return blend(blend(before, here, inside(along, soft)), after, inside(along - 2.4, soft))
+
+
+@fast_kernel
+def taken(number, row, salt):
+    """1 where a bar is, 0 where none is."""
+    return 1.0 if chance(number, row, salt) > 0.5 else 0.0

@@ -1,0 +1,47 @@
+"""What every scene is drawn with: edges, bars and rows of bars, softened to the footprint of a sample.
+
+A hard edge sampled on a lattice would shimmer from field to field; averaged over the footprint (a box) it does not.
+"""
+
+from __future__ import annotations
+
+import math
+
+from wafer_viewer.numerics.jit import fast_kernel
+
+
+@fast_kernel
+def inside(distance, footprint):
+    """Share of a sample inside an edge; distance grows inwards."""
+    return min(max(distance / footprint + 0.5, 0.0), 1.0)
+
+
+@fast_kernel
+def wrapped(x, period):
+    """x brought into [0, period)."""
+    return x - period * math.floor(x / period)
+
+
+@fast_kernel
+def bar(x, start, stop, footprint):
+    """Share of a sample between start and stop."""
+    return inside(x - start, footprint) * inside(stop - x, footprint)
+
+
+@fast_kernel
+def rectangle(x, y, left, right, bottom, top, footprint):
+    """Share of a sample within a rectangle."""
+    return bar(x, left, right, footprint) * bar(y, bottom, top, footprint)
+
+
+@fast_kernel
+def bars(x, period, duty, footprint):
+    """Share of a sample on bars that fill the first duty of every period."""
+    phase = wrapped(x, period)
+    return bar(phase, 0.0, duty * period, footprint) + inside(phase - period, footprint)
+
+
+@fast_kernel
+def blend(a, b, share):
+    """a where share is 0, b where it is 1."""
+    return a + (b - a) * share
