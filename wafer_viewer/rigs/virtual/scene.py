@@ -1,0 +1,215 @@
+"""The samples of the virtual rig: what lies under the microscope, as functions of stage micrometres.
+
+A scene is two sheets, A over B, both defined everywhere, and the share of A at each point: a die over the trench
+floor, the upper gauge block over the lower. Two sheets are enough for walls, and light can then bleed from one to the
+other as it does in a microscope (see optics).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wafer_viewer.model.errors import RigError
+from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, stair, wafer
+
+Outline = tuple[tuple[float, float], ...]
+SHARP_UM = 1e-3  # a footprint so small that every edge is hard
+
+
+class Sheets(NamedTuple):
+    """A scene on a lattice, float32 [row, col] each: heights in um, radiances as shares of white, cover of A."""
+
+    height_a: NDArray[np.float32]
+    radiance_a: NDArray[np.float32]
+    height_b: NDArray[np.float32]
+    radiance_b: NDArray[np.float32]
+    cover: NDArray[np.float32]
+
+    def surface_um(self) -> NDArray[np.float32]:
+        """Heights that an observer straight above sees."""
+        return np.where(self.cover > 0.5, self.height_a, self.height_b)
+
+
+@dataclass(frozen=True, slots=True)
+class DieLayout:
+    """Where the dies of a scene lie: cells of a grid, some of them with a die in their middle."""
+
+    pitch_x_um: float
+    pitch_y_um: float
+    width_um: float
+    height_um: float
+    x0_um: float
+    y0_um: float
+    cells: tuple[tuple[int, int], ...]
+    """(column, row) of every die, from 0; the cell (0, 0) has its lower left corner at (x0_um, y0_um)."""
+
+    def rectangle_um(self, column: int, row: int) -> tuple[float, float, float, float]:
+        """(left, lower, right, upper) of a die in stage um."""
+        left = self.x0_um + column * self.pitch_x_um + (self.pitch_x_um - self.width_um) / 2
+        lower = self.y0_um + row * self.pitch_y_um + (self.pitch_y_um - self.height_um) / 2
+        return left, lower, left + self.width_um, lower + self.height_um
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One sample: what it looks like, how large it is, and the tour that shows it best.
+
+    Lengths are stage um; the sample is centred on (0, 0). `gain` is the exposure factor that shows it well lit.
+    """
+
+    name: str
+    title: str
+    sheets: Callable[..., None]
+    gain: float
+    width_um: float
+    height_um: float
+    z_min_um: float
+    z_max_um: float
+    outline_um: Outline
+    tour_center_um: tuple[float, float]
+    tour_z_start_um: float
+    tour_z_step_um: float
+    tour_frames: int
+    dies: DieLayout | None = None
+
+    @property
+    def die_pitch_um(self) -> tuple[float, float] | None:
+        """Distance from die to die along x and y, where there are dies."""
+        return (self.dies.pitch_x_um, self.dies.pitch_y_um) if self.dies else None
+
+    def raster(self, x0_um: float, y0_um: float, step_um: float, rows: int, cols: int) -> Sheets:
+        """The scene on a lattice of step_um, each sample averaged over one step; (x0, y0) is sample (0, 0)."""
+        x = x0_um + step_um * np.arange(cols)
+        y = y0_um - step_um * np.arange(rows)
+        return self._at(*np.meshgrid(x, y), step_um)
+
+    def truth(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
+        """True heights in um at points of any shape, as seen from straight above. For tests only."""
+        x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
+        flat = self._at(x.reshape(1, -1).copy(), y.reshape(1, -1).copy(), SHARP_UM)
+        return flat.surface_um().reshape(x.shape)
+
+    def _at(self, x: NDArray[Any], y: NDArray[Any], footprint_um: float) -> Sheets:
+        sheets = Sheets(*(np.empty(x.shape, np.float32) for _ in Sheets._fields))
+        self.sheets(x, y, float(footprint_um), *sheets)
+        return sheets
+
+
+def rectangle(width_um: float, height_um: float) -> Outline:
+    """A rectangle about (0, 0), anticlockwise."""
+    x, y = width_um / 2, height_um / 2
+    return (-x, -y), (x, -y), (x, y), (-x, y)
+
+
+def flatted_disc(radius_um: float, flat_um: float, corners: int = 96) -> Outline:
+    """A disc about (0, 0) cut off below y = flat_um, anticlockwise, the flat its closing edge."""
+    start = math.asin(flat_um / radius_um)
+    angles = np.linspace(start, math.pi - start, corners)
+    return tuple((float(radius_um * math.cos(a)), float(radius_um * math.sin(a))) for a in angles)
+
+
+def wafer_dies() -> DieLayout:
+    """Every whole die of the wafer scene, numbered as the lettering on it says."""
+    cells = [(c, r) for r in range(16) for c in range(12) if wafer.is_whole_die(c + wafer.FIRST_COLUMN, r + wafer.FIRST_ROW)]
+    return DieLayout(
+        pitch_x_um=wafer.PITCH_X_UM,
+        pitch_y_um=wafer.PITCH_Y_UM,
+        width_um=die.WIDTH_UM,
+        height_um=die.HEIGHT_UM,
+        x0_um=wafer.FIRST_COLUMN * wafer.PITCH_X_UM,
+        y0_um=wafer.FIRST_ROW * wafer.PITCH_Y_UM,
+        cells=tuple(cells),
+    )
+
+
+SCENES: dict[str, Scene] = {
+    "wafer": Scene(
+        name="wafer",
+        title="A diced wafer with a gel drop, a scratch and particles",
+        sheets=wafer.sheets,
+        gain=1.12,
+        width_um=2 * wafer.RADIUS_UM,
+        height_um=2 * wafer.RADIUS_UM,
+        z_min_um=-9.0,
+        z_max_um=47.0,
+        outline_um=flatted_disc(wafer.RADIUS_UM, wafer.FLAT_UM),
+        tour_center_um=(800.0, 560.0),
+        tour_z_start_um=-6.0,
+        tour_z_step_um=1.0,
+        tour_frames=60,
+        dies=wafer_dies(),
+    ),
+    "gauge_blocks": Scene(
+        name="gauge_blocks",
+        title="Two gauge blocks, 399.88 um apart in height",
+        sheets=gauge_blocks.sheets,
+        gain=1.6,
+        width_um=6000.0,
+        height_um=4000.0,
+        z_min_um=-1.0,
+        z_max_um=401.0,
+        outline_um=rectangle(6000.0, 4000.0),
+        tour_center_um=(0.0, 0.0),
+        tour_z_start_um=-18.0,
+        tour_z_step_um=3.5,
+        tour_frames=126,
+    ),
+    "stair": Scene(
+        name="stair",
+        title="A stair of 20 um steps",
+        sheets=stair.sheets,
+        gain=1.6,
+        width_um=1800.0,
+        height_um=1200.0,
+        z_min_um=-100.0,
+        z_max_um=100.0,
+        outline_um=rectangle(1800.0, 1200.0),
+        tour_center_um=(0.0, 0.0),
+        tour_z_start_um=-80.0,
+        tour_z_step_um=2.5,
+        tour_frames=60,
+    ),
+    "cone": Scene(
+        name="cone",
+        title="A turned cone, 120 um high",
+        sheets=cone.sheets,
+        gain=1.6,
+        width_um=1200.0,
+        height_um=1200.0,
+        z_min_um=0.0,
+        z_max_um=120.0,
+        outline_um=rectangle(1200.0, 1200.0),
+        tour_center_um=(0.0, 0.0),
+        tour_z_start_um=-12.0,
+        tour_z_step_um=2.5,
+        tour_frames=60,
+    ),
+    "plane": Scene(
+        name="plane",
+        title="A ground plate, tilted by 4 mrad",
+        sheets=plane.sheets,
+        gain=1.6,
+        width_um=4000.0,
+        height_um=4000.0,
+        z_min_um=-11.0,
+        z_max_um=11.0,
+        outline_um=rectangle(4000.0, 4000.0),
+        tour_center_um=(0.0, 0.0),
+        tour_z_start_um=-15.0,
+        tour_z_step_um=0.5,
+        tour_frames=60,
+    ),
+}
+
+
+def scene(name: str) -> Scene:
+    """The scene of a name; raises RigError naming the choices."""
+    if name not in SCENES:
+        raise RigError(f"There is no scene '{name}'; choose one of {', '.join(SCENES)}.")
+    return SCENES[name]

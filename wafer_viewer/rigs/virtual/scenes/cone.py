@@ -1,0 +1,29 @@
+"""A turned cone, 120 um high with a slope of 0.30, on a flat plate; its tip is at stage (0, 0)."""
+
+from __future__ import annotations
+
+import math
+
+from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.rigs.virtual.noise import grain
+
+HEIGHT_UM, SLOPE = 120.0, 0.30
+
+
+@kernel
+def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
+    """Fill five arrays [row, col] at the points given; the whole surface is on sheet A."""
+    for r in range(x_um.shape[0]):
+        for c in range(x_um.shape[1]):
+            x, y = x_um[r, c], y_um[r, c]
+            height = max(0.0, HEIGHT_UM - SLOPE * math.sqrt(x * x + y * y))
+            height_a[r, c] = height_b[r, c] = height
+            radiance_a[r, c] = radiance_b[r, c] = turned_metal(x, y)
+            cover[r, c] = 1.0
+
+
+@fast_kernel
+def turned_metal(x, y):
+    """Radiance of a turned surface: grain and rings."""
+    out, around = math.sqrt(x * x + y * y), math.atan2(y, x)
+    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 51) + 0.05 * grain(out / 1.4, around * 40.0, 52))

@@ -1,0 +1,70 @@
+"""Two lapped gauge blocks side by side, 399.88 um apart in height, with the dark gap of their chamfers between them.
+
+The joint is at stage x = 0: the upper block lies left of it, the lower one right. The lower block is tilted against
+the upper by 0.3 mrad.
+"""
+
+from __future__ import annotations
+
+import math
+
+from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.rigs.virtual.noise import grain
+from wafer_viewer.rigs.virtual.scenes.shapes import inside
+
+STEP_UM = 399.88
+GAP_UM, CHAMFER_UM = 70.0, 45.0
+TILT_X, TILT_Y = 3e-4, 1.2e-4
+GAP_DEPTH_UM = 60.0
+LAPPED_UPPER, LAPPED_LOWER, CHAMFER, GAP = 0.42, 0.40, 0.028, 0.008  # radiances
+
+
+@kernel
+def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
+    """Fill five arrays [row, col] with the two sheets at the points given: upper block (A), lower block and gap (B)."""
+    for r in range(x_um.shape[0]):
+        for c in range(x_um.shape[1]):
+            x, y = x_um[r, c], y_um[r, c]
+            ragged = 0.8 * grain(y / 7.0, 0.5, 61)
+            cover[r, c] = inside(ragged - x - GAP_UM / 2, footprint_um)
+            height_a[r, c], radiance_a[r, c] = upper_block(x, y)
+            height_b[r, c], radiance_b[r, c] = lower_block(x, y)
+
+
+@fast_kernel
+def upper_block(x, y):
+    """(height, radiance); past its edge the chamfer is mirrored, so that the sheet goes on without a jump."""
+    bevel = max(0.0, CHAMFER_UM - abs(x + GAP_UM / 2))
+    if bevel <= 0.0:
+        return STEP_UM, LAPPED_UPPER * (1.0 + 0.10 * lapping(x, y, 62, 0.35))
+    return STEP_UM - bevel, CHAMFER + burnish(bevel)
+
+
+@fast_kernel
+def lower_block(x, y):
+    """(height, radiance) of the lower block and of the floor of the gap."""
+    plane = TILT_X * x + TILT_Y * y
+    inset = x - GAP_UM / 2
+    if inset <= 0.0:
+        return plane - GAP_DEPTH_UM, GAP
+    bevel = max(0.0, CHAMFER_UM - inset)
+    if bevel > 0.0:
+        return plane - bevel, CHAMFER + burnish(bevel)
+    return plane, LAPPED_LOWER * (1.0 + 0.10 * lapping(x, y, 72, -0.5))
+
+
+@fast_kernel
+def burnish(bevel):
+    """Radiance of the thin bright line where a chamfer begins."""
+    return 0.3 * math.exp(-(((bevel - 0.8) / 0.8) ** 2))
+
+
+@fast_kernel
+def lapping(x, y, salt, turn_rad):
+    """Crossed lapping scratches and grain, about unit deviation."""
+    u = x * math.cos(turn_rad) + y * math.sin(turn_rad)
+    v = y * math.cos(turn_rad) - x * math.sin(turn_rad)
+    fine = 0.60 * grain(u / 1.3, v / 45.0, salt)
+    long = 0.45 * grain(u / 2.9 + v / 90.0, v / 160.0, salt + 1)
+    crossing = 0.30 * grain(v / 1.7, u / 30.0, salt + 3)
+    return fine + long + crossing + 0.45 * grain(x / 1.6, y / 1.6, salt + 2)
