@@ -89,7 +89,7 @@ class SerialPort(Protocol):
 
 
 class Stage(Protocol):
-    """Three axes with scales. Positions are in um; a move that leaves the range raises RigError before anything moves."""
+    """Three axes with scales, in um; a move that leaves the range raises RigError before anything moves."""
 
     def position(self) -> Position:
         """Where the stage is now."""

@@ -1,4 +1,7 @@
-"""Everything that can go wrong, by who can mend it. Each message is one sentence: the thing, the value, the limit, the mend."""
+"""Everything that can go wrong, by who can mend it.
+
+Each message is one sentence: the thing, the value, the limit, the mend.
+"""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ ORIGIN_TITLES: dict[Origin, str] = {
 
 
 class Provenance(Spec, frozen=True, kw_only=True):
-    """Where a surface comes from: the recipe with what ``auto`` chose, calibration, version, input, simulated or not."""
+    """Where a surface comes from: the recipe with what ``auto`` chose, calibration, version, input, simulation."""
 
     recipe: Recipe = Recipe()
     calibration: Calibration | None = None
@@ -207,8 +207,8 @@ def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) ->
     first_row, last_row = int(np.floor((y0 - yb) / pixel + 0.5)), int(np.ceil((y0 - ya) / pixel - 0.5))
     if last_col < 0 or first_col >= cols or last_row < 0 or first_row >= rows:
         raise MeasureError(
-            f"The {region.kind} from ({xa:.1f}, {ya:.1f}) to ({xb:.1f}, {yb:.1f}) um lies outside of the surface, "
-            f"which goes from ({x0:.1f}, {y0 - (rows - 1) * pixel:.1f}) to ({x0 + (cols - 1) * pixel:.1f}, {y0:.1f}) um."
+            f"The {region.kind} from ({xa:.1f}, {ya:.1f}) to ({xb:.1f}, {yb:.1f}) um lies outside of the surface: "
+            f"({x0:.1f}, {y0 - (rows - 1) * pixel:.1f}) to ({x0 + (cols - 1) * pixel:.1f}, {y0:.1f}) um."
         )
     return (
         slice(max(0, first_row), min(rows, max(last_row, first_row) + 1)),

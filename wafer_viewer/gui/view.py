@@ -1,0 +1,40 @@
+"""What one browser looks at: kept apart from the widgets that change it, and from the session that all browsers share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from wafer_viewer.model.region import Region
+
+Step = Literal["plan", "acquire", "surface", "measure"]
+Look = Literal["surface", "points", "plan"]
+ColourBy = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
+Tool = Literal["none", "profile", "step"]
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Camera presets aside, everything a browser may choose for itself.
+
+    show: 0 is the stitched surface, a running number is that field. range_um None: the surface's own 0.5 - 99.5 %.
+    frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
+    """
+
+    step: Step = "plan"
+    look: Look = "surface"
+    show: int = 0
+    colour_by: ColourBy = "height"
+    colours: str = "mako"
+    range_um: tuple[float, float] | None = None
+    exaggeration: float = 3.0
+    hillshade: float = 0.8
+    all_in_focus: float = 0.0
+    frame_k: int | None = None
+    slice_z_um: float | None = None
+    dark: bool = False
+    tool: Tool = "none"
+    profile: Region | None = None
+    upper: Region | None = None
+    lower: Region | None = None
+    selected: int | None = None

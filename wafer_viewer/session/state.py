@@ -1,0 +1,201 @@
+"""What the session knows, as one frozen `Snapshot` shared by all browsers. A verb makes a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Literal
+
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import Field, Job, ScanPlan
+from wafer_viewer.model.stack import Image
+
+
+class FieldState(Enum):
+    """How far a field of the open dataset has come."""
+
+    TO_COME = "to come"
+    TAKING = "being taken"
+    TAKEN = "taken"
+    RECONSTRUCTING = "in reconstruction"
+    MEASURED = "measured"
+    TO_REPEAT = "to repeat"
+    FAILED = "failed"
+
+
+RigState = Literal["absent", "starting", "ready", "moving", "scanning", "paused", "stopping", "fault"]
+
+
+@dataclass(frozen=True, slots=True)
+class RigStatus:
+    """The instrument as the header shows it. `message` says what is wrong in state ``fault`` or ``absent``."""
+
+    name: str = "Virtual rig"
+    simulated: bool = True
+    state: RigState = "starting"
+    x_um: float = 0.0
+    y_um: float = 0.0
+    z_um: float = 0.0
+    limits: RigLimits | None = None
+    calibration: Calibration | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """The plan being edited: the job, its priced plan, or the sentence that says why there is none."""
+
+    job: Job | None = None
+    plan: ScanPlan | None = None
+    problem: str | None = None
+    can_undo: bool = False
+    can_redo: bool = False
+    free_bytes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetEntry:
+    """One line of the list of datasets in the data folder."""
+
+    path: Path
+    name: str
+    taken: str
+    unfinished: bool
+    simulated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ScanProgress:
+    """A running scan, or the last one."""
+
+    field: Field
+    k: int
+    z_um: float
+    order: int
+    """The how-manieth field in the order of taking, from 1."""
+    frames_done: int
+    frames_total: int
+    frames_missing: int
+    pulses: int
+    seconds_left: float
+    seconds_gone: float
+    started: str
+    """Clock time, ``09:41:07``."""
+    strategy: str
+    finished: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LatestFrame:
+    """The latest frame of a running scan, full size, as it was stored."""
+
+    image: Image
+    field: Field
+    k: int
+    z_um: float
+    brightest: int
+    clipped_fraction: float
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """Background work: shown with its progress, can be cancelled by its id. fraction None: waits."""
+
+    id: str
+    title: str
+    fraction: float | None = None
+    cancellable: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something the operator should read. `needs_person` is red; otherwise amber and ends with 'Nothing to do.'."""
+
+    id: str
+    title: str
+    text: str
+    at: str
+    where: str = ""
+    needs_person: bool = True
+    source: Literal["plan", "scan", "import", "open", "surface", "measure", "export", "rig", "other"] = "other"
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceInfo:
+    """The stitched surface of the open dataset. `stamp` changes whenever its contents do."""
+
+    result: str
+    stamp: int
+    rows: int
+    cols: int
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    levels: int
+    n_fields: int
+    highest_um: float
+    lowest_um: float
+    measured_fraction: float
+    filled_fraction: float
+    unmeasured: tuple[tuple[str, float], ...]
+    """Reasons in words with the share of pixels each took."""
+    overlap_rms_um: float | None
+    low_um: float
+    high_um: float
+    """0.5 and 99.5 % of the heights: the colour range to begin with."""
+    recipe_notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OpenDataset:
+    """The dataset that is open. calibration_problem None: calibrated; otherwise lengths read 'uncalibrated'."""
+
+    path: Path
+    name: str
+    taken: str
+    simulated: bool
+    calibration_problem: str | None
+    read_only: str | None
+    """Why it cannot be written to, or None."""
+    finished: bool
+    fields: tuple[Field, ...]
+    states: dict[int, FieldState]
+    stamps: dict[int, int]
+    """By field number: changes whenever the field's surface does; a field without one has no surface yet."""
+    plan: ScanPlan
+    job: Job
+    results: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything every browser shows alike."""
+
+    version: int = 0
+    rig: RigStatus = RigStatus()
+    overview: Overview | None = None
+    draft: Draft = Draft()
+    data_folder: Path = Path()
+    datasets: tuple[DatasetEntry, ...] = ()
+    dataset: OpenDataset | None = None
+    scan: ScanProgress | None = None
+    works: tuple[Work, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    surface: SurfaceInfo | None = None
+    findings: tuple[AnyFinding, ...] = ()
+    findings_undo: bool = False
+    compute_ready: bool = False
+
+    @property
+    def scanning(self) -> bool:
+        """Whether the rig is busy with a scan."""
+        return self.rig.state in ("scanning", "paused", "stopping")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether SIMULATED has to stand on the page: the rig in use or the dataset shown is simulated."""
+        return self.rig.simulated if self.dataset is None else self.dataset.simulated
