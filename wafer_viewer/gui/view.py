@@ -1,4 +1,4 @@
-"""What one browser looks at: kept apart from the widgets that change it, and from the session that all browsers share."""
+"""What one browser looks at: apart from the widgets that change it, and from the session that all browsers share."""
 
 from __future__ import annotations
 

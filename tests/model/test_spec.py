@@ -1,0 +1,121 @@
+"""Settings as people meet them: made in Python, read from TOML and JSON, refused with a sentence."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wafer_viewer.model.errors import ComputeError, PlanError
+from wafer_viewer.model.findings import Findings, Length, Profile
+from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.recipe import Levy, Recipe
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.sample import Feature, Sample
+from wafer_viewer.model.spec import decode, encode, limit_of, replace
+
+GRID = FieldGrid(rows=3, cols=4, field_width_um=336.0, field_height_um=252.0)
+JOB = Job(grid=GRID, sweep=FocusSweep(z_step_um=1.0, n_frames=60), sample=Sample(lot="L7", wafer_id="03"))
+
+
+@pytest.mark.parametrize("form", ["toml", "json"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        GRID,
+        JOB,
+        Recipe(levy=Levy(mode="guided", iterations=12)),
+        Feature(name="bump", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0),
+    ],
+    ids=lambda s: type(s).__name__,
+)
+def test_a_spec_comes_back_from_its_file_as_it_was(spec, form):
+    assert decode(encode(spec, form), type(spec), "file", form) == spec
+
+
+@given(st.integers(1, 200), st.integers(1, 200), st.floats(0, 0.5), st.floats(1, 1e4))
+def test_any_grid_survives_the_round_trip(rows, cols, overlap, width):
+    grid = FieldGrid(rows=rows, cols=cols, field_width_um=width, field_height_um=width, overlap_x_fraction=overlap)
+    assert decode(encode(grid), FieldGrid, "grid.toml") == grid
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: replace(GRID, overlap_x_fraction=0.6), ["FieldGrid.overlap_x_fraction", "0.6", "between 0 and 0.5"]),
+        (lambda: replace(GRID, rows=0), ["FieldGrid.rows", "0", "at least 1"]),
+        (lambda: FocusSweep(z_step_um=0.0, n_frames=60), ["FocusSweep.z_step_um", "0.0", "over 0"]),
+        (lambda: FocusSweep(z_step_um=1.0, n_frames=2), ["FocusSweep.n_frames", "2", "between 3"]),
+        (lambda: replace(GRID, rows=2.5), ["FieldGrid.rows", "2.5", "a whole number"]),
+        (lambda: replace(GRID, x0_um=float("nan")), ["FieldGrid.x0_um", "nan", "finite"]),
+        (lambda: Job(sweep=JOB.sweep), ["Job.grid", "None", "a list of fields"]),
+        (lambda: replace(JOB, released=True), ["Job.released", "'auto'"]),
+        (lambda: replace(JOB, exposures_us=()), ["Job.exposures_us", "at least one"]),
+        (lambda: Sample(slot=120), ["Sample.slot", "120", "between 0 and 99"]),
+    ],
+)
+def test_what_cannot_be_is_refused_with_field_value_and_limit(make, words):
+    with pytest.raises(PlanError) as caught:
+        make()
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Recipe(window=8), ["Recipe.window", "8", "odd", "'auto'"]),
+        (lambda: Recipe(window=27), ["Recipe.window", "27", "between 3 and 25"]),
+        (lambda: Recipe(focus_measure="sharpness"), ["Recipe.focus_measure", "'sharpness'", "'tenengrad'"]),
+        (lambda: Levy(beta=2.5), ["Levy.beta", "2.5", "between 0 and 2"]),
+    ],
+)
+def test_a_recipe_that_cannot_be_says_so(make, words):
+    with pytest.raises(ComputeError) as caught:
+        make()
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "rows = 3\ncols = 3\nfield_width_um = 1\nfield_height_um = 1\noverlp = 1",
+            ["grid.toml", "unknown key", "overlp"],
+        ),
+        ("rows = 3", ["grid.toml", "missing", "cols"]),
+        ("rows = [", ["grid.toml"]),
+        ("rows = 3\ncols = 3\nfield_width_um = 'wide'\nfield_height_um = 1", ["grid.toml", "field_width_um"]),
+        (
+            "rows = 3\ncols = 3\nfield_width_um = -5\nfield_height_um = 1",
+            ["grid.toml", "field_width_um is -5", "over 0"],
+        ),
+    ],
+)
+def test_a_bad_file_is_named_with_what_is_wrong_in_it(text, words):
+    with pytest.raises(PlanError) as caught:
+        decode(text, FieldGrid, "grid.toml")
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_findings_of_several_kinds_share_one_file():
+    line = Region.line(0, 0, 10, 0)
+    profile = Profile(
+        line=line, length_um=10.0, pt=Length(value_um=1.0), rise=Length(value_um=0.5), measured_fraction=1.0
+    )
+    findings = Findings(items=(profile,))
+    assert decode(encode(findings, "json"), Findings, "findings.json", "json") == findings
+
+
+def test_forms_can_show_the_limit_of_a_field():
+    limit = limit_of(FieldGrid, "overlap_x_fraction")
+    assert limit is not None
+    assert (limit.low, limit.high) == (0, 0.5)
+    assert limit_of(Recipe, "window") is not None
+    assert limit_of(FieldGrid, "x0_um") is None
+
+
+def test_the_largest_uncertainty_is_doubled_once():
+    from wafer_viewer.model.findings import Contribution
+
+    length = Length.evaluated(400.0, (Contribution(name="noise", u_um=0.3), Contribution(name="z scale", u_um=0.4)))
+    assert length.expanded_um == pytest.approx(1.0)

@@ -1,0 +1,91 @@
+#!/usr/bin/env bash
+# Every check of the project, with all its own set-up.
+#
+#   bash tests/run.sh          everything: lint, types, layers, tests, browser tests, benchmarks' quick runs
+#   bash tests/run.sh fast     lint, types, layers and the fast tests: under two minutes once set up
+#   bash tests/run.sh setup    only the set-up
+#
+# The virtual environment is .venv in the checkout; WAFER_VIEWER_VENV names another.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+what="${1:-all}"
+venv="${WAFER_VIEWER_VENV:-$PWD/.venv}"
+missing=()
+
+find_python() {
+  for name in python3.13 python3.12 python3.11 python3; do
+    if command -v "$name" >/dev/null && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+      echo "$name"
+      return
+    fi
+  done
+  echo "No Python 3.11 or newer was found: install one (on Debian: apt-get install python3 python3-venv)." >&2
+  return 1
+}
+
+make_environment() {
+  local python stamp
+  python="$(find_python)"
+  stamp="$(cksum <pyproject.toml)"
+  [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+  if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$stamp" ]; then
+    echo "== Installing the package and its tools into $venv"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+    echo "$stamp" >"$venv/.installed"
+  fi
+}
+
+# The library's file name, or the program's name, and the Debian package that brings it.
+needs_package() {
+  case "$1" in
+    *.so.*) ! ldconfig -p 2>/dev/null | grep -q "$1" ;;
+    *) ! command -v "$1" >/dev/null ;;
+  esac
+}
+
+install_system_packages() {
+  [ "$(uname -s)" = Linux ] || return 0
+  local wanted=() pair run=()
+  for pair in chromium:chromium libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libgomp.so.1:libgomp1; do
+    if needs_package "${pair%%:*}"; then wanted+=("${pair#*:}"); fi
+  done
+  [ ${#wanted[@]} -gt 0 ] || return 0
+  if command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null; then
+    wanted=("${wanted[@]/chromium/}")
+  fi
+  if [ "$(id -u)" != 0 ]; then run=(sudo -n); fi
+  echo "== Installing ${wanted[*]}"
+  if command -v apt-get >/dev/null && "${run[@]}" apt-get update -qq &&
+    DEBIAN_FRONTEND=noninteractive "${run[@]}" apt-get install -y -qq --no-install-recommends ${wanted[*]} >/dev/null; then
+    return 0
+  fi
+  missing+=("${wanted[*]} (as root: apt-get install ${wanted[*]})")
+}
+
+step() {
+  local title="$1"
+  shift
+  echo "== $title"
+  "$@"
+}
+
+make_environment
+install_system_packages
+bin="$venv/bin"
+export PATH="$bin:$PATH"
+if [ "$what" != setup ]; then
+  step "Lint" "$bin/ruff" check --quiet .
+  step "Format" "$bin/ruff" format --check --quiet .
+  step "Types" "$bin/pyright" --pythonpath "$bin/python"
+  step "Layers" "$bin/lint-imports"
+  step "Fast tests" "$bin/python" -m pytest -q -m "not slow and not browser and not hardware"
+fi
+if [ "$what" = all ]; then
+  for bench in tests/bench/bench_*.py; do
+    step "Benchmark $(basename "$bench" .py), quick run" "$bin/python" "$bench" --quick
+  done
+  step "Slow tests and browser tests" "$bin/python" -m pytest -q -m "(slow or browser) and not hardware"
+fi
+if [ ${#missing[@]} -gt 0 ]; then
+  echo "Could not install: ${missing[*]}. What needs it was reported as skipped or failed above." >&2
+fi
