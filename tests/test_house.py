@@ -1,0 +1,30 @@
+"""The habits of the house that no linter knows."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+MODULES = sorted((ROOT / "wafer_viewer").rglob("*.py"))
+ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init__.py").exists())
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_file_has_one_subject_and_fits_in_the_head(module):
+    assert len(module.read_text().splitlines()) <= 300
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_picture_of_the_house_in_the_readme_shows_every_room(room):
+    assert f"{room}/" in (ROOT / "README.md").read_text()
+
+
+def test_importing_the_package_pulls_in_nothing_heavy():
+    heavy = ["numba", "viser", "open3d", "zarr", "distributed", "scipy", "trimesh", "tifffile", "skimage"]
+    code = f"import sys, wafer_viewer; print([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
