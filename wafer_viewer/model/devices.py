@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -119,8 +120,11 @@ class Stage(Protocol):
 class PulseBox(Protocol):
     """Counts scale pulses, divides them and triggers the camera (WPC/1)."""
 
-    def arm(self, train: PulseTrain) -> None:
-        """Be ready for one pass; pulses of an earlier run are forgotten. Raises RigError on refusal."""
+    def arm(self, train: PulseTrain, *, on_command: bool = False) -> None:
+        """Be ready for one pass; pulses of an earlier run are forgotten. Raises RigError on refusal.
+
+        on_command: pulses come from `fire` alone, not from the scale: stop and shoot.
+        """
         ...
 
     def fire(self) -> None:
@@ -223,6 +227,10 @@ class Rig(Protocol):
 
     def overview(self) -> Overview | None:
         """A picture of the sample, where there is one."""
+        ...
+
+    def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
+        """Get ready for a plan where that takes time of its own, before the scan's time begins."""
         ...
 
     def close(self) -> None:

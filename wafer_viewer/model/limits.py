@@ -8,6 +8,9 @@ from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.plan import Axis
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
+RUN_UP_SPARE_S = 0.005
+"""How long an axis runs at speed before the first pulse of a pass: what rang in the ramp has died down by then."""
+
 
 class AxisLimits(Spec, frozen=True, kw_only=True):
     """One axis: where it can go, how fast, how long it rings, how fine its scale counts."""
@@ -37,18 +40,30 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
         """The way an axis needs to reach a speed, or to halt from it."""
         return speed_um_s**2 / (2 * self.acceleration_um_s2)
 
+    def run_up_um(self, speed_um_s: float) -> float:
+        """The way before the first pulse, and past the last, of a pass: the ramp and RUN_UP_SPARE_S at full speed."""
+        return self.ramp_um(speed_um_s) + speed_um_s * RUN_UP_SPARE_S
+
 
 class CameraLimits(Spec, frozen=True, kw_only=True):
-    """The sensor: frame rate, exposure range, size, how many frames its driver can hold, and its bit depth."""
+    """The sensor: frame rate, exposure range, size, how many frames its driver can hold, and its bit depth.
+
+    readout_us: how long after an exposure the next one may begin; a trigger that comes sooner is ignored.
+    """
 
     error: ClassVar[type[WaferViewerError]] = RigError
     frame_rate_hz: Positive
     exposure_min_us: Positive
     exposure_max_us: Positive
+    readout_us: NonNegative = 0.0
     rows: Annotated[int, Within(16)]
     cols: Annotated[int, Within(16)]
     queue_frames: Count = 16
     bits: Annotated[int, Within(8, 16)] = 8
+
+    def period_s(self, exposure_us: float) -> float:
+        """The shortest time between two triggers at an exposure."""
+        return max(1 / self.frame_rate_hz, (exposure_us + self.readout_us) * 1e-6)
 
 
 class ObjectiveLimits(Spec, frozen=True, kw_only=True):
