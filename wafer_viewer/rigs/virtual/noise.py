@@ -9,50 +9,45 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, int32, uint32
 
 from wafer_viewer.numerics.jit import fast_kernel
 
-UNIT_DEVIATION = np.float32(4.7)  # the standard deviation of smoothed uniform noise is about 1 / 4.7
-HALF, TWO, THREE = np.float32(0.5), np.float32(2), np.float32(3)
+UNIT_DEVIATION = 4.7  # the standard deviation of smoothed uniform noise is about 1 / 4.7
 
 
 @fast_kernel
-def mixed(h):
+def mixed(h: np.uint32) -> np.uint32:
     """Scatter the 32 bits of h (Wellons, hash prospector, lowbias32).
 
     Every operation is cast back: numba widens uint32 arithmetic to 64 bits.
     """
-    h = uint32(h ^ (h >> uint32(16)))
-    h = uint32(h * uint32(0x7FEB352D))
-    h = uint32(h ^ (h >> uint32(15)))
-    h = uint32(h * uint32(0x846CA68B))
-    return uint32(h ^ (h >> uint32(16)))
+    h = np.uint32(h ^ (h >> np.uint32(16)))
+    h = np.uint32(h * np.uint32(0x7FEB352D))
+    h = np.uint32(h ^ (h >> np.uint32(15)))
+    h = np.uint32(h * np.uint32(0x846CA68B))
+    return np.uint32(h ^ (h >> np.uint32(16)))
 
 
 @fast_kernel
-def chance(i, j, salt):
+def chance(i: int, j: int, salt: int) -> float:
     """A number in [0, 1) that belongs to the cell (i, j)."""
-    a = uint32(uint32(i) * uint32(0x8DA6B343))
-    b = uint32(uint32(j) * uint32(0xD8163841))
-    c = uint32(uint32(salt) * uint32(0xCB1AB31F))
-    return float32(mixed(uint32(a ^ b ^ c)) >> uint32(8)) * float32(1 / 16777216)
+    a = np.uint32(np.uint32(i) * np.uint32(0x8DA6B343))
+    b = np.uint32(np.uint32(j) * np.uint32(0xD8163841))
+    c = np.uint32(np.uint32(salt) * np.uint32(0xCB1AB31F))
+    return mixed(np.uint32(a ^ b ^ c)) / 4294967296.0
 
 
 @fast_kernel
-def smooth(t):
+def smooth(t: float) -> float:
     """The smoothstep that joins cells without a crease, t in [0, 1]."""
-    return t * t * (THREE - TWO * t)
+    return t * t * (3.0 - 2.0 * t)
 
 
 @fast_kernel
-def grain(x, y, salt):
+def grain(x: float, y: float, salt: int) -> float:
     """Value noise on unit cells: mean 0, standard deviation about 1, smooth within a cell."""
-    column, row = math.floor(x), math.floor(y)
-    i, j = int32(column), int32(row)
-    a, b = smooth(float32(x - column)), smooth(float32(y - row))
-    p, q = chance(i, j, salt), chance(i + 1, j, salt)
-    r, s = chance(i, j + 1, salt), chance(i + 1, j + 1, salt)
-    low = p + (q - p) * a
-    high = r + (s - r) * a
-    return (low + (high - low) * b - HALF) * UNIT_DEVIATION
+    i, j = math.floor(x), math.floor(y)
+    across, up = smooth(x - i), smooth(y - j)
+    low = chance(i, j, salt) * (1.0 - across) + chance(i + 1, j, salt) * across
+    high = chance(i, j + 1, salt) * (1.0 - across) + chance(i + 1, j + 1, salt) * across
+    return (low + (high - low) * up - 0.5) * UNIT_DEVIATION

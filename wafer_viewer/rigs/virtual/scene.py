@@ -10,30 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, stair, wafer
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
 SHARP_UM = 1e-3  # a footprint so small that every edge is hard
 
 
-class Sheets(NamedTuple):
-    """A scene on a lattice, float32 [row, col] each: heights in um, radiances as shares of white, cover of A."""
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A lattice on the stage: the centre of sample (0, 0), the distance between samples, their number."""
 
-    height_a: NDArray[np.float32]
-    radiance_a: NDArray[np.float32]
-    height_b: NDArray[np.float32]
-    radiance_b: NDArray[np.float32]
-    cover: NDArray[np.float32]
+    x0_um: float
+    y0_um: float
+    step_um: float
+    rows: int
+    cols: int
 
-    def surface_um(self) -> NDArray[np.float32]:
-        """Heights that an observer straight above sees."""
-        return np.where(self.cover > 0.5, self.height_a, self.height_b)
+    def grown(self, margin: int) -> Window:
+        """The window with a margin of samples on all sides."""
+        out = margin * self.step_um
+        return Window(self.x0_um - out, self.y0_um + out, self.step_um, self.rows + 2 * margin, self.cols + 2 * margin)
+
+    def points(self) -> tuple[Points, Points]:
+        """x and y in um of every sample, [row, col]."""
+        x = self.x0_um + self.step_um * np.arange(self.cols, dtype=np.float64)
+        y = self.y0_um - self.step_um * np.arange(self.rows, dtype=np.float64)
+        return np.tile(x, (self.rows, 1)), np.repeat(y, self.cols).reshape(self.rows, self.cols)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +73,7 @@ class Scene:
 
     name: str
     title: str
-    sheets: Callable[..., None]
+    fill: Callable[[Points, Points, float, Sheets], None]
     gain: float
     width_um: float
     height_um: float
@@ -83,11 +91,9 @@ class Scene:
         """Distance from die to die along x and y, where there are dies."""
         return (self.dies.pitch_x_um, self.dies.pitch_y_um) if self.dies else None
 
-    def raster(self, x0_um: float, y0_um: float, step_um: float, rows: int, cols: int) -> Sheets:
-        """The scene on a lattice of step_um, each sample averaged over one step; (x0, y0) is sample (0, 0)."""
-        x = x0_um + step_um * np.arange(cols)
-        y = y0_um - step_um * np.arange(rows)
-        return self._at(*np.meshgrid(x, y), step_um)
+    def raster(self, window: Window) -> Sheets:
+        """The scene on a lattice, each sample averaged over one step."""
+        return self._at(*window.points(), window.step_um)
 
     def truth(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
         """True heights in um at points of any shape, as seen from straight above. For tests only."""
@@ -95,9 +101,9 @@ class Scene:
         flat = self._at(x.reshape(1, -1).copy(), y.reshape(1, -1).copy(), SHARP_UM)
         return flat.surface_um().reshape(x.shape)
 
-    def _at(self, x: NDArray[Any], y: NDArray[Any], footprint_um: float) -> Sheets:
-        sheets = Sheets(*(np.empty(x.shape, np.float32) for _ in Sheets._fields))
-        self.sheets(x, y, float(footprint_um), *sheets)
+    def _at(self, x: Points, y: Points, footprint_um: float) -> Sheets:
+        sheets = empty_sheets(x.shape)
+        self.fill(x, y, float(footprint_um), sheets)
         return sheets
 
 
@@ -116,7 +122,8 @@ def flatted_disc(radius_um: float, flat_um: float, corners: int = 96) -> Outline
 
 def wafer_dies() -> DieLayout:
     """Every whole die of the wafer scene, numbered as the lettering on it says."""
-    cells = [(c, r) for r in range(16) for c in range(12) if wafer.is_whole_die(c + wafer.FIRST_COLUMN, r + wafer.FIRST_ROW)]
+    grid = [(column, row) for row in range(16) for column in range(12)]
+    whole = (cell for cell in grid if wafer.is_whole_die(cell[0] + wafer.FIRST_COLUMN, cell[1] + wafer.FIRST_ROW))
     return DieLayout(
         pitch_x_um=wafer.PITCH_X_UM,
         pitch_y_um=wafer.PITCH_Y_UM,
@@ -124,7 +131,7 @@ def wafer_dies() -> DieLayout:
         height_um=die.HEIGHT_UM,
         x0_um=wafer.FIRST_COLUMN * wafer.PITCH_X_UM,
         y0_um=wafer.FIRST_ROW * wafer.PITCH_Y_UM,
-        cells=tuple(cells),
+        cells=tuple(whole),
     )
 
 
@@ -132,7 +139,7 @@ SCENES: dict[str, Scene] = {
     "wafer": Scene(
         name="wafer",
         title="A diced wafer with a gel drop, a scratch and particles",
-        sheets=wafer.sheets,
+        fill=wafer.fill,
         gain=1.12,
         width_um=2 * wafer.RADIUS_UM,
         height_um=2 * wafer.RADIUS_UM,
@@ -148,7 +155,7 @@ SCENES: dict[str, Scene] = {
     "gauge_blocks": Scene(
         name="gauge_blocks",
         title="Two gauge blocks, 399.88 um apart in height",
-        sheets=gauge_blocks.sheets,
+        fill=gauge_blocks.fill,
         gain=1.6,
         width_um=6000.0,
         height_um=4000.0,
@@ -163,7 +170,7 @@ SCENES: dict[str, Scene] = {
     "stair": Scene(
         name="stair",
         title="A stair of 20 um steps",
-        sheets=stair.sheets,
+        fill=stair.fill,
         gain=1.6,
         width_um=1800.0,
         height_um=1200.0,
@@ -178,7 +185,7 @@ SCENES: dict[str, Scene] = {
     "cone": Scene(
         name="cone",
         title="A turned cone, 120 um high",
-        sheets=cone.sheets,
+        fill=cone.fill,
         gain=1.6,
         width_um=1200.0,
         height_um=1200.0,
@@ -193,7 +200,7 @@ SCENES: dict[str, Scene] = {
     "plane": Scene(
         name="plane",
         title="A ground plate, tilted by 4 mrad",
-        sheets=plane.sheets,
+        fill=plane.fill,
         gain=1.6,
         width_um=4000.0,
         height_um=4000.0,

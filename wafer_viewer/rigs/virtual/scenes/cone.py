@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
 
 
-@kernel
-def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
-    """Fill five arrays [row, col] at the points given; the whole surface is on sheet A."""
+@fast_kernel
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    """The sheets at the points given; the whole surface is on A, and B is the same."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
             height = max(0.0, HEIGHT_UM - SLOPE * math.sqrt(x * x + y * y))
-            height_a[r, c] = height_b[r, c] = height
-            radiance_a[r, c] = radiance_b[r, c] = turned_metal(x, y)
-            cover[r, c] = 1.0
+            out.height_a[r, c] = out.height_b[r, c] = height
+            out.radiance_a[r, c] = out.radiance_b[r, c] = turned_metal(x, y)
+            out.cover[r, c] = 1.0
 
 
 @fast_kernel
-def turned_metal(x, y):
+def turned_metal(x: float, y: float) -> float:
     """Radiance of a turned surface: grain and rings."""
     out, around = math.sqrt(x * x + y * y), math.atan2(y, x)
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 51) + 0.05 * grain(out / 1.4, around * 40.0, 52))

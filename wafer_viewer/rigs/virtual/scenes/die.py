@@ -25,7 +25,7 @@ MEMORY, LINES_UP, LOGIC, BLANK, LOGIC_2, LETTERS, LINES_ACROSS, MEMORY_2 = range
 
 
 @fast_kernel
-def die(u, v, column, row, inset, footprint):
+def die(u: float, v: float, column: int, row: int, inset: float, footprint: float) -> tuple[float, float, float]:
     """The die at (u, v); inset is the distance from its edge, which chips may have eaten into."""
     if inset < RIM_UM:
         return rim(inset)
@@ -38,26 +38,26 @@ def die(u, v, column, row, inset, footprint):
 
 
 @fast_kernel
-def bevel_drop(inset):
+def bevel_drop(inset: float) -> float:
     """How far the sawn edge falls below the die's top."""
     return BEVEL_SLOPE * max(0.0, BEVEL_UM - abs(inset))
 
 
 @fast_kernel
-def rim(inset):
+def rim(inset: float) -> tuple[float, float, float]:
     """The sawn bevel and the bare rim inside it: dark, and without grain."""
     return blend(0.022, 0.045, inside(inset - BEVEL_UM, 2.0)), -bevel_drop(inset), 0.0
 
 
 @fast_kernel
-def seal_ring(inset, footprint):
+def seal_ring(inset: float, footprint: float) -> tuple[float, float, float]:
     """Two metal lines round the die."""
     metal = bar(inset, 21.0, 23.6, footprint) + bar(inset, 26.5, 29.1, footprint)
     return 0.075 + 0.42 * metal, 0.6 * metal, 0.03 + 0.08 * metal
 
 
 @fast_kernel
-def pad(u, v, column, row, footprint):
+def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """A row of bond pads; v from the row's foot. The probe left its mark on each, never at the same place."""
     number = math.floor((u - PAD_LEFT_UM) / PAD_PITCH_UM)
     if number < 0 or number >= PADS:
@@ -71,7 +71,7 @@ def pad(u, v, column, row, footprint):
 
 
 @fast_kernel
-def probe_mark(x, y, number, salt, footprint):
+def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> float:
     """The ellipse that a probe needle scrubbed near the middle of a pad."""
     across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, 11) - 0.5)) / 3.2
     along = (y - PAD_UM / 2 - 5.0 * (chance(number, salt, 57) - 0.5)) / 7.5
@@ -79,7 +79,7 @@ def probe_mark(x, y, number, salt, footprint):
 
 
 @fast_kernel
-def core(u, v, column, row, footprint):
+def core(u: float, v: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """Four by two blocks, each within a thin bright border; (u, v) from the core's corner."""
     across, up = math.floor(u / BLOCK_WIDTH_UM), math.floor(v / BLOCK_HEIGHT_UM)
     if across < 0 or across > 3 or up < 0 or up > 1:
@@ -95,7 +95,7 @@ def core(u, v, column, row, footprint):
 
 
 @fast_kernel
-def border(x, y, footprint):
+def border(x: float, y: float, footprint: float) -> float:
     """Radiance that the thin line along a block's left and lower side adds."""
     left = rectangle(x, y, 0.8, 2.2, 0.8, 89.2, footprint)
     lower = rectangle(x, y, 2.2, 91.2, 0.8, 2.2, footprint)
@@ -103,13 +103,13 @@ def border(x, y, footprint):
 
 
 @fast_kernel
-def pattern(kind, x, y, column, row, footprint):
+def pattern(kind: int, x: float, y: float, column: int, row: int, footprint: float) -> tuple[float, float, float]:
     """What fills a block: (radiance over the ground, rise_um, contrast)."""
     soft = max(footprint, 0.7)  # lithography is no sharper than this
     if kind == LETTERS:
         ink = two_lines(x, y, column, row, footprint)
         return 0.45 * ink, 0.8 * ink, 0.08
-    if kind == MEMORY or kind == MEMORY_2:
+    if kind in (MEMORY, MEMORY_2):
         cells = memory(x, y, soft)
         return 0.20 * cells, 0.25 * cells, 0.055
     if kind == LINES_UP:
@@ -123,7 +123,7 @@ def pattern(kind, x, y, column, row, footprint):
 
 
 @fast_kernel
-def memory(x, y, soft):
+def memory(x: float, y: float, soft: float) -> float:
     """Staggered cells, their word lines, and a column strap now and then."""
     stagger = 3.6 * (math.floor(x / 5.2) % 2)
     cells = bars(x, 5.2, 0.5, soft) * bars(y + stagger, 7.2, 0.55, soft)
@@ -131,7 +131,7 @@ def memory(x, y, soft):
 
 
 @fast_kernel
-def logic(x, y, salt, soft):
+def logic(x: float, y: float, salt: int, soft: float) -> float:
     """Rows of standard cells: bars that are there or not as chance has it, between supply rails."""
     row = math.floor(y / 6.0)
     up = y - 6.0 * row
@@ -140,7 +140,7 @@ def logic(x, y, salt, soft):
 
 
 @fast_kernel
-def cell_bars(x, row, salt, soft):
+def cell_bars(x: float, row: int, salt: int, soft: float) -> float:
     """Bars 2.4 um wide, present or absent, softened where a present one meets an absent one."""
     number = math.floor(x / 2.4)
     along = x - 2.4 * number
@@ -149,6 +149,6 @@ def cell_bars(x, row, salt, soft):
 
 
 @fast_kernel
-def taken(number, row, salt):
+def taken(number: int, row: int, salt: int) -> float:
     """1 where a bar is, 0 where none is."""
     return 1.0 if chance(number, row, salt) > 0.5 else 0.0

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scenes.shapes import inside
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 STEP_UM = 399.88
 GAP_UM, CHAMFER_UM = 70.0, 45.0
@@ -19,20 +20,20 @@ GAP_DEPTH_UM = 60.0
 LAPPED_UPPER, LAPPED_LOWER, CHAMFER, GAP = 0.42, 0.40, 0.028, 0.008  # radiances
 
 
-@kernel
-def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
-    """Fill five arrays [row, col] with the two sheets at the points given: upper block (A), lower block and gap (B)."""
+@fast_kernel
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    """The two sheets at the points given: upper block (A), lower block and gap (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
             ragged = 0.8 * grain(y / 7.0, 0.5, 61)
-            cover[r, c] = inside(ragged - x - GAP_UM / 2, footprint_um)
-            height_a[r, c], radiance_a[r, c] = upper_block(x, y)
-            height_b[r, c], radiance_b[r, c] = lower_block(x, y)
+            out.cover[r, c] = inside(ragged - x - GAP_UM / 2, footprint_um)
+            out.height_a[r, c], out.radiance_a[r, c] = upper_block(x, y)
+            out.height_b[r, c], out.radiance_b[r, c] = lower_block(x, y)
 
 
 @fast_kernel
-def upper_block(x, y):
+def upper_block(x: float, y: float) -> tuple[float, float]:
     """(height, radiance); past its edge the chamfer is mirrored, so that the sheet goes on without a jump."""
     bevel = max(0.0, CHAMFER_UM - abs(x + GAP_UM / 2))
     if bevel <= 0.0:
@@ -41,7 +42,7 @@ def upper_block(x, y):
 
 
 @fast_kernel
-def lower_block(x, y):
+def lower_block(x: float, y: float) -> tuple[float, float]:
     """(height, radiance) of the lower block and of the floor of the gap."""
     plane = TILT_X * x + TILT_Y * y
     inset = x - GAP_UM / 2
@@ -54,13 +55,13 @@ def lower_block(x, y):
 
 
 @fast_kernel
-def burnish(bevel):
+def burnish(bevel: float) -> float:
     """Radiance of the thin bright line where a chamfer begins."""
     return 0.3 * math.exp(-(((bevel - 0.8) / 0.8) ** 2))
 
 
 @fast_kernel
-def lapping(x, y, salt, turn_rad):
+def lapping(x: float, y: float, salt: int, turn_rad: float) -> float:
     """Crossed lapping scratches and grain, about unit deviation."""
     u = x * math.cos(turn_rad) + y * math.sin(turn_rad)
     v = y * math.cos(turn_rad) - x * math.sin(turn_rad)

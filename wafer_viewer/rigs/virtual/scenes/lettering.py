@@ -34,13 +34,13 @@ LETTER_R, LETTER_C, SPACE = CODES["R"], CODES["C"], CODES[" "]
 
 
 @fast_kernel
-def product_letter(place):
+def product_letter(place: int) -> int:
     """The code of a letter of the product's name; a space past its end."""
     return PRODUCT[place] if 0 <= place < len(PRODUCT) else SPACE
 
 
 @fast_kernel
-def place_letter(place, column, row):
+def place_letter(place: int, column: int, row: int) -> int:
     """The code of a letter of R07C06, the die's place on the wafer; digits are their own codes."""
     number = row if place < 3 else column
     digit = place % 3
@@ -52,7 +52,7 @@ def place_letter(place, column, row):
 
 
 @fast_kernel
-def glyph(code, x, y, footprint):
+def glyph(code: int, x: float, y: float, footprint: float) -> float:
     """Ink of one letter at x in [0, 3) and y in [0, 5), in squares, y from the top."""
     ink = 0.0
     for row in range(5):
@@ -63,7 +63,7 @@ def glyph(code, x, y, footprint):
 
 
 @fast_kernel
-def two_lines(u, v, column, row, footprint):
+def two_lines(u: float, v: float, column: int, row: int, footprint: float) -> float:
     """Ink of the product's name over the die's place, in a block 92 um wide and 90 um high; (u, v) from its corner."""
     first = v > 40.0
     square_um = 3.4 if first else 3.0
@@ -71,6 +71,6 @@ def two_lines(u, v, column, row, footprint):
     y = ((62.0 if first else 30.0) - v) / square_um
     if x < -0.3 or x > 24.0 or y < -0.3 or y > 5.3:
         return 0.0
-    place = int(math.floor((x + 0.5) / 4.0))
+    place = math.floor((x + 0.5) / 4.0)
     code = product_letter(place) if first else place_letter(place, column, row)
     return min(glyph(code, x - 4.0 * place, y, footprint / square_um), 1.0)

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
 
 
-@kernel
-def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
-    """Fill five arrays [row, col] at the points given; the whole surface is on sheet A."""
+@fast_kernel
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    """The sheets at the points given; the whole surface is on A, and B is the same."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
-            height_a[r, c] = height_b[r, c] = TILT_X * x + TILT_Y * y
-            radiance_a[r, c] = radiance_b[r, c] = ground_metal(x, y)
-            cover[r, c] = 1.0
+            out.height_a[r, c] = out.height_b[r, c] = TILT_X * x + TILT_Y * y
+            out.radiance_a[r, c] = out.radiance_b[r, c] = ground_metal(x, y)
+            out.cover[r, c] = 1.0
 
 
 @fast_kernel
-def ground_metal(x, y):
+def ground_metal(x: float, y: float) -> float:
     """Radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 31) + 0.05 * grain(x / 45.0, y / 1.3, 32))

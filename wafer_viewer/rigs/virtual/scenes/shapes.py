@@ -11,37 +11,37 @@ from wafer_viewer.numerics.jit import fast_kernel
 
 
 @fast_kernel
-def inside(distance, footprint):
+def inside(distance: float, footprint: float) -> float:
     """Share of a sample inside an edge; distance grows inwards."""
     return min(max(distance / footprint + 0.5, 0.0), 1.0)
 
 
 @fast_kernel
-def wrapped(x, period):
+def wrapped(x: float, period: float) -> float:
     """x brought into [0, period)."""
     return x - period * math.floor(x / period)
 
 
 @fast_kernel
-def bar(x, start, stop, footprint):
+def bar(x: float, start: float, stop: float, footprint: float) -> float:
     """Share of a sample between start and stop."""
     return inside(x - start, footprint) * inside(stop - x, footprint)
 
 
 @fast_kernel
-def rectangle(x, y, left, right, bottom, top, footprint):
+def rectangle(x: float, y: float, left: float, right: float, bottom: float, top: float, footprint: float) -> float:
     """Share of a sample within a rectangle."""
     return bar(x, left, right, footprint) * bar(y, bottom, top, footprint)
 
 
 @fast_kernel
-def bars(x, period, duty, footprint):
+def bars(x: float, period: float, duty: float, footprint: float) -> float:
     """Share of a sample on bars that fill the first duty of every period."""
     phase = wrapped(x, period)
     return bar(phase, 0.0, duty * period, footprint) + inside(phase - period, footprint)
 
 
 @fast_kernel
-def blend(a, b, share):
+def blend(a: float, b: float, share: float) -> float:
     """a where share is 0, b where it is 1."""
     return a + (b - a) * share

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scenes.shapes import bars
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 TREAD_UM, RISE_UM = 180.0, 20.0
 
 
-@kernel
-def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
-    """Fill five arrays [row, col] with the two sheets at the points given: even treads on A, odd ones on B.
+@fast_kernel
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    """The two sheets at the points given: even treads on A, odd ones on B.
 
     So two neighbouring treads are never on one sheet, and each sheet goes on level past its own treads.
     """
@@ -23,19 +24,19 @@ def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b,
             here = math.floor(x / TREAD_UM)
             nearest = here + 1 if x - here * TREAD_UM > TREAD_UM / 2 else here - 1
             even, odd = (here, nearest) if here % 2 == 0 else (nearest, here)
-            cover[r, c] = bars(x, 2 * TREAD_UM, 0.5, footprint_um)
-            height_a[r, c], height_b[r, c] = even * RISE_UM, odd * RISE_UM
+            out.cover[r, c] = bars(x, 2 * TREAD_UM, 0.5, footprint_um)
+            out.height_a[r, c], out.height_b[r, c] = even * RISE_UM, odd * RISE_UM
             ground = ground_metal(x, y)
-            radiance_a[r, c], radiance_b[r, c] = ground * tone(even), ground * tone(odd)
+            out.radiance_a[r, c], out.radiance_b[r, c] = ground * tone(even), ground * tone(odd)
 
 
 @fast_kernel
-def ground_metal(x, y):
+def ground_metal(x: float, y: float) -> float:
     """Radiance of a ground surface: grain and marks along x."""
     return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 41) + 0.05 * grain(x / 40.0, y / 1.3, 42))
 
 
 @fast_kernel
-def tone(tread):
+def tone(tread: int) -> float:
     """A shade that tells neighbouring treads apart."""
     return 0.9 + 0.1 * (tread % 3)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.numerics.jit import fast_kernel, kernel
+from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import chance, grain
 from wafer_viewer.rigs.virtual.scenes.die import HEIGHT_UM, WIDTH_UM, bevel_drop, die
 from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle, wrapped
+from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 PITCH_X_UM, PITCH_Y_UM, TRENCH_UM = 520.0, 400.0, 64.0
 FIRST_COLUMN, FIRST_ROW = -5, -6  # the cell of the die numbered column 0, row 0, counted from stage (0, 0)
@@ -26,17 +27,17 @@ FLOOR, TAPE = 0.80, 0.05  # radiances
 FAR_UM = 1000.0
 
 
-@kernel
-def sheets(x_um, y_um, footprint_um, height_a, radiance_a, height_b, radiance_b, cover):
-    """Fill five arrays [row, col] with the two sheets at the points given: die tops (A) and trench floor (B)."""
+@fast_kernel
+def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
+    """The two sheets at the points given: die tops (A) and trench floor (B)."""
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             values = wafer(x_um[r, c], y_um[r, c], footprint_um)
-            height_a[r, c], radiance_a[r, c], height_b[r, c], radiance_b[r, c], cover[r, c] = values
+            out.height_a[r, c], out.radiance_a[r, c], out.height_b[r, c], out.radiance_b[r, c], out.cover[r, c] = values
 
 
 @fast_kernel
-def wafer(x, y, footprint):
+def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, float, float]:
     """(height A, radiance A, height B, radiance B, cover of A) at one point."""
     column, row = math.floor(x / PITCH_X_UM), math.floor(y / PITCH_Y_UM)
     u, v = x - column * PITCH_X_UM - TRENCH_UM / 2, y - row * PITCH_Y_UM - TRENCH_UM / 2
@@ -69,7 +70,7 @@ whole_die = fast_kernel(is_whole_die)
 
 
 @fast_kernel
-def die_inset(u, v):
+def die_inset(u: float, v: float) -> float:
     """Distance of (u, v) inside the die's rounded outline; negative outside."""
     x = abs(u - WIDTH_UM / 2) - WIDTH_UM / 2 + CORNER_UM
     y = abs(v - HEIGHT_UM / 2) - HEIGHT_UM / 2 + CORNER_UM
@@ -78,7 +79,7 @@ def die_inset(u, v):
 
 
 @fast_kernel
-def chipped(inset, x, y):
+def chipped(inset: float, x: float, y: float) -> float:
     """The inset after sawing: the edge wanders, and here and there a chip is missing."""
     if inset < -2.0 or inset > 9.0:
         return inset
@@ -86,7 +87,9 @@ def chipped(inset, x, y):
 
 
 @fast_kernel
-def die_top(x, y, u, v, column, row, inset, footprint):
+def die_top(
+    x: float, y: float, u: float, v: float, column: int, row: int, inset: float, footprint: float
+) -> tuple[float, float]:
     """(radiance, height over the die's top) of a die with its gel, scratch and grain."""
     radiance, rise_um, contrast = die(u, v, column - FIRST_COLUMN, row - FIRST_ROW, inset, footprint)
     gel = 0.0
@@ -107,7 +110,7 @@ def die_top(x, y, u, v, column, row, inset, footprint):
 
 
 @fast_kernel
-def gel_drop(x, y, under, footprint):
+def gel_drop(x: float, y: float, under: float, footprint: float) -> tuple[float, float, float, float]:
     """(share, height_um, radiance, contrast) of a clear drop over radiance `under`; (x, y) from its middle.
 
     It mirrors the lamp where it is nearly level, and shows what lies beneath it faintly.
@@ -126,7 +129,7 @@ def gel_drop(x, y, under, footprint):
 
 
 @fast_kernel
-def scratch(x, y, footprint):
+def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
     """(groove, lip): shares of a bent scratch that fades at both ends and skips now and then."""
     middle = 214.0 + 0.31 * (x - SCRATCH_LEFT_UM) + 13.0 * math.sin(x / 190.0)
     away = abs(y - middle) * 0.955
@@ -141,7 +144,7 @@ def scratch(x, y, footprint):
 
 
 @fast_kernel
-def particle(x, y, footprint):
+def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]:
     """(share, height_um, radiance) of the grain of dust that chance may have put near here: dark, with a glint."""
     i, j = math.floor(x / PARTICLE_CELL_UM), math.floor(y / PARTICLE_CELL_UM)
     if chance(i, j, 90) >= PARTICLE_SHARE:
@@ -158,7 +161,7 @@ def particle(x, y, footprint):
 
 
 @fast_kernel
-def floor(x, y, u, v, from_wall, footprint):
+def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: float) -> float:
     """Radiance of the trench floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
     fine = grain(x / 1.5, y / 1.5, 1)
@@ -170,7 +173,7 @@ def floor(x, y, u, v, from_wall, footprint):
 
 
 @fast_kernel
-def saw_marks(x, y, u, v):
+def saw_marks(x: float, y: float, u: float, v: float) -> float:
     """Streaks along the cut: upright in a column trench, level in a row trench, both where they cross."""
     upright, level = u < 0.0 or u > WIDTH_UM, v < 0.0 or v > HEIGHT_UM
     marks = grain(x / 1.1, y / 70.0, 21) * upright + grain(x / 70.0, y / 1.1, 22) * level
@@ -178,7 +181,7 @@ def saw_marks(x, y, u, v):
 
 
 @fast_kernel
-def printed(x, y, u, v, footprint):
+def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
     """What is printed in the trenches: a cross where they meet, barred test squares along the columns."""
     across = wrapped(x + PITCH_X_UM / 2, PITCH_X_UM) - PITCH_X_UM / 2
     along = wrapped(y + PITCH_Y_UM / 2, PITCH_Y_UM) - PITCH_Y_UM / 2
@@ -193,7 +196,7 @@ def printed(x, y, u, v, footprint):
 
 
 @fast_kernel
-def wall_shade(from_wall):
+def wall_shade(from_wall: float) -> float:
     """Light left at a distance from a wall's foot: the wall cuts off part of the illumination's cone.
 
     Without it a trench's edge would bloom when it is out of focus, which no microscope shows.

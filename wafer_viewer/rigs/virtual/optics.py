@@ -1,0 +1,101 @@
+"""What the virtual microscope makes of a scene: the picture of one field at any height of the focus.
+
+A point out of focus spreads to a Gaussian of
+
+    sigma(z)^2 = (0.21 wavelength / NA)^2 + (NA (z - h) / 2)^2
+
+so a field is blurred beforehand at some thirty levels (optics_levels), and a frame is read from the two levels next
+to each pixel's own sigma (optics_compose). Light bleeds over walls as in a microscope, because each sheet is blurred
+together with the dark that the other sheet leaves it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.rigs.virtual.optics_blur import Plane
+from wafer_viewer.rigs.virtual.optics_compose import compose
+from wafer_viewer.rigs.virtual.optics_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
+from wafer_viewer.rigs.virtual.optics_stretches import make_stretches
+from wafer_viewer.rigs.virtual.scene import Scene, Window
+from wafer_viewer.rigs.virtual.scenes.sheets import Sheets
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """Objective, light and pixel of the virtual microscope: 10x / 0.28 in green light unless said otherwise."""
+
+    na: float = 0.28
+    wavelength_um: float = 0.55
+    pixel_um: float = 0.46729
+
+    @property
+    def depth_of_field_um(self) -> float:
+        """lambda / NA^2 + e / (M NA) in air; e / M is the pixel as it lies on the sample."""
+        return self.wavelength_um / self.na**2 + self.pixel_um / self.na
+
+    @property
+    def sharpest_um(self) -> float:
+        """Sigma of a point in focus."""
+        return 0.21 * self.wavelength_um / self.na
+
+    def sigma_um(self, defocus_um: float) -> float:
+        """Sigma of a point defocus_um out of focus."""
+        return math.hypot(self.sharpest_um, self.na * defocus_um / 2)
+
+
+class FieldPicture:
+    """A field of view, prepared so that a frame at any z is quick.
+
+    (x_um, y_um) is the centre of a frame of rows x cols. Frames beyond z_range_um may be less blurred than they
+    should be. A field of 1080 x 1440 holds about 170 MB.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        optics: Optics,
+        x_um: float,
+        y_um: float,
+        rows: int,
+        cols: int,
+        z_range_um: tuple[float, float],
+    ) -> None:
+        frame = centred_window(x_um, y_um, rows, cols, optics.pixel_um)
+        near = scene.raster(frame.grown(FINE_MARGIN))
+        inner = Sheets(*(np.ascontiguousarray(p[FINE_MARGIN:-FINE_MARGIN, FINE_MARGIN:-FINE_MARGIN]) for p in near))
+        law = law_for(optics, inner, z_range_um)
+        lattice = coarse_window(frame, law)
+        far = scene.raster(lattice)
+        self._law = law
+        self._height_a, self._height_b = inner.height_a, inner.height_b
+        self._surface_um = inner.surface_um()
+        self._levels = make_levels(frame, lattice, near, far, law)
+        self._stretches = make_stretches(frame, inner.height_a, inner.height_b, lattice, far.cover)
+
+    def radiance(self, z_um: float) -> Plane:
+        """The picture with the focus at z_um, float32 [row, col], 1 a white that the scene's gain exposes rightly."""
+        out = np.empty_like(self._height_a)
+        compose(np.float32(z_um), self._law, self._levels, self._height_a, self._height_b, self._stretches, out)
+        return out
+
+    def truth(self) -> Plane:
+        """True heights in um of every pixel, as seen from straight above. For tests only."""
+        return self._surface_um
+
+
+def centred_window(x_um: float, y_um: float, rows: int, cols: int, pixel_um: float) -> Window:
+    """The window of a frame whose centre is given."""
+    return Window(x_um - (cols - 1) / 2 * pixel_um, y_um + (rows - 1) / 2 * pixel_um, pixel_um, rows, cols)
+
+
+def law_for(optics: Optics, sheets: Sheets, z_range_um: tuple[float, float]) -> Law:
+    """The blur law in pixels, with levels enough for every height of a field over a range of z."""
+    lowest = min(sheets.height_a.min(), sheets.height_b.min())
+    highest = max(sheets.height_a.max(), sheets.height_b.max())
+    farthest = max(z_range_um[1] - lowest, highest - z_range_um[0])
+    per_um = optics.na / 2 / optics.pixel_um
+    return blur_law(optics.sharpest_um / optics.pixel_um, per_um**2, float(farthest))

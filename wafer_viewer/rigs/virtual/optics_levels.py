@@ -1,0 +1,177 @@
+"""The levels of blur of one field: fine ones at every pixel, coarse ones on ever wider lattices.
+
+Three channels are blurred: the light of sheet A where it covers, the light of sheet B where A does not, and the cover
+itself. Fine levels are uint16 to save memory, coarse ones float32 on lattices that are anchored to the world and not
+to the frame, so that neighbouring fields read the same values.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.rigs.virtual.optics_blur import Plane, blurred
+from wafer_viewer.rigs.virtual.scene import Window
+from wafer_viewer.rigs.virtual.scenes.sheets import Sheets
+
+LIGHT_A, LIGHT_B, COVER = range(3)
+FINE_SIGMA_PX = (0.98, 1.1, 1.25, 1.45, 1.7, 2.0, 2.4, 2.9, 3.5, 4.2)
+COARSE_SIGMA_PX = (5, 6, 7.2, 8.6, 10.4, 12.5, 15, 18, 21.6, 26, 31, 37, 45, 54, 64, 77, 92, 110, 132, 158)
+CASCADE_FROM_PX = 1.6  # below it a level comes from the raster: the step from the last would be too small a Gaussian
+FINE_MARGIN = 16  # px round the frame that the fine levels are made from
+LATTICE_PX = 2  # spacing of the finest coarse lattice; the others have 4, 8 and 16 px
+SCALES = 4
+ANCHOR_PX = 32  # coarse lattices begin at multiples of this
+BOX_VARIANCE = 1 / 12  # of a sample's footprint, in steps of its lattice
+WHITE = np.float32(16384)  # what a fine level holds for radiance 1
+
+
+class Law(NamedTuple):
+    """The blur law in pixels: variance = sharpest_px2 + widening * (z - h)^2, and the levels it is read from."""
+
+    sharpest_px2: np.float32
+    widening: np.float32
+    n_fine: int
+    variance_px2: Plane
+    per_px2: Plane
+    """One over the distance from each level to the next."""
+
+
+class Levels(NamedTuple):
+    """Blurred channels. Levels are numbered through, fine ones first."""
+
+    fine: NDArray[np.uint16]
+    """[channel, level, row, col]"""
+    coarse: Plane
+    """[channel, sample]: one lattice after another"""
+    start: NDArray[np.int64]
+    """Of each coarse level, where its lattice begins."""
+    width: NDArray[np.int64]
+    """Of each coarse level, the columns of its lattice."""
+    scale: NDArray[np.int64]
+    """Of each coarse level, its lattice spacing as LATTICE_PX << scale."""
+    row0_px: float
+    """Row 0 of the frame on the lattice, in px."""
+    first: NDArray[np.int64]
+    """Of each scale, the lattice column left of frame column 0."""
+    index: NDArray[np.int32]
+    """[scale, col]: the lattice column left of each frame column, counted from first"""
+    weight: Plane
+    """[scale, col]: the weight of the lattice column right of it"""
+
+
+def blur_law(sharpest_px: float, widening: float, farthest_um: float) -> Law:
+    """The law with as many levels as the farthest sheet needs; beyond the last level the blur grows no more."""
+    needed = math.sqrt(sharpest_px**2 + widening * farthest_um**2)
+    fine = [sharpest_px, *(s for s in FINE_SIGMA_PX if s > 1.05 * sharpest_px)]
+    ladder = [*fine, *COARSE_SIGMA_PX]
+    count = max(int(np.searchsorted(ladder, needed)) + 1, len(fine) + 1)
+    variance = np.square(ladder[:count]).astype(np.float32)
+    per = np.append(1 / np.diff(variance), 0).astype(np.float32)
+    return Law(np.float32(sharpest_px**2), np.float32(widening), len(fine), variance, per)
+
+
+def coarse_window(frame: Window, law: Law) -> Window:
+    """The finest coarse lattice: round the frame as far as the widest blur reaches, anchored to the world."""
+    margin_px = int(2.6 * math.sqrt(law.variance_px2[-1])) + ANCHOR_PX
+    wide = frame.grown(margin_px)
+    anchor_um = ANCHOR_PX * frame.step_um
+    x0 = math.floor(wide.x0_um / anchor_um) * anchor_um
+    y0 = math.ceil(wide.y0_um / anchor_um) * anchor_um
+    cells_across = math.ceil((wide.x0_um - x0 + wide.cols * frame.step_um) / anchor_um)
+    cells_down = math.ceil((y0 - wide.y0_um + wide.rows * frame.step_um) / anchor_um)
+    samples = ANCHOR_PX // LATTICE_PX
+    return Window(x0, y0, LATTICE_PX * frame.step_um, cells_down * samples, cells_across * samples)
+
+
+def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: Law) -> Levels:
+    """All levels of a field; `near` is its raster with FINE_MARGIN round it, `far` its raster on the lattice."""
+    fine = np.empty((3, law.n_fine, frame.rows, frame.cols), np.uint16)
+    for into, channel in zip(fine, channels(near), strict=True):
+        fill_fine_levels(channel, law, into)
+    coarse = [coarse_levels(channel, law) for channel in channels(far)]
+    sizes = np.array([level.size for level in coarse[0]])
+    first, index, weight = column_readout((frame.x0_um - lattice.x0_um) / frame.step_um, frame.cols)
+    return Levels(
+        fine=fine,
+        coarse=np.stack([np.concatenate([level.ravel() for level in levels]) for levels in coarse]),
+        start=np.cumsum(sizes) - sizes,
+        width=np.array([level.shape[1] for level in coarse[0]]),
+        scale=np.array([scale_of(sigma) for sigma in coarse_sigmas(law)]),
+        row0_px=(lattice.y0_um - frame.y0_um) / frame.step_um,
+        first=first,
+        index=index,
+        weight=weight,
+    )
+
+
+def channels(sheets: Sheets) -> tuple[Plane, Plane, Plane]:
+    """Light of A, light of B, cover: what is blurred."""
+    cover = sheets.cover
+    return sheets.radiance_a * cover, sheets.radiance_b * (np.float32(1) - cover), cover
+
+
+def fill_fine_levels(channel: Plane, law: Law, into: NDArray[np.uint16]) -> None:
+    """Blur one channel to every fine level; a level's variance counts the footprint of the raster."""
+    if channel.min() == channel.max():
+        into[:] = round(float(channel[0, 0]) * float(WHITE))
+        return
+    level, reached = channel, BOX_VARIANCE
+    for variance, out in zip(law.variance_px2[: law.n_fine], into, strict=True):
+        if variance < CASCADE_FROM_PX**2:
+            level = blurred(channel, float(variance) - BOX_VARIANCE)
+        else:
+            level = blurred(level, float(variance) - reached)
+        reached = float(variance)
+        pack(level, FINE_MARGIN, out)
+
+
+@fast_kernel
+def pack(plane: Plane, margin: int, out: NDArray[np.uint16]) -> None:
+    """A plane without its margin, as uint16."""
+    most = np.float32(65535)
+    for y in range(out.shape[0]):
+        row = plane[y + margin]
+        for x in range(out.shape[1]):
+            out[y, x] = np.uint16(min(max(row[x + margin], np.float32(0)) * WHITE + np.float32(0.5), most))
+
+
+def coarse_sigmas(law: Law) -> list[float]:
+    """Sigma of every coarse level in px."""
+    return [math.sqrt(variance) for variance in law.variance_px2[law.n_fine :]]
+
+
+def scale_of(sigma_px: float) -> int:
+    """The lattice that a blur is kept on: at most 0.45 sigma from sample to sample."""
+    return sum(sigma_px > limit for limit in (10, 20, 40))
+
+
+def coarse_levels(channel: Plane, law: Law) -> list[Plane]:
+    """One channel at every coarse level, each made from the one before.
+
+    Reading a lattice of spacing s by straight lines adds a variance of s^2 / 6, which is left out here.
+    """
+    levels: list[Plane] = []
+    plane, scale = channel, 0
+    reached = LATTICE_PX**2 * BOX_VARIANCE
+    for sigma in coarse_sigmas(law):
+        while scale < scale_of(sigma):
+            plane, scale = np.ascontiguousarray(plane[::2, ::2]), scale + 1
+        spacing = LATTICE_PX << scale
+        wanted = sigma**2 - spacing**2 / 6
+        plane = blurred(plane, (wanted - reached) / spacing**2)
+        reached = wanted
+        levels.append(plane)
+    return levels
+
+
+def column_readout(col0_px: float, cols: int) -> tuple[NDArray[np.int64], NDArray[np.int32], Plane]:
+    """(first, index, weight) of Levels for a frame whose column 0 is col0_px from the lattice's first sample."""
+    place = (col0_px + np.arange(cols)) / (LATTICE_PX << np.arange(SCALES))[:, None]
+    left = np.floor(place)
+    first = left[:, 0].astype(np.int64)
+    return first, (left - first[:, None]).astype(np.int32), (place - left).astype(np.float32)
