@@ -1,0 +1,219 @@
+"""How the fields of a scan are cut into passes: the continuous motions of each strategy, in their order.
+
+A pass is the light form of a leg: enough to price it, and to make the leg of the strategy that is chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import groupby, pairwise
+from typing import Literal
+
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import Axis, Field, FocusSweep, Leg, PulseTrain, Shot
+
+SMEAR_PX = 0.5
+"""The most that a line pass may move during an exposure."""
+AXIAL_SMEAR = 0.1
+"""The most that a z pass may move during an exposure, of its step."""
+PERIOD_SPARE = 1.02
+"""Pulses keep this much more than the camera's period apart: no axis runs quite evenly."""
+
+Line = Literal["x", "y"]
+Point = tuple[float, float, float]
+AXES: tuple[Axis, ...] = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What is to be scanned and on what; the sweep's step is whole counts of the z scale."""
+
+    fields: tuple[Field, ...]
+    sweep: FocusSweep
+    exposures_us: tuple[float, ...]
+    limits: RigLimits
+
+    def lit_s(self, exposure: int) -> float:
+        """How long light falls on the sensor: the exposure, or the strobe's flash where that is shorter."""
+        strobe_us = self.limits.strobe_us or self.exposures_us[exposure]
+        return min(strobe_us, self.exposures_us[exposure]) * 1e-6
+
+    def period_s(self, exposure: int) -> float:
+        """The time from pulse to pulse that the camera can follow."""
+        return self.limits.camera.period_s(self.exposures_us[exposure]) * PERIOD_SPARE
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """One continuous motion along `axis`: the frames ks of every field, in that order. Speed 0 is stop and shoot.
+
+    start_um is where the first pulse falls, as (x, y, z).
+    """
+
+    axis: Axis
+    direction: Literal[-1, 1]
+    start_um: Point
+    pitch_counts: int
+    speed_um_s: float
+    fields: tuple[Field, ...]
+    ks: Sequence[int]
+    exposure: int
+
+    @property
+    def n_frames(self) -> int:
+        """How many pulses it has."""
+        return len(self.fields) * len(self.ks)
+
+    def end_um(self, limits: RigLimits) -> Point:
+        """Where its last pulse falls."""
+        length_um = limits.axis(self.axis).position_um(self.pitch_counts * (self.n_frames - 1))
+        return _along(self.start_um, self.axis, self.direction * length_um)
+
+    def leg(self, limits: RigLimits) -> Leg:
+        """The leg that a rig can carry out."""
+        x_um, y_um, z_um = self.start_um
+        train = PulseTrain(
+            axis=self.axis,
+            first_count=limits.axis(self.axis).counts(self.start_um[AXES.index(self.axis)]),
+            counts_per_frame=self.pitch_counts,
+            n_frames=self.n_frames,
+            direction=self.direction,
+        )
+        shots = tuple(Shot(f.number, k, self.exposure) for f in self.fields for k in self.ks)
+        return Leg(train=train, shots=shots, x_um=x_um, y_um=y_um, z_um=z_um, speed_um_s=self.speed_um_s)
+
+
+def z_passes(task: Task, *, snake: bool) -> Iterable[Pass]:
+    """One z pass in every field and exposure, fields in a snake; upward, or up and down in turn."""
+    up = True
+    for field in snake_order(task.fields):
+        for exposure in range(len(task.exposures_us)):
+            yield _z_pass(task, field, exposure, _axial_speed_um_s(task, exposure), up=up)
+            up = up != snake
+
+
+def shoot_passes(task: Task) -> Iterable[Pass]:
+    """Every field upward, the axis at rest for every frame."""
+    for field in snake_order(task.fields):
+        for exposure in range(len(task.exposures_us)):
+            yield _z_pass(task, field, exposure, speed_um_s=0.0, up=True)
+
+
+def line_passes(task: Task, line: Line) -> Iterable[Pass]:
+    """At every z, one pass along every line of fields and exposure, to and fro; lines and levels in a snake."""
+    lines = lines_of(task.fields, line)
+    forward = True
+    for k in range(task.sweep.n_frames):
+        for fields in lines if k % 2 == 0 else lines[::-1]:
+            for exposure in range(len(task.exposures_us)):
+                yield _line_pass(task, fields, line, k, exposure, forward=forward)
+                forward = not forward
+
+
+def snake_order(fields: Iterable[Field]) -> list[Field]:
+    """Fields row by row, every second row backwards."""
+    order: list[Field] = []
+    for i, row in enumerate(lines_of(fields, "x")):
+        order += row if i % 2 == 0 else row[::-1]
+    return order
+
+
+def lines_of(fields: Iterable[Field], line: Line) -> list[list[Field]]:
+    """Rows of fields (line x) or columns (line y), each in the order of the rising coordinate."""
+    across, along = ("row", "col") if line == "x" else ("col", "row")
+    ordered = sorted(fields, key=lambda f: (getattr(f, across), getattr(f, along)))
+    lines = [list(group) for _, group in groupby(ordered, key=lambda f: getattr(f, across))]
+    return [sorted(fields, key=lambda f: getattr(f, f"{line}_um")) for fields in lines]
+
+
+def line_obstacle(task: Task, line: Line) -> str | None:
+    """Why the fields cannot be taken in line passes, or None."""
+    for fields in lines_of(task.fields, line):
+        wrong = _uneven_pitch(task, fields, line) or _uneven_line(task, fields, line)
+        if wrong is not None:
+            return wrong
+    return None
+
+
+def _z_pass(task: Task, field: Field, exposure: int, speed_um_s: float, *, up: bool) -> Pass:
+    z, frames = task.limits.z, range(task.sweep.n_frames)
+    lowest_um = z.position_um(z.counts(field.z_start_um))
+    start_um = lowest_um if up else lowest_um + task.sweep.range_um
+    return Pass(
+        axis="z",
+        direction=1 if up else -1,
+        start_um=(field.x_um, field.y_um, start_um),
+        pitch_counts=z.counts(task.sweep.z_step_um),
+        speed_um_s=speed_um_s,
+        fields=(field,),
+        ks=frames if up else frames[::-1],
+        exposure=exposure,
+    )
+
+
+def _line_pass(task: Task, fields: list[Field], line: Line, k: int, exposure: int, *, forward: bool) -> Pass:
+    axis, pitch_counts = task.limits.axis(line), _pitch_counts(task, fields, line)
+    first, length_um = fields[0], axis.position_um(pitch_counts * (len(fields) - 1))
+    start = (first.x_um, first.y_um, task.sweep.z_um(first, k))
+    return Pass(
+        axis=line,
+        direction=1 if forward else -1,
+        start_um=start if forward else _along(start, line, length_um),
+        pitch_counts=pitch_counts,
+        speed_um_s=_lateral_speed_um_s(task, line, pitch_counts, exposure),
+        fields=tuple(fields if forward else fields[::-1]),
+        ks=(k,),
+        exposure=exposure,
+    )
+
+
+def _axial_speed_um_s(task: Task, exposure: int) -> float:
+    by_camera = task.sweep.z_step_um / task.period_s(exposure)
+    by_smear = AXIAL_SMEAR * task.sweep.z_step_um / task.lit_s(exposure)
+    return min(by_camera, by_smear, task.limits.z.speed_um_s)
+
+
+def _lateral_speed_um_s(task: Task, line: Line, pitch_counts: int, exposure: int) -> float:
+    axis = task.limits.axis(line)
+    by_camera = axis.position_um(pitch_counts) / task.period_s(exposure)
+    by_smear = SMEAR_PX * task.limits.pixel_um / task.lit_s(exposure)
+    return min(by_camera, by_smear, axis.speed_um_s)
+
+
+def _pitch_counts(task: Task, fields: list[Field], line: Line) -> int:
+    if len(fields) == 1:
+        return 1
+    length_um = getattr(fields[-1], f"{line}_um") - getattr(fields[0], f"{line}_um")
+    return max(1, task.limits.axis(line).counts(length_um / (len(fields) - 1)))
+
+
+def _uneven_pitch(task: Task, fields: list[Field], line: Line) -> str | None:
+    pitch_um = task.limits.axis(line).position_um(_pitch_counts(task, fields, line))
+    at_um = [getattr(f, f"{line}_um") for f in fields]
+    for i, (a, b) in enumerate(pairwise(fields), start=1):
+        if abs(at_um[i] - at_um[0] - i * pitch_um) > task.limits.pixel_um:
+            return (
+                f"fields {a.number} and {b.number} are {at_um[i] - at_um[i - 1]:.2f} um apart along {line} in a line "
+                f"of pitch {pitch_um:.2f} um, and a line pass needs one pitch to within a pixel."
+            )
+    return None
+
+
+def _uneven_line(task: Task, fields: list[Field], line: Line) -> str | None:
+    across, first = "y" if line == "x" else "x", fields[0]
+    limits_um = {f"{across}_um": task.limits.pixel_um, "z_start_um": 1 / task.limits.z.counts_per_um}
+    for name, limit_um in limits_um.items():
+        for field in fields[1:]:
+            off_um = getattr(field, name) - getattr(first, name)
+            if abs(off_um) > limit_um:
+                return (
+                    f"field {field.number} is {off_um:.2f} um off field {first.number} in {name.removesuffix('_um')}, "
+                    f"and the fields of a line pass may differ by {limit_um:g} um."
+                )
+    return None
+
+
+def _along(point: Point, axis: Axis, by_um: float) -> Point:
+    x, y, z = (p + by_um * (a == axis) for p, a in zip(point, AXES, strict=True))
+    return x, y, z

@@ -1,0 +1,125 @@
+"""Fields, a focus sweep and a rig's limits become a plan: every strategy priced, the chosen one laid out in legs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from wafer_viewer.acquire.checks import check_exposures, check_fields, check_sweep, whole_counts
+from wafer_viewer.acquire.passes import AXES, Pass, Task, line_obstacle, line_passes, shoot_passes, z_passes
+from wafer_viewer.acquire.pricing import predicted_s, travel_um
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import Field, FocusSweep, Price, ScanPlan
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """A way to take all frames: its passes in order, and what may stand against it (a sentence, or None)."""
+
+    title: str
+    passes: Callable[[Task], Iterable[Pass]]
+    obstacle: Callable[[Task], str | None] = lambda task: None
+
+
+STRATEGIES: dict[str, Strategy] = {
+    "z_snake": Strategy("Z passes, up and down", partial(z_passes, snake=True)),
+    "z_up": Strategy("Z passes, upward", partial(z_passes, snake=False)),
+    "x_lines": Strategy(
+        "X passes, one z each", partial(line_passes, line="x"), obstacle=partial(line_obstacle, line="x")
+    ),
+    "y_lines": Strategy(
+        "Y passes, one z each", partial(line_passes, line="y"), obstacle=partial(line_obstacle, line="y")
+    ),
+    "stop_and_shoot": Strategy("Stop and shoot", shoot_passes),
+}
+
+
+def plan_scan(
+    fields: tuple[Field, ...],
+    sweep: FocusSweep,
+    exposures_us: tuple[float, ...],
+    limits: RigLimits,
+    strategy: str = "auto",
+) -> ScanPlan:
+    """Lay out a scan: all strategies priced, the fastest feasible one chosen, or the one that is named.
+
+    Every (field, k, exposure) is in exactly one leg. The plan's sweep has its z step rounded to whole counts.
+    Raises PlanError when a field, the sweep or an exposure is out of the rig's limits, when the step is over 1 % off
+    whole counts, and when the strategy is unknown or ruled out.
+    """
+    task = checked_task(fields, sweep, exposures_us, limits)
+    priced = {name: _priced(task, name) for name in STRATEGIES}
+    prices = tuple(price for price, _ in priced.values())
+    price, passes = priced[_chosen(prices, strategy)]
+    return ScanPlan(
+        fields=task.fields,
+        sweep=task.sweep,
+        exposures_us=task.exposures_us,
+        strategy=price.strategy,
+        legs=tuple(p.leg(limits) for p in passes),
+        predicted_s=price.predicted_s or 0.0,
+        prices=prices,
+        rows=limits.camera.rows,
+        cols=limits.camera.cols,
+        pixel_um=limits.pixel_um,
+    )
+
+
+def price_all(
+    fields: tuple[Field, ...], sweep: FocusSweep, exposures_us: tuple[float, ...], limits: RigLimits
+) -> tuple[Price, ...]:
+    """The price of every strategy, or the sentence that rules it out. Raises PlanError as plan_scan does."""
+    task = checked_task(fields, sweep, exposures_us, limits)
+    return tuple(_priced(task, name)[0] for name in STRATEGIES)
+
+
+def checked_task(
+    fields: tuple[Field, ...], sweep: FocusSweep, exposures_us: tuple[float, ...], limits: RigLimits
+) -> Task:
+    """What is to be scanned, when the rig can at all; raises PlanError otherwise."""
+    check_fields(fields, limits)
+    check_exposures(exposures_us, limits)
+    sweep = whole_counts(sweep, limits)
+    check_sweep(fields, sweep, limits)
+    return Task(fields=tuple(fields), sweep=sweep, exposures_us=tuple(exposures_us), limits=limits)
+
+
+def _priced(task: Task, name: str) -> tuple[Price, list[Pass]]:
+    strategy = STRATEGIES[name]
+    obstacle = strategy.obstacle(task)
+    passes = [] if obstacle else list(strategy.passes(task))
+    obstacle = obstacle or _out_of_range(task, passes)
+    if obstacle:
+        return Price(strategy=name, title=strategy.title, ruled_out=obstacle), passes
+    seconds, motions = predicted_s(task, passes), sum(1 if p.speed_um_s else p.n_frames for p in passes)
+    return Price(strategy=name, title=strategy.title, predicted_s=seconds, motions=motions), passes
+
+
+def _out_of_range(task: Task, passes: list[Pass]) -> str | None:
+    """The run-up and run-out of every pass have to stay within the stage's range."""
+    travel = np.array(travel_um(task.limits, passes))
+    for i, name in enumerate(AXES):
+        axis = task.limits.axis(name)
+        low_um, high_um = travel[..., i].min(), travel[..., i].max()
+        if low_um < axis.low_um or high_um > axis.high_um:
+            return (
+                f"its run-up and run-out need {name} {low_um:.2f} to {high_um:.2f} um, "
+                f"and the stage goes from {axis.low_um:g} to {axis.high_um:g} um."
+            )
+    return None
+
+
+def _chosen(prices: tuple[Price, ...], strategy: str) -> str:
+    feasible = [p for p in prices if p.ruled_out is None]
+    if strategy != "auto" and strategy not in STRATEGIES:
+        raise PlanError(f"There is no strategy '{strategy}': choose auto or one of {', '.join(STRATEGIES)}.")
+    if strategy == "auto" and feasible:
+        return min(feasible, key=lambda p: p.predicted_s or 0.0).strategy
+    asked = next(p for p in prices if strategy in ("auto", p.strategy))
+    if asked.ruled_out is not None:
+        raise PlanError(f"The strategy '{asked.title}' is ruled out: {asked.ruled_out}")
+    return asked.strategy
