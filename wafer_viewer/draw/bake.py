@@ -1,0 +1,104 @@
+"""From a height map to the picture that lies on it: colours by a quantity, light, and the all-in-focus image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import origin_table, table
+from wafer_viewer.draw.shade import Shading, shade, without_gaps
+from wafer_viewer.model.surface import HeightMap, Origin
+
+Quantity = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
+Plane = tuple[float, float, float]
+Picture = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1)."""
+
+    colour_by: Quantity = "height"
+    colours: str = "mako"
+    low: float = 0.0
+    high: float = 1.0
+    hillshade: float = 0.8
+    all_in_focus: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """What the light takes from the whole surface, so that its tiles are lit alike: see `shade`."""
+
+    gain: float = 1.0
+    span_um: float = 1.0
+    plane: Plane = (0.0, 0.0, 0.0)
+    """z = a x + b y + c through the surface, x and y in um: what `deviation` is measured from."""
+
+
+def plane_um(part: HeightMap, plane: Plane) -> NDArray[np.float32]:
+    """The heights of a plane on the lattice of a map."""
+    a, b, c = plane
+    return (a * part.x_um[None, :] + b * part.y_um[:, None] + c).astype(np.float32)
+
+
+def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
+    """The steepest slope at each pixel; NaN next to a gap."""
+    down, right = np.gradient(part.z_um, part.pixel_um)
+    return np.degrees(np.arctan(np.hypot(down, right))).astype(np.float32)
+
+
+def grey_image(part: HeightMap) -> NDArray[np.float32]:
+    """The all-in-focus image in 0 ... 1."""
+    image = part.all_in_focus
+    return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
+
+
+QUANTITIES: dict[Quantity, tuple[str, str, Callable[[HeightMap, Plane], NDArray[np.float32]]]] = {
+    "height": ("Height", "µm", lambda part, plane: part.z_um),
+    "confidence": ("Confidence", "", lambda part, plane: np.where(np.isfinite(part.z_um), part.confidence, np.nan)),
+    "slope": ("Slope", "°", lambda part, plane: slope_degrees(part)),
+    "deviation": ("Deviation from plane", "µm", lambda part, plane: part.z_um - plane_um(part, plane)),
+    "grey": ("Grey", "", lambda part, plane: grey_image(part)),
+    "origin": ("Origin", "", lambda part, plane: part.origin.astype(np.float32)),
+}
+"""Title, unit, and values of each quantity a surface can be coloured by."""
+
+
+def bake(part: HeightMap, look: Look, light: Light) -> Picture:
+    """The picture of a height map as it should appear, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn."""
+    heights = without_gaps(part.z_um)
+    colour = _with_image(_coloured(part, look, light), part, look.all_in_focus)
+    lit = _lit(colour, shade(heights, part.pixel_um, light.gain, light.span_um), look.hillshade)
+    shown = np.isfinite(part.z_um) if look.colour_by != "origin" else part.origin != Origin.NOT_COVERED
+    return np.dstack([lit.astype(np.uint8), np.where(shown, 255, 0).astype(np.uint8)])
+
+
+def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
+    """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
+    if look.colour_by == "origin":
+        return origin_table()[part.origin].astype(np.float32)
+    values = QUANTITIES[look.colour_by][2](part, light.plane)
+    place = (without_gaps(values) - look.low) / max(look.high - look.low, 1e-12)
+    return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
+
+
+def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> NDArray[np.float32]:
+    """The colours tinted by the all-in-focus image, which keeps them readable: it darkens and lightens."""
+    if share <= 0:
+        return colour
+    tint = np.float32(0.35) + np.float32(0.9) * grey_image(part)[..., None] ** np.float32(0.8)
+    return colour * (1 - share + share * tint)
+
+
+def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDArray[np.float32]:
+    """Colours under the light; strength 0 leaves them as the colour bar shows them."""
+    if strength <= 0:
+        return colour
+    factor = 1 + np.float32(0.85 * strength) * (np.minimum(shading.lambert, 1.6) - 1)
+    factor *= 1 - np.float32(1.2 * strength) * shading.occlusion
+    return np.clip(colour * factor[..., None] + np.float32(38 * strength) * shading.gloss[..., None], 0, 255)

@@ -1,0 +1,89 @@
+"""The legend of the surface as HTML: colour bar, ticks, and the histogram of the values beside it."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+
+import numpy as np
+
+from wafer_viewer.draw.colours import ORIGIN_COLOURS, css_gradient
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.ticks import tick_digits, ticks
+from wafer_viewer.model.surface import ORIGIN_TITLES
+
+_HISTOGRAM_PX = 44
+_BAR_PX = 19
+NOT_MEASURED_CSS = "repeating-linear-gradient(45deg,var(--ink3) 0 1px,transparent 1px 4px)"
+
+
+def colour_bar_html(
+    title: str,
+    unit: str,
+    low: float,
+    high: float,
+    colours: str,
+    counts: Sequence[float],
+    *,
+    height_px: int = 300,
+    signed: bool = True,
+) -> str:
+    """Bar from low to high, `counts` in equal bins between them (drawn as roots: rare values stay visible).
+
+    124 px wide and `height_px` + 78 high, in the page's custom properties; `title` is escaped.
+    """
+    values = ticks(low, high, max(3, height_px // 48))
+    labels = "".join(_label(v, (v - low) / max(high - low, 1e-12), height_px, values, signed) for v in values)
+    return (
+        f'<div style="position:relative;height:{height_px + 78}px;width:124px">'
+        f'<div style="position:absolute;left:12px;top:8px;font-weight:650">{html.escape(title)} '
+        f'<span style="font-weight:450;color:var(--ink3)">{html.escape(unit)}</span></div>'
+        f"{_histogram(counts, height_px)}"
+        f'<div style="position:absolute;left:54px;top:34px;width:{_BAR_PX}px;height:{height_px}px;border-radius:2px;'
+        f'border:1px solid var(--line);box-sizing:border-box;background:{css_gradient(colours)}!important"></div>'
+        f"{labels}{not_measured_html('position:absolute;left:12px;bottom:9px')}</div>"
+    )
+
+
+def origin_legend_html(shares: dict[int, float]) -> str:
+    """The legend of `origin`: what is on the surface, with its share of the pixels."""
+    rows = "".join(
+        f'<div style="display:flex;gap:7px;align-items:center;white-space:nowrap">'
+        f'<i style="width:13px;height:10px;background:rgb{ORIGIN_COLOURS[origin]}!important;display:inline-block"></i>'
+        f"{html.escape(ORIGIN_TITLES[origin])}</div>"
+        for origin in ORIGIN_TITLES
+        if shares.get(int(origin), 0) > 0
+    )
+    return f'<div style="padding:8px 12px;font-size:12px;display:grid;gap:4px">{rows}</div>'
+
+
+def not_measured_html(style: str = "") -> str:
+    """The legend's line for holes."""
+    return (
+        f'<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;{style}">'
+        f'<i style="width:13px;height:10px;border:1.5px solid var(--ink3);display:inline-block;'
+        f'background:{NOT_MEASURED_CSS}!important"></i>not measured</div>'
+    )
+
+
+def _histogram(counts: Sequence[float], height_px: int) -> str:
+    root = np.sqrt(np.asarray(counts, float))
+    if root.size == 0 or root.max() <= 0:
+        return ""
+    share, n = root / root.max(), root.size
+    edge = " ".join(
+        f"{_HISTOGRAM_PX * (1 - s):.1f},{height_px * (1 - (k + 0.5) / n):.1f}" for k, s in enumerate(share.tolist())
+    )
+    outline = f"{_HISTOGRAM_PX},{height_px} {edge} {_HISTOGRAM_PX},0"
+    return (
+        f'<svg style="position:absolute;left:8px;top:34px" width="{_HISTOGRAM_PX}" height="{height_px}">'
+        f'<polygon points="{outline}" fill="var(--ink3)" opacity=".38"/></svg>'
+    )
+
+
+def _label(value: float, place: float, height_px: int, values: list[float], signed: bool) -> str:
+    top = 34 + height_px * (1 - place)
+    text = number(value, tick_digits(values), signed=signed)
+    dash = f"position:absolute;left:74px;top:{top:.0f}px;width:6px;height:1px;background:var(--ink2)!important"
+    word = f"position:absolute;left:84px;top:{top - 9:.0f}px;font-size:12.5px;white-space:nowrap"
+    return f'<div style="{dash}"></div><div style="{word}">{text}</div>'

@@ -1,0 +1,76 @@
+"""Colour maps, monotonic in lightness, and the few fixed colours that carry a meaning."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface import Origin
+
+Rgb = tuple[int, int, int]
+
+_STOPS: dict[str, str] = {
+    # Mako (seaborn) from a tenth of its way on: without the black end, trenches keep their shading.
+    "mako": "251A3A 342B5A 3F4486 38659D 3585A5 37A5AC 4CC1AD 84D9B4 B7E8C8 E8F8EC",
+    "batlow": "011959 0D365E 1C5460 3F6C55 687B3E 9B882E D29343 F6A27C FDB7BC FACCFA",
+    "cividis": "00224E 123570 3B496C 575D6D 707173 8A8678 A59C74 C3B369 E1CC55 FEE838",
+    "viridis": "440154 482878 3E4989 31688E 26828E 1F9E89 35B779 6DCD59 B4DE2C FDE725",
+    "grey": "1C1C1C F2F2F2",
+}
+COLOUR_MAPS: dict[str, str] = {
+    "mako": "Mako",
+    "batlow": "Batlow",
+    "cividis": "Cividis",
+    "viridis": "Viridis",
+    "grey": "Grey",
+}
+"""The names of the maps and how the page calls them."""
+
+ORIGIN_COLOURS: dict[Origin, Rgb] = {
+    Origin.MEASURED: (86, 140, 158),
+    Origin.FILLED: (240, 180, 91),
+    Origin.NOT_COVERED: (168, 178, 188),
+    Origin.CLIPPED: (250, 244, 214),
+    Origin.NO_TEXTURE: (58, 66, 92),
+    Origin.AMBIGUOUS: (181, 82, 155),
+    Origin.END_OF_RANGE: (213, 94, 0),
+    Origin.WINDOWS_DISAGREE: (0, 143, 107),
+    Origin.BLEEDING_EDGE: (214, 62, 88),
+    Origin.OUTLIER: (150, 108, 220),
+    Origin.TOO_FEW_FRAMES: (122, 135, 148),
+}
+
+
+def rgb(text: str) -> Rgb:
+    """``#0B6E99`` or ``0B6E99`` as three numbers."""
+    digits = text.removeprefix("#")
+    return int(digits[0:2], 16), int(digits[2:4], 16), int(digits[4:6], 16)
+
+
+@cache
+def table(name: str) -> NDArray[np.uint8]:
+    """A colour map as uint8 [256, 3], from low to high. Raises KeyError on an unknown name."""
+    stops = np.array([rgb(stop) for stop in _STOPS[name].split()], float)
+    at = np.linspace(0, len(stops) - 1, 256)
+    channels = [np.interp(at, np.arange(len(stops)), stops[:, k]) for k in range(3)]
+    out = np.stack(channels, axis=1).round().astype(np.uint8)
+    out.setflags(write=False)
+    return out
+
+
+def css_gradient(name: str, stops: int = 48) -> str:
+    """The stops of an upward CSS gradient in the colours of a map: ``linear-gradient(to top, ...)``."""
+    picked = table(name)[np.linspace(0, 255, stops).round().astype(int)]
+    return "linear-gradient(to top," + ",".join(f"rgb({r},{g},{b})" for r, g, b in picked.tolist()) + ")"
+
+
+@cache
+def origin_table() -> NDArray[np.uint8]:
+    """The colours of `Origin` as uint8 [256, 3]; codes not in use are grey."""
+    out = np.full((256, 3), 128, np.uint8)
+    for origin, colour in ORIGIN_COLOURS.items():
+        out[int(origin)] = colour
+    out.setflags(write=False)
+    return out

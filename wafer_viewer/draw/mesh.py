@@ -1,0 +1,97 @@
+"""Triangles of a height map: the surface with its holes, the walls of its block, flat pictures.
+
+Scene coordinates are mm; z is um above a reference, in mm too: the scene stretches it by the chosen exaggeration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """vertices: float32 [n, 3] in mm; uv: float32 [n, 2] in 0 ... 1, v downwards; triangles: uint32 [m, 3]."""
+
+    vertices: Floats
+    uv: Floats
+    triangles: NDArray[np.uint32]
+
+
+def picked(n: int, step: int) -> NDArray[np.intp]:
+    """Every step-th index of n, and the last."""
+    return np.unique(np.append(np.arange(0, n, step), n - 1))
+
+
+def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, z0_um: float, step: int) -> Mesh:
+    """A surface of heights without gaps, a vertex every `step` pixels; a cell with no pixel `there` is left out.
+
+    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge.
+    """
+    rows, cols = picked(len(y_mm), step), picked(len(x_mm), step)
+    grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
+    height = (z_um[np.ix_(rows, cols)] - np.float32(z0_um)) * np.float32(1e-3)
+    v, u = np.meshgrid((rows + 0.5) / len(y_mm), (cols + 0.5) / len(x_mm), indexing="ij")
+    kept = _cells(there, rows, cols)
+    return Mesh(
+        np.stack([grid_x, grid_y, height], axis=-1).reshape(-1, 3).astype(np.float32),
+        np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
+        quads(len(rows), len(cols))[kept.ravel()].reshape(-1, 3),
+    )
+
+
+def _cells(there: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which cells between picked rows and columns hold any pixel that is there."""
+    by_row = np.logical_or.reduceat(there, rows[:-1], axis=0)
+    return np.logical_or.reduceat(by_row, cols[:-1], axis=1)
+
+
+def quads(rows: int, cols: int) -> NDArray[np.uint32]:
+    """The two triangles of each cell of a lattice of vertices, uint32 [cell, 2, 3], seen from above anticlockwise."""
+    i = np.arange(rows * cols, dtype=np.uint32).reshape(rows, cols)
+    a, b, c, d = i[:-1, :-1], i[:-1, 1:], i[1:, 1:], i[1:, :-1]
+    return np.stack([a, d, c, a, c, b], axis=-1).reshape(-1, 2, 3)
+
+
+def flat(x0_mm: float, y0_mm: float, x1_mm: float, y1_mm: float, z_mm: float = 0.0) -> Mesh:
+    """One rectangle lying at z, the picture's top edge at y1 (the larger)."""
+    corners = [(x0_mm, y1_mm), (x1_mm, y1_mm), (x1_mm, y0_mm), (x0_mm, y0_mm)]
+    return Mesh(
+        np.array([(x, y, z_mm) for x, y in corners], np.float32),
+        np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float32),
+        np.array([(0, 3, 2), (0, 2, 1)], np.uint32),
+    )
+
+
+WALL_SIDES = 4
+
+
+def walls(edges: list[tuple[Floats, Floats, Floats]], base_mm: float) -> Mesh:
+    """Walls down from the edges of a block: each edge as x_mm, y_mm, z_mm [n]; NaN in z leaves the wall out there.
+
+    u names the edge, (its place in the list + 0.5) / `WALL_SIDES`; v runs from the top (0) to the base (1).
+    """
+    parts = [_wall(x, y, z, base_mm, (k + 0.5) / WALL_SIDES) for k, (x, y, z) in enumerate(edges)]
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])[:-1]
+    return Mesh(
+        np.concatenate([p.vertices for p in parts]),
+        np.concatenate([p.uv for p in parts]),
+        np.concatenate([p.triangles + np.uint32(start) for p, start in zip(parts, starts, strict=True)]),
+    )
+
+
+def _wall(x: Floats, y: Floats, z: Floats, base_mm: float, u: float) -> Mesh:
+    there = np.isfinite(z)
+    top = np.stack([x, y, np.where(there, z, base_mm)], axis=1)
+    foot = np.stack([x, y, np.full(len(x), base_mm)], axis=1)
+    v = np.repeat([0.0, 1.0], len(x))
+    kept = there[:-1] & there[1:]
+    return Mesh(
+        np.concatenate([top, foot]).astype(np.float32),
+        np.stack([np.full(2 * len(x), u), v], axis=1).astype(np.float32),
+        quads(2, len(x))[kept].reshape(-1, 3),
+    )

@@ -1,0 +1,80 @@
+"""Words as pictures, in the font that comes with Pillow: the scene has no letters of its own."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from wafer_viewer.draw.colours import Rgb
+
+LINE_PX = 96
+"""Height of a text picture."""
+_LETTER_PX = 62
+_PAD_PX = 26
+_SUBSTITUTES = str.maketrans({"\u202f": " ", "\u2212": "-", "–": "-", "×": "x", "\u03bc": "µ"})
+
+
+@cache
+def font(size_px: float) -> ImageFont.FreeTypeFont:
+    """Pillow's own scalable font. It has the letters of English, and no µ: see `write`."""
+    face = ImageFont.load_default(size_px)
+    if not isinstance(face, ImageFont.FreeTypeFont):
+        raise RuntimeError("Pillow was built without FreeType, letters cannot be drawn: install Pillow's wheel.")
+    return face
+
+
+def length_px(text: str, face: ImageFont.FreeTypeFont) -> float:
+    """How wide `write` draws a text."""
+    return face.getlength(_spelled(text))
+
+
+def write(
+    pen: ImageDraw.ImageDraw,
+    at: tuple[float, float],
+    text: str,
+    face: ImageFont.FreeTypeFont,
+    fill: Rgb | tuple[int, int, int, int] | int,
+    *,
+    align: str = "l",
+    weight: float = 0.0,
+) -> None:
+    """Write one line: `at` is the middle of its capitals' height, at its left end, middle or right end (l, m, r)."""
+    spelled = _spelled(text)
+    x = at[0] - {"l": 0.0, "m": 0.5, "r": 1.0}[align] * face.getlength(spelled)
+    baseline = at[1] + 0.36 * face.size
+    pen.text((x, baseline), spelled, font=face, fill=fill, anchor="ls", stroke_width=weight, stroke_fill=fill)
+    for place, letter in enumerate(text.translate(_SUBSTITUTES)):
+        if letter == "µ":
+            _tail(pen, x + face.getlength(spelled[:place]), baseline, face, fill, weight)
+
+
+def tag(text: str, colour: Rgb, pill: Rgb | None = None) -> NDArray[np.uint8]:
+    """One bold line of text, rgba [`LINE_PX`, any, 4], on nothing or on a rounded plate in the colour `pill`."""
+    face, pad = font(_LETTER_PX), _PAD_PX if pill else 4
+    image = Image.new("RGBA", (round(length_px(text, face)) + 2 * pad, LINE_PX), (*(pill or colour), 0))
+    pen = ImageDraw.Draw(image)
+    if pill:
+        pen.rounded_rectangle((0, 0, image.width - 1, LINE_PX - 1), _PAD_PX, fill=(*pill, 255))
+    write(pen, (pad, LINE_PX / 2), text, face, (*colour, 255), weight=1.2)
+    return np.asarray(image)
+
+
+def _spelled(text: str) -> str:
+    return text.translate(_SUBSTITUTES).replace("µ", "u")
+
+
+def _tail(
+    pen: ImageDraw.ImageDraw,
+    x: float,
+    baseline: float,
+    face: ImageFont.FreeTypeFont,
+    fill: Rgb | tuple[int, int, int, int] | int,
+    weight: float,
+) -> None:
+    """Make the u at x a µ: its left stem goes on under the line as far as that of a p."""
+    stem_px = 0.085 * face.size
+    left = x + 0.075 * face.size - weight
+    pen.rectangle((left, baseline - 0.2 * face.size, left + stem_px + 2 * weight - 1, baseline + 0.2 * face.size), fill)

@@ -1,0 +1,222 @@
+"""The map in the left panel as SVG: outline, dies, and the fields by their state, each of them clickable.
+
+Colours are the page's custom properties (``--ink``, ``--accent``, ...), so one drawing serves light and dark.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from wafer_viewer.model.plan import Field
+
+Outline = Sequence[tuple[float, float]]
+Box = tuple[float, float, float, float]
+"""(x low, y low, x high, y high) in um."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ink:
+    """How a field of one state is drawn: colour of edge, opacity of its fill, dashes, weight, a sign by its number."""
+
+    edge: str
+    fill_opacity: float
+    title: str
+    dashed: bool = False
+    heavy: bool = False
+    sign: str = ""
+
+
+FIELD_INKS: dict[str, Ink] = {
+    "planned": Ink("accent", 0.10, "planned"),
+    "to come": Ink("ink3", 0.0, "to come", dashed=True),
+    "being taken": Ink("accent", 0.0, "being taken", heavy=True),
+    "taken": Ink("accent", 0.08, "taken"),
+    "in reconstruction": Ink("accent", 0.14, "in reconstruction"),
+    "measured": Ink("accent", 0.30, "measured"),
+    "to repeat": Ink("warn", 0.25, "to repeat", sign="!"),
+    "failed": Ink("bad", 0.22, "failed", sign="×"),
+}
+"""By the state's word. A state carries a sign where colour alone would tell it apart."""
+
+_MARGIN_PX = 4
+_ZOOM_UNDER = 0.45
+"""Fields that take less than this share of the sample are shown enlarged, with the whole sample as an inset."""
+_INSET_PX = 54
+_LEAST_FOR_NUMBER_PX = 13
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Where stage um lie in the picture: x grows to the right, y upwards."""
+
+    box: Box
+    width_px: float
+    height_px: float
+    left_px: float = 0.0
+    top_px: float = 0.0
+
+    @property
+    def scale(self) -> float:
+        """Pixels per um."""
+        x0, y0, x1, y1 = self.box
+        return min((self.width_px - 2 * _MARGIN_PX) / (x1 - x0), (self.height_px - 2 * _MARGIN_PX) / (y1 - y0))
+
+    def x(self, x_um: float) -> float:
+        """Picture x of a stage x."""
+        x0, _, x1, _ = self.box
+        return self.left_px + self.width_px / 2 + (x_um - (x0 + x1) / 2) * self.scale
+
+    def y(self, y_um: float) -> float:
+        """Picture y of a stage y."""
+        _, y0, _, y1 = self.box
+        return self.top_px + self.height_px / 2 - (y_um - (y0 + y1) / 2) * self.scale
+
+
+def field_map_svg(
+    fields: Sequence[Field],
+    field_width_um: float,
+    field_height_um: float,
+    states: Mapping[int, str] | None = None,
+    *,
+    outline_um: Outline = (),
+    dies_um: Sequence[Outline] = (),
+    selected: int | None = None,
+    onclick: str = "",
+    width_px: int = 276,
+    most_height_px: int = 236,
+) -> str:
+    """The map. `states` by field number are keys of `FIELD_INKS`, without one a field is planned.
+
+    Each field is a group with ``data-k`` (its number), focusable, with `onclick` as its handler.
+    """
+    of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
+    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
+    if whole is None:
+        return ""
+    zoomed = of_fields is not None and _share(of_fields, whole) < _ZOOM_UNDER
+    box = _padded(of_fields, 0.16) if zoomed and of_fields else whole
+    frame = _fitted(box, width_px, most_height_px)
+    parts = [_sample(frame, outline_um, dies_um)]
+    parts += [
+        _field(
+            frame,
+            f,
+            field_width_um,
+            field_height_um,
+            (states or {}).get(f.number, "planned"),
+            f.number == selected,
+            onclick,
+        )
+        for f in sorted(fields, key=lambda f: (f.number == selected, f.number))
+    ]
+    if zoomed and of_fields:
+        parts.append(_inset(frame, whole, of_fields, outline_um))
+    size = f'width="{frame.width_px:.0f}" height="{frame.height_px:.0f}"'
+    head = f'<svg {size} class="wv-map" role="img" aria-label="Map of the sample" style="display:block">'
+    return f"{head}{''.join(parts)}</svg>"
+
+
+def _sample(frame: Frame, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
+    """The sample's outline and, inside it, its dies where they are large enough to be seen."""
+    if len(outline_um) < 3:
+        return ""
+    edge = _points(frame, outline_um)
+    out = f'<polygon points="{edge}" fill="var(--fill)" stroke="var(--ink3)" stroke-width="1.3"/>'
+    shown = [die for die in dies_um if _seen(frame, die)]
+    dies = "".join(f'<polygon points="{_points(frame, die)}"/>' for die in shown)
+    return out + f'<g fill="none" stroke="var(--line)" stroke-width="1.2">{dies}</g>'
+
+
+def _field(
+    frame: Frame, field: Field, width_um: float, height_um: float, state: str, selected: bool, onclick: str
+) -> str:
+    ink = FIELD_INKS[state]
+    x, y = frame.x(field.x_um - width_um / 2) + 0.5, frame.y(field.y_um + height_um / 2) + 0.5
+    w, h = max(1.0, width_um * frame.scale - 1), max(1.0, height_um * frame.scale - 1)
+    handler = f' onclick="{html.escape(onclick, quote=True)}" style="cursor:pointer"' if onclick else ""
+    name = f"Field {field.number}, {ink.title}"
+    return (
+        f'<g data-k="{field.number}" tabindex="0" role="button" aria-label="{name}"{handler}>'
+        f"<title>{name}</title>{_box(x, y, w, h, ink, selected)}"
+        f"{_number(field.number, ink, x + w / 2, y + h / 2, min(w, h))}</g>"
+    )
+
+
+def _box(x: float, y: float, w: float, h: float, ink: Ink, selected: bool) -> str:
+    dashes = ' stroke-dasharray="3 3"' if ink.dashed else ""
+    weight = 2.6 if ink.heavy or selected else 1.2
+    edge = "ink" if selected else ink.edge
+    place = f'x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}"'
+    return (
+        f'<rect {place} fill="var(--{ink.edge})" fill-opacity="{ink.fill_opacity:g}" '
+        f'stroke="var(--{edge})" stroke-width="{weight}"{dashes}/>'
+    )
+
+
+def _number(number: int, ink: Ink, x: float, y: float, room_px: float) -> str:
+    if room_px < _LEAST_FOR_NUMBER_PX:
+        return ""
+    size = min(13.0, room_px * 0.62)
+    colour = ink.edge if ink.edge in ("warn", "bad", "ink3") else "ink"
+    text = f"{number} {ink.sign}".strip()
+    weight = 700 if ink.heavy or ink.sign else 550
+    return (
+        f'<text x="{x:.1f}" y="{y + 0.36 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
+        f'font-weight="{weight}" fill="var(--{colour})">{text}</text>'
+    )
+
+
+def _inset(frame: Frame, whole: Box, of_fields: Box, outline_um: Outline) -> str:
+    """The whole sample small in the lower right corner, and where on it the fields lie."""
+    left, top = frame.width_px - _INSET_PX, frame.height_px - _INSET_PX
+    small = Frame(whole, _INSET_PX, _INSET_PX, left, top)
+    x, y = small.x(of_fields[0]), small.y(of_fields[3])
+    w, h = (max(3.0, (of_fields[k + 2] - of_fields[k]) * small.scale) for k in (0, 1))
+    return (
+        f'<rect x="{left:.0f}" y="{top:.0f}" width="{_INSET_PX}" height="{_INSET_PX}" rx="4" fill="var(--panel)" '
+        f'fill-opacity=".9" stroke="var(--line)"/>'
+        f'<polygon points="{_points(small, outline_um)}" fill="var(--fill)" stroke="var(--ink3)"/>'
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--accent)"/>'
+    )
+
+
+def _corners(fields: Sequence[Field], width_um: float, height_um: float) -> list[tuple[float, float]]:
+    half = ((-width_um / 2, -height_um / 2), (width_um / 2, height_um / 2))
+    return [(f.x_um + dx, f.y_um + dy) for f in fields for dx, dy in half]
+
+
+def _bounds(points: Sequence[tuple[float, float]]) -> Box | None:
+    if not points:
+        return None
+    xs, ys = [p[0] for p in points], [p[1] for p in points]
+    return min(xs), min(ys), max(xs), max(ys)
+
+
+def _share(part: Box, whole: Box) -> float:
+    """The larger of the shares of width and height."""
+    return max((part[k + 2] - part[k]) / max(whole[k + 2] - whole[k], 1e-9) for k in (0, 1))
+
+
+def _padded(box: Box, share: float) -> Box:
+    pad = share * max(box[2] - box[0], box[3] - box[1])
+    return box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
+
+
+def _fitted(box: Box, width_px: int, most_height_px: int) -> Frame:
+    """A frame as wide as the panel, as high as the contents ask for."""
+    aspect = (box[3] - box[1]) / max(box[2] - box[0], 1e-9)
+    return Frame(box, width_px, min(most_height_px, max(60.0, (width_px - 2 * _MARGIN_PX) * aspect + 2 * _MARGIN_PX)))
+
+
+def _seen(frame: Frame, die: Outline) -> bool:
+    box = _bounds(die)
+    if box is None or (box[2] - box[0]) * frame.scale < 3:
+        return False
+    inside_x = frame.x(box[2]) > 0 and frame.x(box[0]) < frame.width_px
+    return inside_x and frame.y(box[1]) > 0 and frame.y(box[3]) < frame.height_px
+
+
+def _points(frame: Frame, corners: Outline) -> str:
+    return " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in corners)
