@@ -77,7 +77,7 @@ def _check_height(field: Field, sweep: FocusSweep, limits: RigLimits) -> None:
 
 
 def _check_clearance(fields: tuple[Field, ...], sweep: FocusSweep, limits: RigLimits) -> None:
-    """A sweep ends with the highest point of the sample in focus; at its lowest z the lens is that much nearer to it."""
+    """A sweep ends with the highest point of the sample in focus; at its start the lens is that much nearer to it."""
     lowest = min(fields, key=lambda f: f.z_start_um)
     highest = max(fields, key=lambda f: f.z_start_um)
     drop_um = highest.z_start_um + sweep.range_um - lowest.z_start_um

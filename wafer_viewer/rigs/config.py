@@ -1,0 +1,54 @@
+"""Which rig there is: a small TOML file, and the table of rigs that can be opened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.spec import Spec, Within, decode
+
+
+class RigConfig(Spec, frozen=True, kw_only=True):
+    """What FILE.toml says of a rig. As it stands by default: the virtual wafer under a small camera."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    kind: str = "virtual"
+    name: str = "Virtual rig"
+    scene: str = "wafer"
+    size: Literal["small", "full"] = "small"
+    real_time: bool = False
+    seed: Annotated[int, Within(0)] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.kind not in RIGS:
+            self.refuse("kind", f"one of {', '.join(RIGS)}")
+
+
+def open_virtual(config: RigConfig) -> Rig:
+    """The simulated rig."""
+    from wafer_viewer.rigs.virtual.rig import VirtualRig
+
+    return VirtualRig(config.scene, config.size, name=config.name, real_time=config.real_time, seed=config.seed)
+
+
+RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual}
+
+
+def read_config(path: Path) -> RigConfig:
+    """The configuration in a TOML file; raises RigError with a sentence when it cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as fault:
+        raise RigError(
+            f"The rig's file {path} cannot be read ({fault}): check its name and that it is text."
+        ) from fault
+    return decode(text, RigConfig, path.name)
+
+
+def open_rig(config: RigConfig) -> Rig:
+    """Switch a rig on. Raises RigError when it is not there."""
+    return RIGS[config.kind](config)

@@ -1,0 +1,155 @@
+"""The virtual camera: takes a picture at every trigger that comes when it is ready, and what can go wrong with it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from wafer_viewer.model.devices import CameraImage, Position
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.limits import CameraLimits
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.stack import FrameStatus, Image
+from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+from wafer_viewer.rigs.virtual.port import Interference
+
+TRIGGER_DELAY_US = 12.0
+"""From the pulse to the begin of the exposure."""
+CLOCK_OFFSET_US = 7_654_321
+CLOCK_DRIFT = 20e-6
+"""The camera's own clock: where it stands when the rig is switched on, and how much faster it runs."""
+TRANSFER_S = 0.002
+
+
+class Renderer(Protocol):
+    """Makes the picture that the sensor sees of a place."""
+
+    def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
+        """The picture with the stage truly at (x, y, z), the middle of the frame at (x, y); [row, col]."""
+        ...
+
+
+class Faults(Spec, frozen=True, kw_only=True):
+    """What goes wrong, by the running number of the trigger since the rig was switched on.
+
+    A trigger is ignored, an exposed image is lost on its way, or comes incomplete; the pulse box loses its power.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    ignored_triggers: tuple[int, ...] = ()
+    lost_images: tuple[int, ...] = ()
+    incomplete: tuple[int, ...] = ()
+    reboots: tuple[int, ...] = ()
+    wire: Interference = Interference()
+    trigger_counter: bool = True
+    """Whether the camera counts its triggers; without, frames are paired with pulses by time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """A picture taken and not yet rendered: where the stage truly was at mid-exposure, and what was asked."""
+
+    truth: Position
+    exposure_us: float
+    number: int
+    trigger_count: int
+    device_time_us: int
+
+
+class VirtualCamera:
+    """Fulfils the role Camera; the pulse box calls `trigger`. Pictures are rendered when they are fetched."""
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        stage: VirtualStage,
+        limits: CameraLimits,
+        renderer: Renderer,
+        faults: Faults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._clock = clock
+        self._stage = stage
+        self._limits = limits
+        self.renderer = renderer
+        self._faults = faults or Faults()
+        self._seed = seed
+        self._exposure_us: float | None = None
+        self._waits = 0
+        self._queue: deque[Exposure] = deque()
+        self._ready_s = 0.0
+        self._edges = 0
+        self._triggers = 0
+
+    @property
+    def triggers(self) -> int:
+        """Triggers since the rig was switched on."""
+        return self._triggers
+
+    def start(self, exposure_us: float) -> None:
+        """Wait for triggers, at a given exposure; the trigger counter starts at 0."""
+        limits = self._limits
+        if not limits.exposure_min_us <= exposure_us <= limits.exposure_max_us:
+            raise RigError(
+                f"The camera cannot expose for {exposure_us:g} us: its range is {limits.exposure_min_us:g} to "
+                f"{limits.exposure_max_us:g} us."
+            )
+        self._forget()
+        self._exposure_us, self._edges = exposure_us, 0
+
+    def stop(self) -> None:
+        """Wait for triggers no more; images not fetched are dropped."""
+        self._forget()
+        self._exposure_us = None
+
+    def trigger(self, time_s: float) -> bool:
+        """An edge on the trigger input; returns whether the camera exposed."""
+        number, count = self._triggers, self._edges
+        self._triggers, self._edges = number + 1, count + 1
+        if self._exposure_us is None or time_s < self._ready_s or number in self._faults.ignored_triggers:
+            return False
+        self._ready_s = time_s + self._limits.period_s(self._exposure_us) - 1e-6
+        if number not in self._faults.lost_images:
+            taken = self._expose(time_s, self._exposure_us, number, count)
+            arrival_s, wait = self._arrival_s(time_s, self._exposure_us), self._waits
+            self._clock.at(arrival_s, lambda _: self._arrive(taken, wait))
+        return True
+
+    def next_image(self, timeout_s: float) -> CameraImage | None:
+        """The next image, or None when none came in time."""
+        if not self._clock.wait_for(lambda: bool(self._queue), timeout_s):
+            return None
+        return self._developed(self._queue.popleft())
+
+    def _expose(self, time_s: float, exposure_us: float, number: int, count: int) -> Exposure:
+        middle_s = time_s + (TRIGGER_DELAY_US + exposure_us / 2) * 1e-6
+        return Exposure(
+            truth=self._stage.truth_at(middle_s),
+            exposure_us=exposure_us,
+            number=number,
+            trigger_count=count,
+            device_time_us=CLOCK_OFFSET_US + round(time_s * 1e6 * (1 + CLOCK_DRIFT)),
+        )
+
+    def _arrival_s(self, time_s: float, exposure_us: float) -> float:
+        return time_s + (TRIGGER_DELAY_US + exposure_us + self._limits.readout_us) * 1e-6 + TRANSFER_S
+
+    def _forget(self) -> None:
+        self._clock.catch_up()
+        self._queue.clear()
+        self._waits += 1
+
+    def _arrive(self, taken: Exposure, wait: int) -> None:
+        if wait == self._waits and len(self._queue) < self._limits.queue_frames:
+            self._queue.append(taken)
+
+    def _developed(self, taken: Exposure) -> CameraImage:
+        at, seed = taken.truth, self._seed * 1_000_003 + taken.number
+        image = self.renderer.frame(at.x_um, at.y_um, at.z_um, taken.exposure_us, seed)
+        status, count = FrameStatus.OK, taken.trigger_count
+        if taken.number in self._faults.incomplete:
+            image, status, count = image.copy(), FrameStatus.INCOMPLETE, max(0, count - 1)
+            image[image.shape[0] // 2 :] = 0
+        return CameraImage(image, count if self._faults.trigger_counter else None, taken.device_time_us, status)

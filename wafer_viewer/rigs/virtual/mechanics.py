@@ -1,0 +1,174 @@
+"""The virtual stage: three axes with scales, and the small way by which the scales are wrong."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from wafer_viewer.model.devices import Position
+from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.limits import AxisLimits, RigLimits
+from wafer_viewer.model.plan import Axis
+from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.motion import halt, standing, trapezoid
+
+LATERAL_ERROR_UM = 0.15
+AXIAL_ERROR_UM = 0.02
+"""Root mean square differences between scale and truth."""
+LATERAL_WAVES_UM = (900.0, 12_000.0)
+AXIAL_WAVES_UM = (20.0, 400.0)
+"""The shortest and the longest wave of these errors."""
+RING_UM = 0.3
+RING_HZ = 60.0
+
+
+class ScaleError:
+    """A smooth, repeatable difference between scale and truth: a few waves over position, of a given rms in um."""
+
+    def __init__(self, seed: tuple[int, ...], rms_um: float, waves_um: tuple[float, float], n_waves: int = 5) -> None:
+        rng = np.random.default_rng(seed)
+        lengths_um = np.geomspace(*waves_um, n_waves)
+        turn = rng.uniform(0, 2 * math.pi, n_waves)
+        self._kx = 2 * math.pi * np.cos(turn) / lengths_um
+        self._ky = 2 * math.pi * np.sin(turn) / lengths_um
+        self._phase = rng.uniform(0, 2 * math.pi, n_waves)
+        self._amplitude_um = rms_um * math.sqrt(2 / n_waves)
+
+    def at(self, a_um: float, b_um: float = 0.0) -> float:
+        """Truth minus scale at a place, in um."""
+        return float(self._amplitude_um * np.sin(self._kx * a_um + self._ky * b_um + self._phase).sum())
+
+
+class VirtualAxis:
+    """One axis: its limits, its motion, and how it rings after it halted."""
+
+    def __init__(self, name: Axis, limits: AxisLimits) -> None:
+        self.name: Axis = name
+        self.limits = limits
+        self.profile = standing(0.0)
+
+    def check(self, to_um: float) -> None:
+        """Raise RigError when a position is out of range."""
+        if not self.limits.low_um <= to_um <= self.limits.high_um:
+            raise RigError(
+                f"The {self.name} axis cannot go to {to_um:.2f} um: its range is {self.limits.low_um:g} to "
+                f"{self.limits.high_um:g} um."
+            )
+
+    def start(self, now_s: float, to_um: float, speed_um_s: float) -> None:
+        """Begin a motion."""
+        self.profile = trapezoid(
+            now_s, self.profile.position_at(now_s), to_um, speed_um_s, self.limits.acceleration_um_s2
+        )
+
+    def stop(self, now_s: float) -> None:
+        """Decelerate to a halt."""
+        at_um, speed = self.profile.position_at(now_s), self.profile.speed_at(now_s)
+        self.profile = halt(now_s, at_um, speed, self.limits.acceleration_um_s2)
+
+    def moving(self, time_s: float) -> bool:
+        """Whether it is in motion."""
+        return time_s < self.profile.end_s
+
+    def settled_s(self) -> float:
+        """When it stands still after its motion."""
+        return self.profile.end_s + self.limits.settle_s
+
+    def ring_um(self, time_s: float) -> float:
+        """How far it swings off its scale after a halt: dead after the settle time."""
+        since_s = time_s - self.profile.end_s
+        if since_s < 0 or math.isinf(since_s):
+            return 0.0
+        return RING_UM * math.exp(-6 * since_s / self.limits.settle_s) * math.cos(2 * math.pi * RING_HZ * since_s)
+
+
+class VirtualStage:
+    """Fulfils the role Stage on a virtual clock; the pulse box follows its scales, the camera its truth."""
+
+    def __init__(self, clock: VirtualClock, limits: RigLimits, seed: int = 0) -> None:
+        self._clock = clock
+        self.axes: dict[Axis, VirtualAxis] = {n: VirtualAxis(n, limits.axis(n)) for n in ("x", "y", "z")}
+        self._error_x = ScaleError((seed, 1), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
+        self._error_y = ScaleError((seed, 2), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
+        self._error_z = ScaleError((seed, 3), AXIAL_ERROR_UM, AXIAL_WAVES_UM)
+        self._followers: list[Callable[[Axis, float], None]] = []
+
+    def on_motion(self, follower: Callable[[Axis, float], None]) -> None:
+        """Have someone told, with axis and time, whenever a motion begins or is broken off."""
+        self._followers.append(follower)
+
+    def position(self) -> Position:
+        """Where the scales say the stage is."""
+        return self.scales_at(self._clock.now_s())
+
+    def scales_at(self, time_s: float) -> Position:
+        """What the scales read at a time."""
+        x, y, z = (axis.profile.position_at(time_s) for axis in self.axes.values())
+        return Position(x, y, z)
+
+    def truth_at(self, time_s: float) -> Position:
+        """Where the sample really is under the objective at a time."""
+        at = self.scales_at(time_s)
+        ring_x, ring_y, ring_z = (axis.ring_um(time_s) for axis in self.axes.values())
+        return Position(
+            at.x_um + self._error_x.at(at.x_um, at.y_um) + ring_x,
+            at.y_um + self._error_y.at(at.x_um, at.y_um) + ring_y,
+            at.z_um + self._error_z.at(at.z_um) + ring_z,
+        )
+
+    def move_to(self, *, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> None:
+        """Go there at full speed and wait until it has settled; None leaves an axis where it is."""
+        wanted = zip(self.axes.values(), (x_um, y_um, z_um), strict=True)
+        goals = [(axis, to_um) for axis, to_um in wanted if to_um is not None]
+        for axis, to_um in goals:
+            self._check(axis, to_um)
+        for axis, to_um in goals:
+            if to_um != axis.profile.position_at(self._clock.now_s()):
+                self._start(axis, to_um, axis.limits.speed_um_s)
+        self.wait()
+
+    def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
+        """Begin a motion of one axis at a given speed, and return at once."""
+        one = self.axes[axis]
+        self._check(one, to_um)
+        if not 0 < speed_um_s <= one.limits.speed_um_s:
+            raise RigError(
+                f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {one.limits.speed_um_s:g} um/s."
+            )
+        self._start(one, to_um, speed_um_s)
+
+    def moving(self) -> bool:
+        """Whether any axis is in motion."""
+        now_s = self._clock.now_s()
+        return any(axis.moving(now_s) for axis in self.axes.values())
+
+    def wait(self) -> None:
+        """Wait until every axis stands and has settled."""
+        settled_s = max(axis.settled_s() for axis in self.axes.values())
+        self._clock.sleep(max(0.0, settled_s - self._clock.now_s()))
+
+    def stop(self) -> None:
+        """Decelerate every axis to a halt. This is no emergency stop."""
+        self._clock.catch_up()
+        now_s = self._clock.now_s()
+        for axis in self.axes.values():
+            if axis.moving(now_s):
+                axis.stop(now_s)
+                self._tell(axis, now_s)
+
+    def _check(self, axis: VirtualAxis, to_um: float) -> None:
+        axis.check(to_um)
+        if axis.moving(self._clock.now_s()):
+            raise RigError(f"The {axis.name} axis is still moving: wait for it or stop it first.")
+
+    def _start(self, axis: VirtualAxis, to_um: float, speed_um_s: float) -> None:
+        self._clock.catch_up()
+        now_s = self._clock.now_s()
+        axis.start(now_s, to_um, speed_um_s)
+        self._tell(axis, now_s)
+
+    def _tell(self, axis: VirtualAxis, now_s: float) -> None:
+        for follower in self._followers:
+            follower(axis.name, now_s)

@@ -1,0 +1,217 @@
+"""The virtual rig: scene, optics and sensor, stage, pulse box and camera, and one clock for all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wafer_viewer.model.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
+from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.rigs.pulse_box import PulseBoxClient
+from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Faults, Renderer, VirtualCamera
+from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.firmware import VirtualPulseBox
+from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+from wafer_viewer.rigs.virtual.port import VirtualPort
+
+Size = Literal["small", "full"]
+SIZES: dict[Size, tuple[int, int]] = {"small": (540, 720), "full": (1080, 1440)}
+"""Rows and columns of the virtual camera."""
+PIXEL_UM, U_PIXEL_UM = 0.46729, 0.00005
+U_Z_SCALE = 2e-4
+NUMERICAL_APERTURE, WAVELENGTH_UM = 0.28, 0.55
+SETUP = OpticalSetup(objective="10x/0.28 (simulated)", camera="virtual")
+OVERVIEW_PX = 1400
+
+LATERAL = AxisLimits(
+    low_um=-155_000.0,
+    high_um=155_000.0,
+    speed_um_s=100_000.0,
+    acceleration_um_s2=1_000_000.0,
+    settle_s=0.06,
+    counts_per_um=20.0,
+)
+AXIAL = AxisLimits(
+    low_um=-10_000.0,
+    high_um=10_000.0,
+    speed_um_s=5_000.0,
+    acceleration_um_s2=100_000.0,
+    settle_s=0.05,
+    counts_per_um=100.0,
+)
+OBJECTIVE = ObjectiveLimits(
+    numerical_aperture=NUMERICAL_APERTURE,
+    wavelength_um=WAVELENGTH_UM,
+    magnification=10.0,
+    working_distance_um=34_000.0,
+    clearance_um=28_000.0,
+    safe_z_um=9_000.0,
+)
+CALIBRATION = Calibration(
+    pixel_um=PIXEL_UM,
+    u_pixel_um=U_PIXEL_UM,
+    u_z_scale=U_Z_SCALE,
+    trigger_delay_us=TRIGGER_DELAY_US,
+    setup=SETUP,
+    made="2026-01-01",
+    due="2999-12-31",
+    against="the simulation itself",
+    simulated=True,
+)
+
+
+def virtual_limits(rows: int, cols: int) -> RigLimits:
+    """What the virtual rig can do with a camera of some size."""
+    camera = CameraLimits(
+        frame_rate_hz=60.0,
+        exposure_min_us=10.0,
+        exposure_max_us=100_000.0,
+        readout_us=15_000.0,
+        rows=rows,
+        cols=cols,
+    )
+    return RigLimits(x=LATERAL, y=LATERAL, z=AXIAL, camera=camera, objective=OBJECTIVE, pixel_um=PIXEL_UM)
+
+
+class VirtualRig:
+    """Fulfils the role Rig. The far ends of its cables are simulated; what drives them is what drives real devices.
+
+    scene: one of the scenes' names; size: of the camera; real_time: time passes as the wall's, frames are rendered
+    beforehand by `prepare`; renderer: other pictures than the scene's, for tests.
+    """
+
+    def __init__(
+        self,
+        scene: str = "wafer",
+        size: Size = "small",
+        *,
+        name: str = "Virtual rig",
+        real_time: bool = False,
+        seed: int = 0,
+        faults: Faults | None = None,
+        limits: RigLimits | None = None,
+        renderer: Renderer | None = None,
+    ) -> None:
+        self._name = name
+        self._scene = scene
+        self._real_time = real_time
+        self._limits = limits or virtual_limits(*SIZES[size])
+        self._faults = faults or Faults()
+        self._clock = VirtualClock(real_time=real_time)
+        self._stage = VirtualStage(self._clock, self._limits, seed)
+        self._renderer = renderer or scene_renderer(scene, self._limits)
+        self._camera = VirtualCamera(self._clock, self._stage, self._limits.camera, self._renderer, self._faults, seed)
+        self._firmware = VirtualPulseBox(self._clock, self._stage, self._triggered)
+        self._port = VirtualPort(self._clock, self._firmware, self._faults.wire)
+        self._firmware.connect(self._port.deliver)
+        self._box = PulseBoxClient(self._port, self._clock)
+
+    @property
+    def name(self) -> str:
+        """What the operator calls it."""
+        return self._name
+
+    @property
+    def simulated(self) -> bool:
+        """All of it is."""
+        return True
+
+    @property
+    def limits(self) -> RigLimits:
+        """What it can do."""
+        return self._limits
+
+    @property
+    def setup(self) -> OpticalSetup:
+        """Its optics."""
+        return SETUP
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration of the simulation."""
+        return CALIBRATION
+
+    @property
+    def clock(self) -> VirtualClock:
+        """Its time."""
+        return self._clock
+
+    @property
+    def stage(self) -> VirtualStage:
+        """Its stage."""
+        return self._stage
+
+    @property
+    def box(self) -> PulseBoxClient:
+        """Its pulse box."""
+        return self._box
+
+    @property
+    def camera(self) -> VirtualCamera:
+        """Its camera."""
+        return self._camera
+
+    def overview(self) -> Overview:
+        """The whole sample as a camera of low power sees it."""
+        return scene_overview(self._scene)
+
+    def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
+        """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
+
+    def close(self) -> None:
+        """Stop motion, disarm the box, let the ports go."""
+        self._box.halt()
+        self._stage.stop()
+        self._camera.stop()
+        self._port.close()
+
+    def truth_for_tests(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
+        """True heights in um at points of any shape. For tests only: no room of the program may look."""
+        from wafer_viewer.rigs.virtual.scene import scene
+
+        return scene(self._scene).truth(x_um, y_um)
+
+    def _triggered(self, time_s: float) -> bool:
+        if self._camera.triggers in self._faults.reboots:
+            self._clock.at(time_s, lambda _: self._firmware.reboot())
+        return self._camera.trigger(time_s)
+
+
+def scene_renderer(name: str, limits: RigLimits) -> Renderer:
+    """What the virtual camera sees of a scene."""
+    from wafer_viewer.rigs.virtual.optics import Optics
+    from wafer_viewer.rigs.virtual.scene import scene
+    from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
+
+    objective, camera = limits.objective, limits.camera
+    optics = Optics(na=objective.numerical_aperture, wavelength_um=objective.wavelength_um, pixel_um=limits.pixel_um)
+    return FrameRenderer(scene(name), optics, Sensor(rows=camera.rows, cols=camera.cols, bits=camera.bits))
+
+
+def scene_overview(name: str) -> Overview:
+    """The picture and the layout of a scene's sample."""
+    from wafer_viewer.rigs.virtual.scene import scene
+    from wafer_viewer.rigs.virtual.sensor import overview
+
+    sample = scene(name)
+    pixel_um = sample.width_um / OVERVIEW_PX
+    dies = [sample.dies.rectangle_um(*cell) for cell in sample.dies.cells] if sample.dies else []
+    return Overview(
+        image=overview(sample, OVERVIEW_PX),
+        pixel_um=pixel_um,
+        x0_um=(pixel_um - sample.width_um) / 2,
+        y0_um=(sample.height_um - pixel_um) / 2,
+        outline_um=sample.outline_um,
+        dies_um=tuple(corners(*die) for die in dies),
+        title=sample.title,
+    )
+
+
+def corners(left: float, lower: float, right: float, upper: float) -> tuple[tuple[float, float], ...]:
+    """The corners of a rectangle, anticlockwise."""
+    return (left, lower), (right, lower), (right, upper), (left, upper)

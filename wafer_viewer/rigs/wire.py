@@ -1,0 +1,176 @@
+"""WPC/1, the line protocol of the pulse box: framing and checksums for both ends, and the asking end.
+
+A line is ``<C|A|E><sequence, 4 hex> <VERB key=value …>*<crc, 4 hex>`` and a line feed: a command, its answer, or an
+event. The checksum is CRC-16/CCITT-FALSE over everything before the asterisk. A command sent again keeps its sequence
+number; the box carries it out once and gives the same answer.
+"""
+
+from __future__ import annotations
+
+import binascii
+import re
+from dataclasses import dataclass, field
+from typing import Literal, cast
+
+from wafer_viewer.model.devices import Clock, SerialPort
+from wafer_viewer.model.errors import RigError, RigTimeout, WireError
+
+Kind = Literal["C", "A", "E"]
+COMMAND, ANSWER, EVENT = cast(tuple[Kind, Kind, Kind], ("C", "A", "E"))
+VERSION = "WPC/1"
+HALT = b"!"
+"""A raw byte, no line: pulses stop at once."""
+LONGEST_LINE = 256
+SEQUENCES = 0x10000
+ANSWER_S = 0.05
+TRIES = 12
+
+_LINE = re.compile(rb"([CAE])([0-9A-F]{4}) ([A-Z]+)((?: [A-Z_]+=[^ *=]+)*)\*([0-9A-F]{4})")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of the protocol. Values are words or whole numbers, as text."""
+
+    kind: Kind
+    sequence: int
+    verb: str
+    values: dict[str, str] = field(default_factory=dict[str, str])
+
+    def number(self, name: str) -> int:
+        """A value that is a whole number; raises WireError when it is missing or no number."""
+        try:
+            return int(self.values[name])
+        except (KeyError, ValueError) as fault:
+            raise WireError(
+                f"The pulse box sent '{self.verb}' without a whole number {name}: {self.values}."
+            ) from fault
+
+
+def crc(body: bytes) -> int:
+    """CRC-16/CCITT-FALSE."""
+    return binascii.crc_hqx(body, 0xFFFF)
+
+
+def encode(line: Line) -> bytes:
+    """The bytes of a line, line feed included."""
+    words = [f"{line.kind}{line.sequence:04X} {line.verb}", *(f"{k}={v}" for k, v in line.values.items())]
+    body = " ".join(words).encode()
+    return body + b"*%04X\n" % crc(body)
+
+
+def decode(raw: bytes) -> Line:
+    """The line in some bytes, without its line feed; raises WireError when it is damaged."""
+    match = _LINE.fullmatch(raw)
+    if match is None or int(match[5], 16) != crc(raw[:-5]):
+        raise WireError(f"A line came damaged over the wire: {raw[:80]!r}.")
+    values = dict(word.split("=", 1) for word in match[4].decode("latin-1").split())
+    return Line(cast(Kind, match[1].decode()), int(match[2], 16), match[3].decode(), values)
+
+
+class LineReader:
+    """Cuts a stream of bytes into lines; damaged ones are counted and left out."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self.damaged = 0
+
+    def feed(self, data: bytes) -> list[Line]:
+        """The lines that these bytes complete."""
+        *raw, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[-LONGEST_LINE:]
+        return [line for r in raw if (line := self._decoded(r)) is not None]
+
+    def _decoded(self, raw: bytes) -> Line | None:
+        try:
+            return decode(raw)
+        except WireError:
+            self.damaged += 1
+            return None
+
+
+class WireClient:
+    """The asking end: one command at a time, repeated until it is answered; events are kept until fetched."""
+
+    def __init__(self, port: SerialPort, clock: Clock) -> None:
+        self._port = port
+        self._clock = clock
+        self._reader = LineReader()
+        self._sequence = 0
+        self._events: list[Line] = []
+        self.retries = 0
+
+    def ask(self, verb: str, **values: int | str) -> Line:
+        """Send a command and return its answer.
+
+        What came before is read first, so that a late answer to an earlier command is not taken for a reason to send
+        again. Raises RigError when the box refuses, RigTimeout when it stays silent.
+        """
+        self._sort(self._read_waiting())
+        self._sequence = (self._sequence + 1) % SEQUENCES
+        raw = encode(Line(COMMAND, self._sequence, verb, {k: str(v) for k, v in values.items()}))
+        for attempt in range(TRIES):
+            self.retries += attempt > 0
+            self._write(raw)
+            answer = self._answer()
+            if answer is not None:
+                return _accepted(verb, answer)
+        raise RigTimeout(
+            f"The pulse box did not answer {verb} within {TRIES} tries of {ANSWER_S * 1000:g} ms: check its cable."
+        )
+
+    def events(self) -> list[Line]:
+        """The events that came since the last call."""
+        self._sort(self._read_waiting())
+        events, self._events = self._events, []
+        return events
+
+    def halt(self) -> None:
+        """Stop pulses at once."""
+        self._write(HALT)
+
+    def close(self) -> None:
+        """Let the port go."""
+        self._port.close()
+
+    def _answer(self) -> Line | None:
+        deadline = self._clock.now_s() + ANSWER_S
+        while (left := deadline - self._clock.now_s()) > 0:
+            found = self._sort(self._read(left))
+            if found is not None:
+                return found
+        return None
+
+    def _sort(self, data: bytes) -> Line | None:
+        """Keep the events in some bytes; return the answer to the command under way, if it is there."""
+        found = None
+        for line in self._reader.feed(data):
+            if line.kind == EVENT:
+                self._events.append(line)
+            elif line.kind == ANSWER and line.sequence == self._sequence:
+                found = line
+        return found
+
+    def _read_waiting(self) -> bytes:
+        return self._read(0.0) if self._port.in_waiting else b""
+
+    def _read(self, timeout_s: float) -> bytes:
+        try:
+            self._port.timeout = timeout_s
+            return self._port.read(max(1, self._port.in_waiting))
+        except OSError as fault:
+            raise RigError(f"The pulse box's port cannot be read ({fault}): check its cable.") from fault
+
+    def _write(self, data: bytes) -> None:
+        try:
+            self._port.write(data)
+        except OSError as fault:
+            raise RigError(f"The pulse box's port cannot be written to ({fault}): check its cable.") from fault
+
+
+def _accepted(verb: str, answer: Line) -> Line:
+    if answer.verb != "OK":
+        raise RigError(
+            f"The pulse box refused {verb}: {answer.values.get('WHY', 'no reason given').replace('_', ' ')}."
+        )
+    return answer
