@@ -7,11 +7,13 @@ nothing else: no generator, no state, only the coordinates and a salt that tells
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
 
+Integer = int | np.signedinteger[Any]
 UNIT_DEVIATION = 4.7  # the standard deviation of smoothed uniform noise is about 1 / 4.7
 
 
@@ -29,7 +31,7 @@ def mixed(h: np.uint32) -> np.uint32:
 
 
 @fast_kernel
-def chance(i: int, j: int, salt: int) -> float:
+def chance(i: int, j: int, salt: Integer) -> float:
     """A number in [0, 1) that belongs to the cell (i, j)."""
     a = np.uint32(np.uint32(i) * np.uint32(0x8DA6B343))
     b = np.uint32(np.uint32(j) * np.uint32(0xD8163841))
@@ -44,7 +46,7 @@ def smooth(t: float) -> float:
 
 
 @fast_kernel
-def grain(x: float, y: float, salt: int) -> float:
+def grain(x: float, y: float, salt: Integer) -> float:
     """Value noise on unit cells: mean 0, standard deviation about 1, smooth within a cell."""
     i, j = math.floor(x), math.floor(y)
     across, up = smooth(x - i), smooth(y - j)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.rigs.virtual.optics_blur import Plane
-from wafer_viewer.rigs.virtual.optics_compose import compose
+from wafer_viewer.rigs.virtual.optics_compose import Heights, compose
 from wafer_viewer.rigs.virtual.optics_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
 from wafer_viewer.rigs.virtual.optics_stretches import make_stretches
 from wafer_viewer.rigs.virtual.scene import Scene, Window
@@ -71,16 +71,14 @@ class FieldPicture:
         lattice = coarse_window(frame, law)
         far = scene.raster(lattice)
         self._law = law
-        self._height_a, self._height_b = inner.height_a, inner.height_b
+        self._heights = Heights(inner.height_a, inner.height_b)
         self._surface_um = inner.surface_um()
         self._levels = make_levels(frame, lattice, near, far, law)
         self._stretches = make_stretches(frame, inner.height_a, inner.height_b, lattice, far.cover)
 
     def radiance(self, z_um: float) -> Plane:
         """The picture with the focus at z_um, float32 [row, col], 1 a white that the scene's gain exposes rightly."""
-        out = np.empty_like(self._height_a)
-        compose(np.float32(z_um), self._law, self._levels, self._height_a, self._height_b, self._stretches, out)
-        return out
+        return compose(z_um, self._law, self._levels, self._heights, self._stretches)
 
     def truth(self) -> Plane:
         """True heights in um of every pixel, as seen from straight above. For tests only."""

@@ -48,8 +48,9 @@ def convolve(plane: Plane, half: Plane, out: Plane) -> None:
     line = np.empty(cols + 2 * reach, np.float32)
     for y in range(rows):
         down_columns(plane, y, half, line[reach : reach + cols])
-        line[:reach] = line[reach]
-        line[reach + cols :] = line[reach + cols - 1]
+        for x in range(reach):
+            line[x] = line[reach]
+            line[reach + cols + x] = line[reach + cols - 1]
         along_row(line, half, out[y])
 
 

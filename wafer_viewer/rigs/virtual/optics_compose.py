@@ -9,10 +9,13 @@ rho = -1, 0 and 1; compositing without it would darken edges twice.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.rigs.virtual.noise import Integer
 from wafer_viewer.rigs.virtual.optics_blur import REACH_SIGMA, Plane
 from wafer_viewer.rigs.virtual.optics_levels import COVER, LATTICE_PX, LIGHT_A, LIGHT_B, WHITE, Law, Levels
 from wafer_viewer.rigs.virtual.optics_stretches import STRETCH_PX, Stretches
@@ -22,48 +25,93 @@ LEAST_COVER = np.float32(1e-4)
 WALL = np.float32(0.02)  # radiance of the dark wall between the sheets
 UNPACK = np.float32(1 / WHITE)
 REACH = np.float32(REACH_SIGMA)
-Flags = np.ndarray
+SEES_A, SEES_B, SEES_BOTH = np.arange(1, 4)  # numpy integers: numba compiles a kernel anew for every literal
+
+
+class Plan(NamedTuple):
+    """What each stretch of one row needs: the lowest and highest level of each sheet, and which sheets it sees.
+
+    A pixel is read between two levels, so the level after the highest is needed too.
+    """
+
+    lowest_a: NDArray[np.int64]
+    highest_a: NDArray[np.int64]
+    lowest_b: NDArray[np.int64]
+    highest_b: NDArray[np.int64]
+    sees: NDArray[np.int64]
+
+
+class Seen(NamedTuple):
+    """One row: the light of A and of B, and the cover of A, blurred as A is and as B is."""
+
+    light_a: Plane
+    light_b: Plane
+    cover_a: Plane
+    cover_b: Plane
+
+
+class Heights(NamedTuple):
+    """Both sheets of a frame in um, [row, col]."""
+
+    a: Plane
+    b: Plane
+
+
+def compose(z_um: float, law: Law, levels: Levels, heights: Heights, stretches: Stretches) -> Plane:
+    """The radiance [row, col] of a frame whose focus lies at z_um."""
+    rows, cols = heights.a.shape
+    plan = Plan(*np.empty((5, stretches.to_a_px.shape[1]), np.int64))
+    lines = np.empty((3, law.variance_px2.size, cols), np.float32)
+    seen = Seen(*np.empty((4, cols), np.float32))
+    out = np.empty((rows, cols), np.float32)
+    compose_rows(np.float32(z_um), law, levels, heights, stretches, plan, lines, seen, out)
+    return out
 
 
 @fast_kernel
-def compose(
-    z: np.float32, law: Law, levels: Levels, height_a: Plane, height_b: Plane, stretches: Stretches, out: Plane
+def compose_rows(
+    z: np.float32,
+    law: Law,
+    levels: Levels,
+    heights: Heights,
+    stretches: Stretches,
+    plan: Plan,
+    lines: Plane,
+    seen: Seen,
+    out: Plane,
 ) -> None:
-    """Fill `out` [row, col] with the radiance of a frame whose focus lies at z um."""
-    rows, cols = out.shape
-    lines = np.empty((3, law.variance_px2.size, cols), np.float32)
-    ready = np.empty((3, law.variance_px2.size), np.bool_)
-    light = np.empty((4, STRETCH_PX), np.float32)
-    for y in range(rows):
-        ready[:] = False
-        for s in range(stretches.to_a_px.shape[1]):
-            start = s * STRETCH_PX
-            stop = min(start + STRETCH_PX, cols)
-            a, b = height_a[y, start:stop], height_b[y, start:stop]
-            lo_a, hi_a, widest_a = level_range(z, law, stretches.lowest_a[y, s], stretches.highest_a[y, s])
-            lo_b, hi_b, widest_b = level_range(z, law, stretches.lowest_b[y, s], stretches.highest_b[y, s])
-            reach = REACH * math.sqrt(max(widest_a, widest_b))
-            if stretches.to_b_px[y, s] > reach:
-                make_ready(levels, law, LIGHT_A, lo_a, hi_a, y, lines, ready)
-                look_through(z, law, lines[LIGHT_A], a, start, lo_a, hi_a, out[y, start:stop])
-                continue
-            make_ready(levels, law, LIGHT_B, lo_b, hi_b, y, lines, ready)
-            if stretches.to_a_px[y, s] > reach:
-                look_through(z, law, lines[LIGHT_B], b, start, lo_b, hi_b, out[y, start:stop])
-                continue
-            make_ready(levels, law, LIGHT_A, lo_a, hi_a, y, lines, ready)
-            make_ready(levels, law, COVER, lo_a, hi_a, y, lines, ready)
-            make_ready(levels, law, COVER, lo_b, hi_b, y, lines, ready)
-            look_through(z, law, lines[LIGHT_A], a, start, lo_a, hi_a, light[0])
-            look_through(z, law, lines[LIGHT_B], b, start, lo_b, hi_b, light[1])
-            look_through(z, law, lines[COVER], a, start, lo_a, hi_a, light[2])
-            look_through(z, law, lines[COVER], b, start, lo_b, hi_b, light[3])
-            mingle(z, law, a, b, light, out[y, start:stop])
+    """Fill a frame in passes over whole rows: calls for every stretch would spend their time counting references."""
+    for y in range(out.shape[0]):
+        a, b = heights.a[y], heights.b[y]
+        plan_row(z, law, stretches, y, plan)
+        read_row(levels, law, y, plan, lines)
+        look_along(z, law, lines[LIGHT_A], a, plan.lowest_a, plan.highest_a, plan.sees, SEES_A, seen.light_a)
+        look_along(z, law, lines[LIGHT_B], b, plan.lowest_b, plan.highest_b, plan.sees, SEES_B, seen.light_b)
+        look_along(z, law, lines[COVER], a, plan.lowest_a, plan.highest_a, plan.sees, SEES_BOTH, seen.cover_a)
+        look_along(z, law, lines[COVER], b, plan.lowest_b, plan.highest_b, plan.sees, SEES_BOTH, seen.cover_b)
+        join_row(z, law, a, b, seen, plan.sees, out[y])
+
+
+@fast_kernel
+def plan_row(z: np.float32, law: Law, stretches: Stretches, y: int, plan: Plan) -> None:
+    """Decide what every stretch of row y needs."""
+    for s in range(plan.sees.size):
+        lowest_a, highest_a, widest_a = level_range(z, law, stretches.lowest_a[y, s], stretches.highest_a[y, s])
+        lowest_b, highest_b, widest_b = level_range(z, law, stretches.lowest_b[y, s], stretches.highest_b[y, s])
+        plan.lowest_a[s], plan.highest_a[s] = lowest_a, highest_a
+        plan.lowest_b[s], plan.highest_b[s] = lowest_b, highest_b
+        reach = REACH * math.sqrt(max(widest_a, widest_b))
+        if stretches.to_b_px[y, s] > reach:
+            plan.sees[s] = SEES_A
+        elif stretches.to_a_px[y, s] > reach:
+            plan.sees[s] = SEES_B
+        else:
+            plan.sees[s] = SEES_BOTH
 
 
 @fast_kernel
 def level_range(z: np.float32, law: Law, lowest: np.float32, highest: np.float32) -> tuple[int, int, np.float32]:
-    """(lowest level, highest level, greatest variance) that heights between two need; each reads the next level too."""
+    """(lowest level, highest level, greatest variance) that heights between two need."""
     one, other = z - lowest, z - highest
     most = max(abs(one), abs(other))
     least = ZERO if one * other <= ZERO else min(abs(one), abs(other))
@@ -81,16 +129,21 @@ def level_below(law: Law, variance: np.float32) -> int:
 
 
 @fast_kernel
-def make_ready(
-    levels: Levels, law: Law, channel: int, lo: int, hi: int, y: int, lines: Plane, ready: np.ndarray
-) -> None:
-    """Read row y of the levels lo to hi + 1 of a channel, if no stretch of this row has needed them before."""
-    for level in range(lo, hi + 2):
-        if not ready[channel, level]:
-            ready[channel, level] = True
-            if level < law.n_fine:
+def read_row(levels: Levels, law: Law, y: int, plan: Plan, lines: Plane) -> None:
+    """Read row y of every level that a stretch needs, each once."""
+    needed = np.zeros((lines.shape[0], lines.shape[1]), np.bool_)
+    for s in range(plan.sees.size):
+        for level in range(plan.lowest_a[s], plan.highest_a[s] + 2):
+            needed[LIGHT_A, level] |= plan.sees[s] & SEES_A != 0
+            needed[COVER, level] |= plan.sees[s] == SEES_BOTH
+        for level in range(plan.lowest_b[s], plan.highest_b[s] + 2):
+            needed[LIGHT_B, level] |= plan.sees[s] & SEES_B != 0
+            needed[COVER, level] |= plan.sees[s] == SEES_BOTH
+    for channel in range(3):
+        for level in range(needed.shape[1]):
+            if needed[channel, level] and level < law.n_fine:
                 read_fine(levels, channel, level, y, lines[channel, level])
-            else:
+            elif needed[channel, level]:
                 read_coarse(levels, channel, level - law.n_fine, y, lines[channel, level])
 
 
@@ -110,57 +163,91 @@ def read_coarse(levels: Levels, channel: int, level: int, y: int, out: Plane) ->
     row = int(place)
     below = np.float32(place - row)
     start = levels.start[level] + row * width + levels.first[scale]
-    count = levels.index[scale, out.size - 1] + 2
+    count = levels.left[scale, out.size - 1] + 2
     upper = levels.coarse[channel, start : start + count]
     lower = levels.coarse[channel, start + width : start + width + count]
     samples = np.empty(count, np.float32)
     for i in range(count):
         samples[i] = upper[i] + below * (lower[i] - upper[i])
-    index, weight = levels.index[scale], levels.weight[scale]
+    left, weight = levels.left[scale], levels.weight[scale]
     for x in range(out.size):
-        i = index[x]
+        i = left[x]
         out[x] = samples[i] + weight[x] * (samples[i + 1] - samples[i])
 
 
 @fast_kernel
-def look_through(
-    z: np.float32, law: Law, lines: Plane, height: Plane, start: int, lo: int, hi: int, out: Plane
+def look_along(
+    z: np.float32,
+    law: Law,
+    lines: Plane,
+    height: Plane,
+    lowest: NDArray[np.int64],
+    highest: NDArray[np.int64],
+    sees: NDArray[np.int64],
+    wanted: Integer,
+    out: Plane,
 ) -> None:
-    """A stretch of one channel as seen with the focus at z: between levels, straight in variance."""
-    if lo == hi:
-        near, far = lines[lo, start : start + height.size], lines[lo + 1, start : start + height.size]
-        begins, per = law.variance_px2[lo], law.per_px2[lo]
-        for i in range(height.size):
-            d = z - height[i]
-            share = min(ONE, (law.sharpest_px2 + law.widening * d * d - begins) * per)
-            out[i] = near[i] + share * (far[i] - near[i])
-        return
-    for i in range(height.size):
-        d = z - height[i]
-        variance = law.sharpest_px2 + law.widening * d * d
-        level = lo
-        while level < hi and variance >= law.variance_px2[level + 1]:
-            level += 1
-        share = min(ONE, (variance - law.variance_px2[level]) * law.per_px2[level])
-        near_value, far_value = lines[level, start + i], lines[level + 1, start + i]
-        out[i] = near_value + share * (far_value - near_value)
+    """One row of a channel as seen with the focus at z, in the stretches that see what is wanted.
+
+    Between levels the light goes straight with the variance.
+    """
+    for s in range(sees.size):
+        if sees[s] & wanted != wanted:
+            continue
+        start, stop = s * STRETCH_PX, min((s + 1) * STRETCH_PX, out.size)
+        lo, hi = lowest[s], highest[s]
+        if lo == hi:
+            near, far, begins, per = lines[lo], lines[lo + 1], law.variance_px2[lo], law.per_px2[lo]
+            for x in range(start, stop):
+                d = z - height[x]
+                share = min(ONE, (law.sharpest_px2 + law.widening * d * d - begins) * per)
+                out[x] = near[x] + share * (far[x] - near[x])
+        else:
+            for x in range(start, stop):
+                d = z - height[x]
+                variance = law.sharpest_px2 + law.widening * d * d
+                level = lo
+                while level < hi and variance >= law.variance_px2[level + 1]:
+                    level += 1
+                share = min(ONE, (variance - law.variance_px2[level]) * law.per_px2[level])
+                out[x] = lines[level, x] + share * (lines[level + 1, x] - lines[level, x])
 
 
 @fast_kernel
-def mingle(z: np.float32, law: Law, height_a: Plane, height_b: Plane, light: Plane, out: Plane) -> None:
-    """The two sheets together; `light` holds the light of A and of B, and the cover blurred as A and as B is."""
-    for i in range(out.size):
-        a, b = z - height_a[i], z - height_b[i]
-        a_in_front = a <= b
-        cover_a, cover_b = light[2, i], ONE - light[3, i]
-        front_light, back_light = (light[0, i], light[1, i]) if a_in_front else (light[1, i], light[0, i])
-        front, back = (cover_a, cover_b) if a_in_front else (cover_b, cover_a)
-        rho = law.widening * a * b / math.sqrt(
-            (law.sharpest_px2 + law.widening * a * a) * (law.sharpest_px2 + law.widening * b * b)
-        )
-        free = ONE - front
-        unrelated = back * free
-        extreme = min(back, free) if rho > ZERO else max(ZERO, back - front)
-        visible = unrelated + abs(rho) * (extreme - unrelated)
-        wall = WALL * max(ZERO, free - visible)
-        out[i] = front_light + back_light * (visible / max(back, LEAST_COVER)) + wall
+def join_row(
+    z: np.float32, law: Law, height_a: Plane, height_b: Plane, seen: Seen, sees: NDArray[np.int64], out: Plane
+) -> None:
+    """One row of the frame from what each sheet gives to it."""
+    light_a, light_b, cover_a, cover_b = seen
+    for s in range(sees.size):
+        start, stop = s * STRETCH_PX, min((s + 1) * STRETCH_PX, out.size)
+        if sees[s] != SEES_BOTH:
+            only = light_a if sees[s] == SEES_A else light_b
+            for x in range(start, stop):
+                out[x] = only[x]
+        else:
+            for x in range(start, stop):
+                a, b = z - height_a[x], z - height_b[x]
+                rho = correlation(law.sharpest_px2, law.widening, a, b)
+                if a <= b:
+                    out[x] = over(light_a[x], cover_a[x], light_b[x], ONE - cover_b[x], rho)
+                else:
+                    out[x] = over(light_b[x], ONE - cover_b[x], light_a[x], cover_a[x], rho)
+
+
+@fast_kernel
+def correlation(sharpest: np.float32, widening: np.float32, a: np.float32, b: np.float32) -> np.float32:
+    """How alike the blur spots of two points lie, a and b um out of focus: 1 alike, -1 mirrored."""
+    return widening * a * b / math.sqrt((sharpest + widening * a * a) * (sharpest + widening * b * b))
+
+
+@fast_kernel
+def over(
+    front_light: np.float32, front: np.float32, back_light: np.float32, back: np.float32, rho: np.float32
+) -> np.float32:
+    """Light of a front sheet and of what it leaves free of the back one; front and back are their covers."""
+    free = ONE - front
+    unrelated = back * free
+    extreme = min(back, free) if rho > ZERO else max(ZERO, back - front)
+    visible = unrelated + abs(rho) * (extreme - unrelated)
+    return front_light + back_light * (visible / max(back, LEAST_COVER)) + WALL * max(ZERO, free - visible)

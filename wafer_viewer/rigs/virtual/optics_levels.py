@@ -58,7 +58,7 @@ class Levels(NamedTuple):
     """Row 0 of the frame on the lattice, in px."""
     first: NDArray[np.int64]
     """Of each scale, the lattice column left of frame column 0."""
-    index: NDArray[np.int32]
+    left: NDArray[np.int32]
     """[scale, col]: the lattice column left of each frame column, counted from first"""
     weight: Plane
     """[scale, col]: the weight of the lattice column right of it"""
@@ -95,7 +95,7 @@ def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: 
         fill_fine_levels(channel, law, into)
     coarse = [coarse_levels(channel, law) for channel in channels(far)]
     sizes = np.array([level.size for level in coarse[0]])
-    first, index, weight = column_readout((frame.x0_um - lattice.x0_um) / frame.step_um, frame.cols)
+    first, left, weight = column_readout((frame.x0_um - lattice.x0_um) / frame.step_um, frame.cols)
     return Levels(
         fine=fine,
         coarse=np.stack([np.concatenate([level.ravel() for level in levels]) for levels in coarse]),
@@ -104,15 +104,14 @@ def make_levels(frame: Window, lattice: Window, near: Sheets, far: Sheets, law: 
         scale=np.array([scale_of(sigma) for sigma in coarse_sigmas(law)]),
         row0_px=(lattice.y0_um - frame.y0_um) / frame.step_um,
         first=first,
-        index=index,
+        left=left,
         weight=weight,
     )
 
 
 def channels(sheets: Sheets) -> tuple[Plane, Plane, Plane]:
     """Light of A, light of B, cover: what is blurred."""
-    cover = sheets.cover
-    return sheets.radiance_a * cover, sheets.radiance_b * (np.float32(1) - cover), cover
+    return sheets.light_a(), sheets.light_b(), sheets.cover
 
 
 def fill_fine_levels(channel: Plane, law: Law, into: NDArray[np.uint16]) -> None:
@@ -170,8 +169,8 @@ def coarse_levels(channel: Plane, law: Law) -> list[Plane]:
 
 
 def column_readout(col0_px: float, cols: int) -> tuple[NDArray[np.int64], NDArray[np.int32], Plane]:
-    """(first, index, weight) of Levels for a frame whose column 0 is col0_px from the lattice's first sample."""
+    """(first, left, weight) of Levels for a frame whose column 0 is col0_px from the lattice's first sample."""
     place = (col0_px + np.arange(cols)) / (LATTICE_PX << np.arange(SCALES))[:, None]
-    left = np.floor(place)
-    first = left[:, 0].astype(np.int64)
-    return first, (left - first[:, None]).astype(np.int32), (place - left).astype(np.float32)
+    column = np.floor(place)
+    first = column[:, 0].astype(np.int64)
+    return first, (column - first[:, None]).astype(np.int32), (place - column).astype(np.float32)

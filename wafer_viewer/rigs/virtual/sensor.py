@@ -22,7 +22,7 @@ NOISE_SIGMA = 32  # counts of one standard deviation in the table of noise
 NOISE_LENGTH = 1 << 20
 VIGNETTE, PIXEL_SPREAD = 0.09, 0.004
 REUSE_WITHIN_UM = 0.1  # a fifth of a pixel: several times the scatter of a stage that stands still
-DEPTHS = {8: np.uint8, 16: np.uint16}
+HEADROOM_UM = 25.0  # prepared beyond the z asked for: a slow search for focus need not prepare at every step
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Sensor:
     nominal_exposure_us: float = 100.0
 
     def __post_init__(self) -> None:
-        if self.bits not in DEPTHS:
+        if self.bits not in (8, 16):
             raise RigError(f"The virtual sensor has {self.bits} bits a pixel; choose 8 or 16.")
 
     def expose(self, radiance: Plane, gain: float, seed: int) -> Image:
@@ -50,7 +50,7 @@ class Sensor:
 
         The variance of a count d is white d / well + (white read / well)^2, plus that of rounding.
         """
-        out = np.empty(radiance.shape, DEPTHS[self.bits])
+        out: Image = np.empty(radiance.shape, np.uint8) if self.bits == 8 else np.empty(radiance.shape, np.uint16)
         white = np.float32(2**self.bits - 1)
         flat = flat_field(self.rows, self.cols, self.seed)
         per_electron = white / np.float32(self.well_e)
@@ -152,9 +152,6 @@ class FrameRenderer:
     def _prepare(self, x_um: float, y_um: float) -> FieldPicture:
         sensor = self._sensor
         return FieldPicture(self._scene, self._optics, x_um, y_um, sensor.rows, sensor.cols, self._z_range_um)
-
-
-HEADROOM_UM = 25.0  # prepared beyond the z asked for, so that a slow search for focus does not prepare at every step
 
 
 def tour_range(scene: Scene) -> tuple[float, float]:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
+
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+GRAIN, RINGS = np.arange(51, 53)
 
 
 @fast_kernel
@@ -27,4 +32,4 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
 def turned_metal(x: float, y: float) -> float:
     """Radiance of a turned surface: grain and rings."""
     out, around = math.sqrt(x * x + y * y), math.atan2(y, x)
-    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 51) + 0.05 * grain(out / 1.4, around * 40.0, 52))
+    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(out / 1.4, around * 40.0, RINGS))

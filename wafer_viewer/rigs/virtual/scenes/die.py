@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import chance
 from wafer_viewer.rigs.virtual.scenes.lettering import two_lines
@@ -22,6 +24,9 @@ CORE_LEFT_UM, CORE_BOTTOM_UM = 44.0, 78.0
 BLOCK_WIDTH_UM, BLOCK_HEIGHT_UM = 92.0, 90.0
 SILICON = 0.13  # radiance of the bare die
 MEMORY, LINES_UP, LOGIC, BLANK, LOGIC_2, LETTERS, LINES_ACROSS, MEMORY_2 = range(8)
+
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+MARK_X, MARK_Y = np.arange(11, 13)
 
 
 @fast_kernel
@@ -73,8 +78,8 @@ def pad(u: float, v: float, column: int, row: int, footprint: float) -> tuple[fl
 @fast_kernel
 def probe_mark(x: float, y: float, number: int, salt: int, footprint: float) -> float:
     """The ellipse that a probe needle scrubbed near the middle of a pad."""
-    across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, 11) - 0.5)) / 3.2
-    along = (y - PAD_UM / 2 - 5.0 * (chance(number, salt, 57) - 0.5)) / 7.5
+    across = (x - PAD_UM / 2 - 6.0 * (chance(number, salt, MARK_X) - 0.5)) / 3.2
+    along = (y - PAD_UM / 2 - 5.0 * (chance(number, salt, MARK_Y) - 0.5)) / 7.5
     return inside(3.0 * (1.0 - math.sqrt(across * across + along * along)), footprint)
 
 

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import grain
+from wafer_viewer.rigs.virtual.noise import Integer, grain
 from wafer_viewer.rigs.virtual.scenes.shapes import inside
 from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
@@ -19,6 +21,9 @@ TILT_X, TILT_Y = 3e-4, 1.2e-4
 GAP_DEPTH_UM = 60.0
 LAPPED_UPPER, LAPPED_LOWER, CHAMFER, GAP = 0.42, 0.40, 0.028, 0.008  # radiances
 
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+EDGE, UPPER_LAPPING, LOWER_LAPPING = np.arange(61, 82, 10)  # lapping takes four
+
 
 @fast_kernel
 def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
@@ -26,7 +31,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
     for r in range(x_um.shape[0]):
         for c in range(x_um.shape[1]):
             x, y = x_um[r, c], y_um[r, c]
-            ragged = 0.8 * grain(y / 7.0, 0.5, 61)
+            ragged = 0.8 * grain(y / 7.0, 0.5, EDGE)
             out.cover[r, c] = inside(ragged - x - GAP_UM / 2, footprint_um)
             out.height_a[r, c], out.radiance_a[r, c] = upper_block(x, y)
             out.height_b[r, c], out.radiance_b[r, c] = lower_block(x, y)
@@ -37,7 +42,7 @@ def upper_block(x: float, y: float) -> tuple[float, float]:
     """(height, radiance); past its edge the chamfer is mirrored, so that the sheet goes on without a jump."""
     bevel = max(0.0, CHAMFER_UM - abs(x + GAP_UM / 2))
     if bevel <= 0.0:
-        return STEP_UM, LAPPED_UPPER * (1.0 + 0.10 * lapping(x, y, 62, 0.35))
+        return STEP_UM, LAPPED_UPPER * (1.0 + 0.10 * lapping(x, y, UPPER_LAPPING, 0.35))
     return STEP_UM - bevel, CHAMFER + burnish(bevel)
 
 
@@ -51,7 +56,7 @@ def lower_block(x: float, y: float) -> tuple[float, float]:
     bevel = max(0.0, CHAMFER_UM - inset)
     if bevel > 0.0:
         return plane - bevel, CHAMFER + burnish(bevel)
-    return plane, LAPPED_LOWER * (1.0 + 0.10 * lapping(x, y, 72, -0.5))
+    return plane, LAPPED_LOWER * (1.0 + 0.10 * lapping(x, y, LOWER_LAPPING, -0.5))
 
 
 @fast_kernel
@@ -61,7 +66,7 @@ def burnish(bevel: float) -> float:
 
 
 @fast_kernel
-def lapping(x: float, y: float, salt: int, turn_rad: float) -> float:
+def lapping(x: float, y: float, salt: Integer, turn_rad: float) -> float:
     """Crossed lapping scratches and grain, about unit deviation."""
     u = x * math.cos(turn_rad) + y * math.sin(turn_rad)
     v = y * math.cos(turn_rad) - x * math.sin(turn_rad)

@@ -58,7 +58,7 @@ def glyph(code: int, x: float, y: float, footprint: float) -> float:
     for row in range(5):
         for column in range(3):
             if INK[code, row, column]:
-                ink += rectangle(x, y, column, column + 1.0, row, row + 1.0, footprint)
+                ink += rectangle(x - column, y - row, 0.0, 1.0, 0.0, 1.0, footprint)
     return ink
 
 

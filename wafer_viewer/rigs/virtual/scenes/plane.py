@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
+
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+GRAIN, MARKS = np.arange(31, 33)
 
 
 @fast_kernel
@@ -23,4 +28,4 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
 @fast_kernel
 def ground_metal(x: float, y: float) -> float:
     """Radiance of a ground surface: grain and marks along x."""
-    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 31) + 0.05 * grain(x / 45.0, y / 1.3, 32))
+    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 45.0, y / 1.3, MARKS))

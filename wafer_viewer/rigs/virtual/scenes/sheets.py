@@ -23,12 +23,21 @@ class Sheets(NamedTuple):
     cover: Plane
 
     def surface_um(self) -> Plane:
-        """Heights that an observer straight above sees."""
-        return np.where(self.cover > 0.5, self.height_a, self.height_b)
+        """Heights that the observer sees."""
+        surface: Plane = np.where(self.cover > 0.5, self.height_a, self.height_b)
+        return surface
+
+    def light_a(self) -> Plane:
+        """Light that sheet A gives to the picture."""
+        return self.radiance_a * self.cover
+
+    def light_b(self) -> Plane:
+        """Light that sheet B gives, where A leaves it free."""
+        return self.radiance_b - self.radiance_b * self.cover
 
     def radiance(self) -> Plane:
-        """Light that the observer sees when everything is in focus."""
-        return self.radiance_b + (self.radiance_a - self.radiance_b) * self.cover
+        """The picture when everything is in focus."""
+        return self.light_a() + self.light_b()
 
 
 def empty_sheets(shape: tuple[int, ...]) -> Sheets:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scenes.shapes import bars
 from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
 
 TREAD_UM, RISE_UM = 180.0, 20.0
+
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+GRAIN, MARKS = np.arange(41, 43)
 
 
 @fast_kernel
@@ -33,7 +38,7 @@ def fill(x_um: Points, y_um: Points, footprint_um: float, out: Sheets) -> None:
 @fast_kernel
 def ground_metal(x: float, y: float) -> float:
     """Radiance of a ground surface: grain and marks along x."""
-    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, 41) + 0.05 * grain(x / 40.0, y / 1.3, 42))
+    return 0.40 * (1.0 + 0.10 * grain(x / 1.6, y / 1.6, GRAIN) + 0.05 * grain(x / 40.0, y / 1.3, MARKS))
 
 
 @fast_kernel

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from wafer_viewer.numerics.jit import fast_kernel
 from wafer_viewer.rigs.virtual.noise import chance, grain
 from wafer_viewer.rigs.virtual.scenes.die import HEIGHT_UM, WIDTH_UM, bevel_drop, die
@@ -25,6 +27,10 @@ SCRATCH_LEFT_UM, SCRATCH_RIGHT_UM = 250.0, 1240.0
 PARTICLE_CELL_UM, PARTICLE_SHARE = 130.0, 0.4
 FLOOR, TAPE = 0.80, 0.05  # radiances
 FAR_UM = 1000.0
+
+# Salts, as numpy integers: numba would compile the noise anew for every literal one.
+FINE, COARSE, BROAD, WANDER, CHIPS, DIE_TONE, GEL_OUTLINE, SCRATCH_WIDTH, SCRATCH_SKIPS = np.arange(1, 10)
+PARTICLE, PARTICLE_X, PARTICLE_Y, PARTICLE_SIZE, PARTICLE_SHAPE, UPRIGHT_CUT, LEVEL_CUT = np.arange(90, 97)
 
 
 @fast_kernel
@@ -53,7 +59,7 @@ def wafer(x: float, y: float, footprint: float) -> tuple[float, float, float, fl
         radiance_a = blend(radiance, speck_radiance, speck)
     if cover < 1.0:
         ground = floor(x, y, u, v, -inset, footprint)
-        height_b = base + speck * speck_um + 0.08 * grain(x / 1.5, y / 1.5, 1)
+        height_b = base + speck * speck_um + 0.08 * grain(x / 1.5, y / 1.5, FINE)
         radiance_b = blend(ground, speck_radiance, speck)
     return height_a, radiance_a, height_b, radiance_b, cover
 
@@ -83,7 +89,7 @@ def chipped(inset: float, x: float, y: float) -> float:
     """The inset after sawing: the edge wanders, and here and there a chip is missing."""
     if inset < -2.0 or inset > 9.0:
         return inset
-    return inset - 0.45 * grain(x / 2.6, y / 2.6, 3) - 5.0 * max(0.0, grain(x / 9.0, y / 9.0, 4) - 0.9)
+    return inset - 0.45 * grain(x / 2.6, y / 2.6, WANDER) - 5.0 * max(0.0, grain(x / 9.0, y / 9.0, CHIPS) - 0.9)
 
 
 @fast_kernel
@@ -103,8 +109,8 @@ def die_top(
         radiance = radiance * (1.0 - 0.7 * groove) + 0.30 * lip
         rise_um += 0.25 * lip - 1.3 * groove
         contrast += 0.1 * groove
-    fine, coarse = grain(x / 1.5, y / 1.5, 1), grain(x / 3.1, y / 3.1, 2)
-    shade = 0.05 * grain(x / 170.0, y / 170.0, 7) + 0.03 * (chance(column, row, 77) - 0.5)
+    fine, coarse = grain(x / 1.5, y / 1.5, FINE), grain(x / 3.1, y / 3.1, COARSE)
+    shade = 0.05 * grain(x / 170.0, y / 170.0, BROAD) + 0.03 * (chance(column, row, DIE_TONE) - 0.5)
     relief_um = 0.05 * coarse if contrast > 0.01 else 0.0
     return radiance * (1.0 + contrast * (0.8 * fine + 0.6 * coarse) + shade), rise_um + relief_um
 
@@ -116,8 +122,8 @@ def gel_drop(x: float, y: float, under: float, footprint: float) -> tuple[float,
     It mirrors the lamp where it is nearly level, and shows what lies beneath it faintly.
     """
     out = math.sqrt(x * x + y * y)
-    around = math.atan2(y, x) * 1.6 + 9.0
-    out *= 1.0 + 0.035 * grain(around, 0.5, 12)
+    if out > 1.0:
+        out *= 1.0 + 0.035 * grain(1.6 * x / out, 1.6 * y / out, GEL_OUTLINE)
     if out > GEL_RADIUS_UM + 2.0:
         return 0.0, 0.0, 0.0, 0.0
     steepness = 2.0 * GEL_HEIGHT_UM * out / GEL_RADIUS_UM**2
@@ -136,8 +142,8 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
     if away > 6.0:
         return 0.0, 0.0
     fade = min(1.0, (x - SCRATCH_LEFT_UM) / 120.0, (SCRATCH_RIGHT_UM - x) / 120.0)
-    half_width = 1.5 * (1.0 + 0.35 * grain(x / 14.0, 0.5, 15)) * fade
-    touching = inside((grain(x / 22.0, 0.7, 16) + 1.1) * 8.0, footprint)
+    half_width = 1.5 * (1.0 + 0.35 * grain(x / 14.0, 0.5, SCRATCH_WIDTH)) * fade
+    touching = inside((grain(x / 22.0, 0.7, SCRATCH_SKIPS) + 1.1) * 8.0, footprint)
     groove = inside(half_width - away, footprint)
     lip = inside(half_width + 1.1 - away, footprint) - groove
     return groove * touching, lip * touching
@@ -147,15 +153,15 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
 def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]:
     """(share, height_um, radiance) of the grain of dust that chance may have put near here: dark, with a glint."""
     i, j = math.floor(x / PARTICLE_CELL_UM), math.floor(y / PARTICLE_CELL_UM)
-    if chance(i, j, 90) >= PARTICLE_SHARE:
+    if chance(i, j, PARTICLE) >= PARTICLE_SHARE:
         return 0.0, 0.0, 0.0
-    radius = 1.6 + 4.6 * chance(i, j, 93) ** 2
-    across = x - (i + 0.1 + 0.8 * chance(i, j, 91)) * PARTICLE_CELL_UM
-    along = y - (j + 0.1 + 0.8 * chance(i, j, 92)) * PARTICLE_CELL_UM
+    radius = 1.6 + 4.6 * chance(i, j, PARTICLE_SIZE) ** 2
+    across = x - (i + 0.1 + 0.8 * chance(i, j, PARTICLE_X)) * PARTICLE_CELL_UM
+    along = y - (j + 0.1 + 0.8 * chance(i, j, PARTICLE_Y)) * PARTICLE_CELL_UM
     far2 = (across * across + along * along) / (radius * radius)
     if far2 > 2.3:
         return 0.0, 0.0, 0.0
-    far = math.sqrt(far2) * (1.0 + 0.12 * grain(x / 2.0, y / 2.0, 94))
+    far = math.sqrt(far2) * (1.0 + 0.12 * grain(x / 2.0, y / 2.0, PARTICLE_SHAPE))
     height_um = 1.2 * radius * math.sqrt(max(0.0, 1.0 - far * far))
     return inside((1.0 - far) * radius, footprint), height_um, 0.03 + 0.45 * math.exp(-6.0 * far2)
 
@@ -164,8 +170,8 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
 def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: float) -> float:
     """Radiance of the trench floor and of the tape beyond the wafer's edge."""
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
-    fine = grain(x / 1.5, y / 1.5, 1)
-    broad = grain(x / 170.0, y / 170.0, 7)
+    fine = grain(x / 1.5, y / 1.5, FINE)
+    broad = grain(x / 170.0, y / 170.0, BROAD)
     ground = FLOOR * (1.0 + 0.10 * fine + 0.05 * saw_marks(x, y, u, v) + 0.03 * broad)
     ground *= (1.0 - 0.72 * printed(x, y, u, v, footprint)) * wall_shade(from_wall)
     tape = TAPE * (1.0 + 0.12 * fine + 0.2 * broad)
@@ -176,7 +182,7 @@ def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: f
 def saw_marks(x: float, y: float, u: float, v: float) -> float:
     """Streaks along the cut: upright in a column trench, level in a row trench, both where they cross."""
     upright, level = u < 0.0 or u > WIDTH_UM, v < 0.0 or v > HEIGHT_UM
-    marks = grain(x / 1.1, y / 70.0, 21) * upright + grain(x / 70.0, y / 1.1, 22) * level
+    marks = grain(x / 1.1, y / 70.0, UPRIGHT_CUT) * upright + grain(x / 70.0, y / 1.1, LEVEL_CUT) * level
     return marks / max(1.0, 1.0 * upright + level)
 
 
