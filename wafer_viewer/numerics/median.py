@@ -1,0 +1,82 @@
+"""Medians of 5 x 5 pixels that leave out what is NaN, exact, and without sorting where nothing is out of order."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.jit import kernel
+
+REACH_PX = 2
+
+
+def pad_with_nan(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """A copy with a border of NaN as wide as the window reaches: the kernels know no borders."""
+    return np.pad(values, REACH_PX, constant_values=np.nan)
+
+
+@kernel
+def medians_at(padded, rows, cols):
+    """The median of the finite pixels in the 5 x 5 window round each (row, col) of the map before it was padded.
+
+    padded: float32 from `pad_with_nan`; returns float32, NaN where the window holds nothing.
+    """
+    out = np.empty(rows.size, np.float32)
+    window = np.empty(25, np.float32)
+    for n in range(rows.size):
+        count = 0
+        for r in range(rows[n], rows[n] + 5):
+            for c in range(cols[n], cols[n] + 5):
+                v = padded[r, c]
+                if v == v:
+                    count = _insert(window, count, v)
+        out[n] = np.float32(0.5) * (window[(count - 1) // 2] + window[count // 2]) if count else np.nan
+    return out
+
+
+@kernel
+def far_from_median(padded, limit):
+    """Which measured pixels of the map are further than `limit` from the median of their 5 x 5 window; bool, before padding.
+
+    A value is within `limit` of the median exactly when at least half of the window is above value - limit and at
+    least half is below value + limit: counting runs as vectors, sorting does not.
+    """
+    n_rows, n_cols = padded.shape[0] - 4, padded.shape[1] - 4
+    far = np.zeros((n_rows, n_cols), np.bool_)
+    above = np.zeros(n_cols, np.int32)
+    below = np.zeros(n_cols, np.int32)
+    finite = np.zeros(n_cols, np.int32)
+    for r in range(n_rows):
+        above[:], below[:], finite[:] = 0, 0, 0
+        here = padded[r + 2, 2:]
+        for d in range(5):
+            for e in range(5):
+                _count(here, padded[r + d, e:], limit, above, below, finite)
+        _judge(here, above, below, finite, far[r])
+    return far
+
+
+@kernel
+def _insert(window, count, v):
+    at = count
+    while at > 0 and window[at - 1] > v:
+        window[at] = window[at - 1]
+        at -= 1
+    window[at] = v
+    return count + 1
+
+
+@kernel
+def _count(here, other, limit, above, below, finite):
+    for x in range(above.size):
+        v, low, high = other[x], here[x] - limit, here[x] + limit
+        above[x] += np.int32(v >= low)
+        below[x] += np.int32(v <= high)
+        finite[x] += np.int32(v == v)
+
+
+@kernel
+def _judge(here, above, below, finite, far):
+    for x in range(far.size):
+        enough = (above[x] + above[x] >= finite[x]) & (below[x] + below[x] >= finite[x])
+        far[x] = (here[x] == here[x]) & (not enough)

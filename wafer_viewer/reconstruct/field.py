@@ -1,0 +1,102 @@
+"""From the focus stack of a field to its height map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer import __version__
+from wafer_viewer.model.plan import Field
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.reconstruct.fill import fill, mark_filled
+from wafer_viewer.reconstruct.gate import gate_of, origins
+from wafer_viewer.reconstruct.levy import smooth
+from wafer_viewer.reconstruct.noise import noise_scores
+from wafer_viewer.reconstruct.outliers import find_outliers
+from wafer_viewer.reconstruct.peak import Peaks
+from wafer_viewer.reconstruct.prepare import Frames, prepare
+from wafer_viewer.reconstruct.search import Progress, search_field
+from wafer_viewer.reconstruct.tune import Settled, settle
+
+LEAST_NOISE_STEPS = 0.05
+"""Smoothing leaves alone what is within a twentieth of a step of its neighbourhood."""
+
+
+def reconstruct(
+    stack: FieldStack, recipe: Recipe = Recipe(), progress: Progress | None = None, threads: int | None = None
+) -> HeightMap:
+    """The height map of a field, with confidence, all-in-focus image and the reason why a pixel has no height.
+
+    progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores when left out.
+    Raises ComputeError for images that are not 8- or 16-bit grey and for frames without a z of their own.
+    """
+    frames = prepare(stack)
+    settled = settle(frames, recipe)
+    peaks = search_field(frames, settled.search, threads, progress)
+    origin = gated(peaks, settled, frames)
+    return cleaned(stack, frames, settled.recipe, peaks, origin)
+
+
+def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
+    """The recipe with every `auto` replaced by what this stack says, so that all fields of a scan can share it."""
+    return settle(prepare(stack), recipe).recipe
+
+
+def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
+    """The origin of each pixel: measured, or why not."""
+    recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
+    gate = gate_of(noise, _number(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
+    return origins(peaks, gate, frames.n_frames)
+
+
+def cleaned(stack: FieldStack, frames: Frames, recipe: Recipe, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
+    """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
+    pixel_um, floor_um = stack.pixel_um, _number(recipe.outliers.floor_um)
+    raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
+    smoothed = smooth(raw, recipe.levy, int(_number(recipe.levy.iterations)), LEAST_NOISE_STEPS * frames.step_um)
+    dropped = find_outliers(smoothed, pixel_um, recipe.outliers, floor_um)
+    if recipe.outliers.mode != "none":
+        dropped |= np.abs(smoothed - raw) > floor_um
+    origin = np.where(dropped, np.uint8(Origin.OUTLIER), origin)
+    raw[dropped] = smoothed[dropped] = np.nan
+    z_um = fill(smoothed, recipe.fill, frames.step_um)
+    return HeightMap(
+        z_um=z_um,
+        z_raw_um=raw,
+        confidence=peaks.confidence,
+        all_in_focus=peaks.all_in_focus,
+        origin=mark_filled(origin, z_um),
+        pixel_um=pixel_um,
+        x0_um=stack.x0_um,
+        y0_um=stack.y0_um,
+        provenance=_provenance(stack, frames, recipe),
+    )
+
+
+def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
+    """Compile every kernel, or load what an earlier run compiled, on a tiny stack."""
+    grey = np.random.default_rng(0).integers(0, 200, (8, 32, 64)).astype(dtype)
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
+    reconstruct(FieldStack(field, grey, np.arange(8.0), np.ones(8, bool), 1.0), recipe, threads=1)
+
+
+def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance:
+    missing = stack.n_frames - frames.n_frames
+    return Provenance(
+        recipe=recipe,
+        calibration=stack.calibration,
+        software_version=__version__,
+        input_checksum=stack.checksum,
+        simulated=stack.simulated,
+        z_step_um=frames.step_um,
+        notes=(f"{missing} of {stack.n_frames} frames of field {stack.field.number} are missing",) if missing else (),
+    )
+
+
+def _number(value: float | str) -> float:
+    """A settled choice: `auto` is gone by now."""
+    return float(value)

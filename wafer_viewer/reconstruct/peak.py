@@ -1,0 +1,186 @@
+"""Where along z a pixel is sharpest, between the frames, and how much the peak stands out.
+
+All values of the focus volume are logarithms (base 2), so a blur law that is a Gaussian becomes a parabola and the
+flanks of a real focus curve become nearly straight: the tent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+from wafer_viewer.numerics.jit import inline_kernel, kernel
+
+_ARGMAX, _GAUSSIAN, _TENT = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class PeakEstimator:
+    """How the peak is placed between the frames: the kernels' code, what it is, where it is from."""
+
+    code: int
+    title: str
+    source: str
+
+
+PEAKS: dict[str, PeakEstimator] = {
+    "argmax": PeakEstimator(_ARGMAX, "The sharpest frame", "eq. 6"),
+    "gaussian": PeakEstimator(_GAUSSIAN, "Gaussian through three points", "Nayar and Nakagawa 1994"),
+    "tent": PeakEstimator(_TENT, "Symmetric tent through three points", "flanks of equal slope on log focus"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """What the focus volume says of each pixel, all arrays [row, col].
+
+    z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: how far the peak is above
+    its highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames
+    in which the pixel is too bright; all_in_focus: grey as in the stack.
+    """
+
+    z_um: NDArray[np.float32]
+    lead: NDArray[np.float32]
+    fall: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    at_end: NDArray[np.bool_]
+    clipped: NDArray[np.uint16]
+    all_in_focus: Image
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], dtype: np.dtype) -> Peaks:
+        """Room for the peaks of a field or of a part of it."""
+        z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
+        return cls(
+            z_um, lead, fall, contrast, np.empty(shape, bool), np.empty(shape, np.uint16), np.empty(shape, dtype)
+        )
+
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """0 ... 1: the share of the focus measure at the peak that its highest rival does not reach."""
+        return np.float32(1) - np.exp2(-self.lead)
+
+    def rows(self, part: slice) -> Peaks:
+        """Some of the rows, as views."""
+        return Peaks(*(getattr(self, name)[part] for name in self.__slots__))
+
+
+def confidence_of(lead: float) -> float:
+    """The confidence of a peak that is 2^lead times its highest rival."""
+    return 1.0 - 2.0**-lead
+
+
+def lead_of(confidence: float) -> float:
+    """The lead, in powers of two, that a confidence means."""
+    return float(-np.log2(max(1e-9, 1.0 - confidence)))
+
+
+def log2_table(mantissa_bits: int) -> NDArray[np.float32]:
+    """log2(1 + fraction) of each mantissa of a level."""
+    return np.log2(1 + np.arange(2**mantissa_bits) / 2**mantissa_bits).astype(np.float32)
+
+
+@kernel
+def rivals(levels, peak, gap, rival, least):
+    """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
+
+    levels: uint16 [k, row, col]; peak, rival, least: uint16 [row, col]. Without a rival the lowest level stands in.
+    """
+    last = levels.shape[0] - 1
+    for y in range(peak.shape[0]):
+        rival[y] = 0
+        least[y] = 65535
+        for k in range(last + 1):
+            _rival_row(levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y], k, gap, peak[y], rival[y])
+            _lower(levels[k, y], least[y])
+        _raise(least[y], rival[y])
+
+
+@kernel
+def _rival_row(before, here, after, k, gap, peak, rival):
+    i = np.int32
+    frame = i(k)
+    low, high = i(-gap), i(gap)
+    for x in range(here.size):
+        q = i(here[x])
+        away = i(i(peak[x]) - frame)
+        top = (q >= i(before[x])) & (q >= i(after[x])) & ((away <= low) | (away >= high))
+        candidate = q if top else i(0)
+        old = i(rival[x])
+        rival[x] = candidate if candidate > old else old
+
+
+@kernel
+def _lower(here, least):
+    for x in range(here.size):
+        a, b = here[x], least[x]
+        least[x] = a if a < b else b
+
+
+@kernel
+def _raise(floor, values):
+    for x in range(values.size):
+        a, b = floor[x], values[x]
+        values[x] = a if a > b else b
+
+
+@kernel
+def describe(
+    levels, peak, rival, least, block, margin, z_um, gap, estimator, bits, table, z, lead, fall, contrast, aif
+):
+    """Height, scores and all-in-focus grey of each pixel, from the levels round its peak."""
+    last = levels.shape[0] - 1
+    mask = (1 << bits) - 1
+    for y in range(z.shape[0]):
+        for x in range(z.shape[1]):
+            k = np.int64(peak[y, x])
+            top = _log2(levels[k, y, x], bits, mask, table)
+            left = _log2(levels[max(0, k - 1), y, x], bits, mask, table)
+            right = _log2(levels[min(last, k + 1), y, x], bits, mask, table)
+            before = _log2(levels[max(0, k - gap), y, x], bits, mask, table)
+            after = _log2(levels[min(last, k + gap), y, x], bits, mask, table)
+            z[y, x] = _place(estimator, z_um, k, last, left, top, right)
+            lead[y, x] = top - _log2(rival[y, x], bits, mask, table)
+            contrast[y, x] = top - _log2(least[y, x], bits, mask, table)
+            fall[y, x] = top - max(before, after)
+            aif[y, x] = block[k, y + margin, x + margin]
+
+
+@inline_kernel
+def _log2(level, bits, mask, table):
+    q = np.int64(level)
+    return np.float32(q >> bits) + table[q & mask]
+
+
+@kernel
+def _place(estimator, z_um, k, last, left, top, right):
+    """The z of the peak, between the middles of the two intervals beside frame k."""
+    z = z_um[k]
+    if estimator == _ARGMAX or k == 0 or k == last:
+        return z
+    below, above = z_um[k - 1], z_um[k + 1]
+    found = _tent(below, z, above, left, top, right)
+    if estimator == _GAUSSIAN:
+        found = _parabola(below, z, above, left, top, right)
+    return min(max(found, 0.5 * (below + z)), 0.5 * (z + above))
+
+
+@kernel
+def _parabola(below, z, above, left, top, right):
+    """The vertex of the parabola through three points of log focus, at any spacing."""
+    a = (z - below) * (top - right)
+    b = (above - z) * (top - left)
+    return z if a + b <= 0 else z - 0.5 * ((z - below) * a - (above - z) * b) / (a + b)
+
+
+@kernel
+def _tent(below, z, above, left, top, right):
+    """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
+    if top - left >= top - right:
+        slope = (top - left) / (z - below)
+        return z if slope <= 0 else 0.5 * (z + above) + (right - top) / (2 * slope)
+    slope = (top - right) / (above - z)
+    return 0.5 * (below + z) - (left - top) / (2 * slope)

@@ -1,0 +1,125 @@
+"""The search for peaks: a block of a field at a time with all its frames, so that its focus volume stays in cache."""
+
+from __future__ import annotations
+
+import os
+import queue
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, Rows, focus_block, mantissa_bits, margin_px
+from wafer_viewer.reconstruct.peak import PEAKS, Peaks, describe, log2_table, rivals
+from wafer_viewer.reconstruct.prepare import Frames, read_block
+
+STRIPE_ROWS = 48
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How peaks are looked for: measure and estimator by name, the window, and how many frames apart a rival is."""
+
+    measure: str
+    window: int
+    estimator: str
+    gap: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What one thread works with: the block it reads, the focus volume of the block, and its small change."""
+
+    block: Image
+    levels: NDArray[np.uint16]
+    best: NDArray[np.uint16]
+    peak: NDArray[np.uint16]
+    rival: NDArray[np.uint16]
+    least: NDArray[np.uint16]
+    rows: Rows
+    table: NDArray[np.float32]
+
+    @classmethod
+    def make(cls, n_frames: int, shape: tuple[int, int], window: int, dtype: np.dtype) -> Bench:
+        """A bench for blocks of up to `shape` pixels."""
+        margin = margin_px(window)
+        native = np.dtype(dtype).newbyteorder("=")
+        block = np.zeros((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
+        small = (np.empty(shape, np.uint16) for _ in range(4))
+        levels = np.empty((n_frames, *shape), np.uint16)
+        table = log2_table(mantissa_bits(native))
+        return cls(block, levels, *small, Rows.make(shape[1], window, native), table)
+
+    def cut(self, n_rows: int, margin: int) -> Bench:
+        """The same bench for a block of fewer rows: the last stripe of a field."""
+        if n_rows == len(self.best):
+            return self
+        block, levels = self.block[:, : n_rows + 2 * margin].copy(), self.levels[:, :n_rows].copy()
+        small = (a[:n_rows] for a in (self.best, self.peak, self.rival, self.least))
+        return Bench(block, levels, *small, self.rows, self.table)
+
+
+def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
+    """The peaks of a whole field, stripe by stripe, on some threads (all cores without a number).
+
+    progress is told the finished share, from the calling thread; what it raises ends the search.
+    """
+    peaks = Peaks.empty(frames.shape, frames.images.dtype.newbyteorder("="))
+    stripes = list(_stripes(frames.shape[0]))
+    threads = min(threads or len(os.sched_getaffinity(0)), len(stripes))
+    benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
+    for _ in range(threads):
+        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search.window, frames.images.dtype))
+
+    def one(rows: slice) -> None:
+        bench = benches.get()
+        search_part(frames, rows, slice(0, frames.shape[1]), search, bench, peaks.rows(rows))
+        benches.put(bench)
+
+    for done, _ in enumerate(_each(one, stripes, threads), 1):
+        if progress is not None:
+            progress(done / len(stripes))
+    return peaks
+
+
+def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench, out: Peaks) -> None:
+    """The peaks of the pixels [rows, cols] of a field, into `out`."""
+    bench = bench.cut(rows.stop - rows.start, margin_px(search.window))
+    read_block(frames, rows, cols, margin_px(search.window), bench.block)
+    search_block(frames.z_um, frames.clipped_counts, search, bench, out)
+
+
+def search_block(z_um: NDArray[np.float64], clipped_counts: int, search: Search, bench: Bench, out: Peaks) -> None:
+    """The peaks of the block on a bench, into `out`."""
+    measure, estimator = FOCUS_MEASURES[search.measure].code, PEAKS[search.estimator].code
+    levels, best, peak, window = bench.levels, bench.best, bench.peak, search.window
+    focus_block(bench.block, measure, window, clipped_counts, bench.rows, levels, best, peak, out.clipped)
+    rivals(levels, peak, search.gap, bench.rival, bench.least)
+    bits = mantissa_bits(bench.block.dtype)
+    describe(
+        levels, peak, bench.rival, bench.least, bench.block, margin_px(window), z_um, search.gap, estimator,
+        bits, bench.table, out.z_um, out.lead, out.fall, out.contrast, out.all_in_focus,
+    )  # fmt: skip
+    out.at_end[:] = (peak == 0) | (peak == len(z_um) - 1)
+
+
+def _stripes(n_rows: int) -> Iterator[slice]:
+    for start in range(0, n_rows, STRIPE_ROWS):
+        yield slice(start, min(n_rows, start + STRIPE_ROWS))
+
+
+def _each(work: Callable[[slice], None], stripes: list[slice], threads: int) -> Iterator[None]:
+    """Do the stripes one after the other, or on a pool of threads: the kernels run without the interpreter's lock."""
+    if threads == 1:
+        yield from map(work, stripes)
+        return
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from pool.map(work, stripes)
+    finally:
+        pool.shutdown(cancel_futures=True)
