@@ -74,9 +74,10 @@ class _Scan:
     def run(self) -> ScanOutcome:
         """Prepare, take all legs, repair, report."""
         switched_on_s = self._rig.clock.now_s()
-        self._rig.prepare(self._plan, self._control.should_stop)
+        legs = self._legs_with(lambda shot: shot not in self._skip)
+        self._rig.prepare(replace(self._plan, legs=tuple(leg for _, leg in legs)), self._control.should_stop)
         started_s = self._rig.clock.now_s()
-        self._take_all()
+        self._take_all(legs)
         self._repair()
         self._report()
         return ScanOutcome(
@@ -88,8 +89,7 @@ class _Scan:
             prepared_s=started_s - switched_on_s,
         )
 
-    def _take_all(self) -> None:
-        legs = self._legs_with(lambda shot: shot not in self._skip)
+    def _take_all(self, legs: list[tuple[int, Leg]]) -> None:
         if legs and not self._interrupted():
             self._offset_us = clock_offset_us(self._rig, self._plan.exposures_us[0])
             self._take(legs)

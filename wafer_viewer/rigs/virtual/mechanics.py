@@ -110,12 +110,17 @@ class VirtualStage:
 
     def truth_at(self, time_s: float) -> Position:
         """Where the sample really is under the objective at a time."""
-        at = self.scales_at(time_s)
+        at = self.truth_of(self.scales_at(time_s))
         ring_x, ring_y, ring_z = (axis.ring_um(time_s) for axis in self.axes.values())
+        return Position(at.x_um + ring_x, at.y_um + ring_y, at.z_um + ring_z)
+
+    def truth_of(self, scales: Position) -> Position:
+        """Where a stage really is that has settled at, or passes, what its scales read."""
+        x_um, y_um = scales.x_um, scales.y_um
         return Position(
-            at.x_um + self._error_x.at(at.x_um, at.y_um) + ring_x,
-            at.y_um + self._error_y.at(at.x_um, at.y_um) + ring_y,
-            at.z_um + self._error_z.at(at.z_um) + ring_z,
+            x_um + self._error_x.at(x_um, y_um),
+            y_um + self._error_y.at(x_um, y_um),
+            scales.z_um + self._error_z.at(scales.z_um),
         )
 
     def move_to(self, *, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> None:

@@ -26,7 +26,7 @@ PIXEL_UM, U_PIXEL_UM = 0.46729, 0.00005
 U_Z_SCALE = 2e-4
 NUMERICAL_APERTURE, WAVELENGTH_UM = 0.28, 0.55
 SETUP = OpticalSetup(objective="10x/0.28 (simulated)", camera="virtual")
-OVERVIEW_PX = 1400
+OVERVIEW_PX = 1000
 
 LATERAL = AxisLimits(
     low_um=-155_000.0,
@@ -99,6 +99,7 @@ class VirtualRig:
     ) -> None:
         self._name = name
         self._scene = scene
+        self._seed = seed
         self._real_time = real_time
         self._limits = limits or virtual_limits(*SIZES[size])
         self._faults = faults or Faults()
@@ -162,6 +163,19 @@ class VirtualRig:
 
     def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
         """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
+        if not self._real_time:
+            return
+        from wafer_viewer.rigs.virtual.rehearsal import Rehearsal, rehearse
+
+        here = self._stage.position()
+        order = Rehearsal(
+            scene=self._scene,
+            seed=self._seed,
+            limits=self._limits,
+            plan=plan,
+            here_um=(here.x_um, here.y_um, here.z_um),
+        )
+        self._camera.renderer = rehearse(order, self._renderer, should_stop) or self._renderer
 
     def close(self) -> None:
         """Stop motion, disarm the box, let the ports go."""

@@ -1,0 +1,154 @@
+"""Frames for a scan in real time, rendered beforehand in a process of their own and replayed by place.
+
+A full frame takes longer to render than a camera takes to give one. Where the stage will truly be at every pulse is
+known from the plan, so the frames can wait on disk until the scan comes by.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.devices import Position
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import Leg, ScanPlan
+from wafer_viewer.model.spec import Spec, decode, encode
+from wafer_viewer.model.stack import Image
+from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer
+from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+
+NEAR_UM = 0.02
+"""A frame stands for a place that is nearer than this: the stage's repeatability is a few nm."""
+LOOK_S = 0.05
+ORDER, FRAMES = "rehearsal.json", "frames.raw"
+
+
+class Rehearsal(Spec, frozen=True, kw_only=True):
+    """What is to be rendered: a plan on a virtual rig, and a frame where the stage stands now, for the test pulse."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    scene: str
+    seed: int
+    limits: RigLimits
+    plan: ScanPlan
+    here_um: tuple[float, ...]
+
+    @property
+    def dtype(self) -> type[np.unsignedinteger]:
+        """Of the frames' pixels."""
+        return np.uint8 if self.limits.camera.bits == 8 else np.uint16
+
+    def views(self) -> NDArray[np.float64]:
+        """Every place at which a frame will be taken: true x, y, z in um and the exposure in us, [frame, 4]."""
+        stage = VirtualStage(VirtualClock(), self.limits, self.seed)
+        exposures_us = self.plan.exposures_us
+        places = [(Position(*self.here_um), exposures_us[0])]
+        for leg in self.plan.legs:
+            exposure_us = exposures_us[leg.shots[0].exposure]
+            places += [(at, exposure_us) for at in scales_at_exposure(leg, self.limits, exposure_us)]
+        truths = [(stage.truth_of(at), exposure_us) for at, exposure_us in places]
+        return np.array([(at.x_um, at.y_um, at.z_um, exposure_us) for at, exposure_us in truths])
+
+
+class Replay:
+    """Fulfils the role Renderer: frames rendered beforehand where there are, else those of the live renderer."""
+
+    def __init__(self, views: NDArray[np.float64], frames: Image, live: Renderer) -> None:
+        self._views = views
+        self._frames = frames
+        self.live = live
+
+    def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
+        """The picture with the stage truly at (x, y, z)."""
+        away = np.abs(self._views - (x_um, y_um, z_um, exposure_us)).max(axis=1)
+        nearest = int(away.argmin())
+        if away[nearest] > NEAR_UM:
+            return self.live.frame(x_um, y_um, z_um, exposure_us, seed)
+        return np.array(self._frames[nearest])
+
+
+def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Iterator[Position]:
+    """What the scales read at every mid-exposure of a leg."""
+    train, axis = leg.train, limits.axis(leg.train.axis)
+    moved_um = train.direction * leg.speed_um_s * (TRIGGER_DELAY_US + exposure_us / 2) * 1e-6
+    at = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um}
+    for i in range(train.n_frames):
+        count = train.first_count + train.direction * train.counts_per_frame * i
+        at[train.axis] = axis.position_um(count) + moved_um
+        yield Position(at["x"], at["y"], at["z"])
+
+
+def rehearse(order: Rehearsal, live: Renderer, should_stop: Callable[[], bool]) -> Replay | None:
+    """Render all frames in a process of their own and wait for it; None when stopped meanwhile.
+
+    Raises RigError when the disk is too small or the process fails.
+    """
+    views = order.views()
+    with tempfile.TemporaryDirectory(prefix="wafer-viewer-", ignore_cleanup_errors=True) as folder:
+        frames = _frames_file(Path(folder), order, len(views), "w+")
+        (Path(folder) / ORDER).write_text(encode(order, "json"))
+        rendered = _wait_for(_started(folder), should_stop)
+    # The mapping keeps the frames alive after their folder is gone: no crash leaves them behind.
+    return Replay(views, frames, live) if rendered else None
+
+
+def main(folder: Path) -> None:
+    """The process that renders: reads its order from a folder, and ends early when its parent is gone."""
+    from wafer_viewer.rigs.virtual.rig import scene_renderer
+
+    order, parent = decode((folder / ORDER).read_bytes(), Rehearsal, ORDER, "json"), os.getppid()
+    views = order.views()
+    frames = _frames_file(folder, order, len(views), "r+")
+    renderer = scene_renderer(order.scene, order.limits)
+    for i, (x_um, y_um, z_um, exposure_us) in enumerate(views.tolist()):
+        if os.getppid() != parent:
+            return
+        frames[i] = renderer.frame(x_um, y_um, z_um, exposure_us, order.seed * 1_000_003 + i)
+
+
+def _frames_file(folder: Path, order: Rehearsal, n_frames: int, mode: Literal["w+", "r+"]) -> Image:
+    camera, dtype = order.limits.camera, order.dtype
+    needed, free = n_frames * camera.rows * camera.cols * np.dtype(dtype).itemsize, shutil.disk_usage(folder).free
+    if mode == "w+" and needed > free:
+        raise RigError(
+            f"The frames of this scan need {needed / 1e9:.1f} GB beforehand and {folder.parent} has {free / 1e9:.1f} "
+            "GB free: take fewer fields, or let the virtual rig run without real time."
+        )
+    return np.memmap(folder / FRAMES, dtype, mode, shape=(n_frames, camera.rows, camera.cols))
+
+
+def _started(folder: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "wafer_viewer.rigs.virtual.rehearsal", folder]
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def _wait_for(process: subprocess.Popen[bytes], should_stop: Callable[[], bool]) -> bool:
+    """Whether the process ended well; False when it was stopped."""
+    with process:
+        while True:
+            try:
+                _, said = process.communicate(timeout=LOOK_S)
+                break
+            except subprocess.TimeoutExpired:
+                if should_stop():
+                    process.terminate()
+                    return False
+    if process.returncode != 0:
+        last = (said.decode(errors="replace").strip().splitlines() or ["no reason given"])[-1]
+        raise RigError(f"Rendering the frames beforehand failed ({last}): let the virtual rig run without real time.")
+    return True
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
