@@ -33,7 +33,7 @@ class Sheets(NamedTuple):
 
     def light_b(self) -> Plane:
         """Light that sheet B gives, where A leaves it free."""
-        return self.radiance_b - self.radiance_b * self.cover
+        return self.radiance_b - np.multiply(self.radiance_b, self.cover)
 
     def radiance(self) -> Plane:
         """The picture when everything is in focus."""
