@@ -21,7 +21,7 @@ Image = NDArray[np.uint8] | NDArray[np.uint16]
 NOISE_SIGMA = 32  # counts of one standard deviation in the table of noise
 NOISE_LENGTH = 1 << 20
 VIGNETTE, PIXEL_SPREAD = 0.09, 0.004
-REUSE_WITHIN_UM = 0.1  # a fifth of a pixel: several times the scatter of a stage that stands still
+REUSE_WITHIN_UM = 0.05  # a tenth of a pixel: more than the scatter of a stage that stands still
 HEADROOM_UM = 25.0  # prepared beyond the z asked for: a slow search for focus need not prepare at every step
 
 
@@ -112,7 +112,7 @@ class FrameRenderer:
     """What the camera sees at any place of the stage.
 
     Preparing a field takes ten to thirty times as long as a frame, so the last `keep` fields stay prepared, and a
-    frame within 0.1 um of one of them (a fifth of a pixel) is taken from it: the scatter of a stage that stands still
+    frame within 0.05 um of one of them (a tenth of a pixel) is taken from it: the scatter of a stage that stands still
     in x and y during a z pass costs nothing, and is not seen in the frames.
     """
 

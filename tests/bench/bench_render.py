@@ -1,0 +1,64 @@
+"""How fast the virtual microscope renders: run with --quick for the small camera only.
+
+    python tests/bench/bench_render.py [--quick]
+
+For every scene and camera size: preparing a field, one frame averaged over the scene's tour, one exposure, one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scene import SCENES, Scene
+from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor, tour_range
+
+T = TypeVar("T")
+SMALL, FULL = (540, 720), (1080, 1440)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How fast the virtual microscope renders.")
+    parser.add_argument("--quick", action="store_true", help="the small camera only, under a minute")
+    quick = parser.parse_args().quick
+    compile_s = seconds(lambda: FrameRenderer(SCENES["wafer"], Optics(), Sensor(16, 16)).frame(0, 0, 0, 100, 0))
+    print(f"first frame, compiled or loaded: {compile_s:.1f} s")
+    for size in (SMALL,) if quick else (SMALL, FULL):
+        for scene in SCENES.values():
+            print(report(scene, *size, frames=6 if quick else 20), flush=True)
+
+
+def report(scene: Scene, rows: int, cols: int, frames: int) -> str:
+    sensor = Sensor(rows, cols)
+    sensor.expose(np.zeros((rows, cols), np.float32), 1.0, 0)
+    FieldPicture(scene, Optics(), 0, 0, 16, 16, tour_range(scene)).radiance(0)
+    x, y = scene.tour_center_um
+    prepare_s, field = timed(lambda: FieldPicture(scene, Optics(), x, y, rows, cols, tour_range(scene)))
+    end_um = scene.tour_z_start_um + scene.tour_z_step_um * (scene.tour_frames - 1)
+    z_um = np.linspace(scene.tour_z_start_um, end_um, frames)
+    frame_s, radiance = timed(lambda: [field.radiance(z) for z in z_um])
+    expose_s = seconds(lambda: [sensor.expose(light, scene.gain, 0) for light in radiance])
+    ms = 1000 / frames
+    return (
+        f"{scene.name:13s} {rows} x {cols}: field {prepare_s:.2f} s, frame {frame_s * ms:.1f} ms, "
+        f"exposure {expose_s * ms:.1f} ms"
+    )
+
+
+def timed(work: Callable[[], T]) -> tuple[float, T]:
+    begin = time.process_time()
+    result = work()
+    return time.process_time() - begin, result
+
+
+def seconds(work: Callable[[], object]) -> float:
+    return timed(work)[0]
+
+
+if __name__ == "__main__":
+    main()
