@@ -1,4 +1,4 @@
-"""The virtual microscope blurs as the law says, focuses where the surface is, and its sensor is as noisy as a real one."""
+"""The virtual microscope blurs by its law and focuses where the surface is; its sensor is as noisy as it should be."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ FAR = st.floats(-3000, 3000)
 
 
 def test_a_scene_that_is_not_there_is_refused_with_the_choices():
-    with pytest.raises(RigError, match="'moon'.*wafer, gauge_blocks, stair, cone, plane"):
+    with pytest.raises(RigError, match=r"'moon'.*wafer, gauge_blocks, stair, cone, plane"):
         scene("moon")
 
 
