@@ -50,7 +50,8 @@ def whole_counts(sweep: FocusSweep, limits: RigLimits) -> FocusSweep:
     step_um = counts * count_um
     if abs(step_um - sweep.z_step_um) <= STEP_TOLERANCE * sweep.z_step_um:
         return replace(sweep, z_step_um=round(step_um, 9))
-    nearest = " or ".join(f"{n * count_um:g} um" for n in sorted({max(1, counts), counts + 1}))
+    below = int(sweep.z_step_um / count_um)
+    nearest = " or ".join(f"{n * count_um:g} um" for n in sorted({max(1, below), below + 1}))
     raise PlanError(
         f"The z step of {sweep.z_step_um:g} um is {sweep.z_step_um / count_um:.2f} counts of the z scale and may be at "
         f"most {STEP_TOLERANCE:.0%} off whole counts: choose {nearest}."

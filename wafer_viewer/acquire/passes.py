@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import Literal
 
 from wafer_viewer.model.limits import RigLimits
@@ -189,13 +189,14 @@ def _pitch_counts(task: Task, fields: list[Field], line: Line) -> int:
 
 
 def _uneven_pitch(task: Task, fields: list[Field], line: Line) -> str | None:
-    pitch_um = task.limits.axis(line).position_um(_pitch_counts(task, fields, line))
-    at_um = [getattr(f, f"{line}_um") for f in fields]
-    for i, (a, b) in enumerate(pairwise(fields), start=1):
-        if abs(at_um[i] - at_um[0] - i * pitch_um) > task.limits.pixel_um:
+    pitch_um, limit_um = task.limits.axis(line).position_um(_pitch_counts(task, fields, line)), task.limits.pixel_um
+    start_um = getattr(fields[0], f"{line}_um")
+    for i, field in enumerate(fields):
+        off_um = getattr(field, f"{line}_um") - start_um - i * pitch_um
+        if abs(off_um) > limit_um:
             return (
-                f"fields {a.number} and {b.number} are {at_um[i] - at_um[i - 1]:.2f} um apart along {line} in a line "
-                f"of pitch {pitch_um:.2f} um, and a line pass needs one pitch to within a pixel."
+                f"field {field.number} would be taken {off_um:.2f} um off its place by a line pass of one pitch, "
+                f"{pitch_um:g} um, and it may be off by a pixel, {limit_um:g} um."
             )
     return None
 

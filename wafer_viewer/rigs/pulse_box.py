@@ -118,6 +118,8 @@ class PulseBoxClient:
                 f"The pulse box was started anew during its work (boot {boot}, before {was}): this pass is lost; "
                 "check its power and continue the scan."
             )
+        if answer.verb != "OK":
+            raise RigError(f"The pulse box refused {verb}: {_why(answer)}.")
         return answer
 
     def _take_events(self) -> None:
@@ -127,8 +129,7 @@ class PulseBoxClient:
                 self._records[pulse.number] = pulse
             elif event.verb == "F":
                 self._armed = False
-                why = event.values.get("WHY", "no reason given").replace("_", " ")
-                raise RigError(f"The pulse box disarmed itself: {why}; continue the scan when that is mended.")
+                raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is mended.")
 
     def _fetch(self, emitted: int) -> None:
         """Ask again for the records that got lost on the wire."""
@@ -139,6 +140,10 @@ class PulseBoxClient:
             self._ask("DUMP", FROM=lost[0], TO=lost[-1])
             self._take_events()
         raise WireError(f"The pulse box's records up to {emitted} did not come in {DUMP_TRIES} tries: check its cable.")
+
+
+def _why(line: Line) -> str:
+    return line.values.get("WHY", "no reason given").replace("_", " ")
 
 
 def _pulse(event: Line) -> Pulse:

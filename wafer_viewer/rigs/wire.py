@@ -101,10 +101,10 @@ class WireClient:
         self.retries = 0
 
     def ask(self, verb: str, **values: int | str) -> Line:
-        """Send a command and return its answer.
+        """Send a command and return its answer, be it OK or NO.
 
         What came before is read first, so that a late answer to an earlier command is not taken for a reason to send
-        again. Raises RigError when the box refuses, RigTimeout when it stays silent.
+        again. Raises RigTimeout when the box stays silent.
         """
         self._sort(self._read_waiting())
         self._sequence = (self._sequence + 1) % SEQUENCES
@@ -114,7 +114,7 @@ class WireClient:
             self._write(raw)
             answer = self._answer()
             if answer is not None:
-                return _accepted(verb, answer)
+                return answer
         raise RigTimeout(
             f"The pulse box did not answer {verb} within {TRIES} tries of {ANSWER_S * 1000:g} ms: check its cable."
         )
@@ -166,11 +166,3 @@ class WireClient:
             self._port.write(data)
         except OSError as fault:
             raise RigError(f"The pulse box's port cannot be written to ({fault}): check its cable.") from fault
-
-
-def _accepted(verb: str, answer: Line) -> Line:
-    if answer.verb != "OK":
-        raise RigError(
-            f"The pulse box refused {verb}: {answer.values.get('WHY', 'no reason given').replace('_', ' ')}."
-        )
-    return answer

@@ -45,6 +45,8 @@ class VirtualPulseBox:
     def reboot(self) -> None:
         """Lose power and come back."""
         self._unwatch()
+        if self._heart is not None:
+            self._heart.cancel()
         self._boot += 1
         self._power_up()
 
