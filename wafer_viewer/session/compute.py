@@ -1,0 +1,46 @@
+"""The viewer's end of compute: it starts the host at need and hands it tasks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from multiprocessing.connection import Connection
+from typing import Any
+
+from wafer_viewer.session.link import Link
+from wafer_viewer.session.messages import Cancel, Run
+
+
+class Compute:
+    """Tasks run in worker processes elsewhere; nothing heavy is imported here. Use it from one thread."""
+
+    def __init__(
+        self, scheduler: str | None, on_event: Callable[[Any], None], on_gone: Callable[[int | None], None]
+    ) -> None:
+        self._scheduler, self._on_event, self._on_gone = scheduler, on_event, on_gone
+        self._link: Link | None = None
+
+    def start(self) -> Link:
+        """The link to a living host."""
+        if self._link is None or not self._link.alive:
+            self._link = Link(_host, (self._scheduler,), self._on_event, self._on_gone)
+        return self._link
+
+    def run(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:
+        """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors come out of the future."""
+        return self.start().ask(Run(work, task, args))
+
+    def cancel(self, work: str) -> None:
+        """Tell the tasks of a work to stop."""
+        self.start().ask(Cancel(work))
+
+    def close(self) -> None:
+        """End the host and its workers."""
+        if self._link is not None:
+            self._link.close()
+
+
+def _host(pipe: Connection, scheduler: str | None) -> None:
+    from wafer_viewer.session.compute_host import run_compute
+
+    run_compute(pipe, scheduler)

@@ -1,0 +1,190 @@
+"""What follows from what: the parts of the session, and the verbs that need several of them."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.plan import MIN_FRAMES
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.drafting import Drafting, suggested_name
+from wafer_viewer.session.file_work import FileWork
+from wafer_viewer.session.instrument import Instrument, Reports
+from wafer_viewer.session.library import ENDING, Library, free_name
+from wafer_viewer.session.messages import RigReady, Scan, ScanEnded, Taken
+from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.reconstruction import Reconstruction
+from wafer_viewer.session.record_book import RecordBook
+from wafer_viewer.session.state import FieldState, RigStatus, Snapshot
+
+
+class Conductor:
+    """Everything here but the constructor and `close` happens on the session's thread."""
+
+    def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
+        self._folder = _made(folder)
+        status = RigStatus(name=config.name, simulated=config.kind == "virtual")
+        self.desk = desk = Desk(Snapshot(rig=status, data_folder=self._folder))
+        self.notices = Notices(desk)
+        self.drafting = Drafting(desk, self._folder)
+        self.library = Library(desk, self._folder)
+        self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
+        self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
+        self.book = RecordBook(desk, self.library)
+        reports = Reports(self._rig_ready, self._taken, self._field_complete, self._scan_ended)
+        self.rig = Instrument(desk, self.notices, config, reports)
+        self._scan_over: Future[None] = Future()
+
+    def start(self) -> None:
+        """Bring up the rig and the workers, and look at what there is."""
+        self.rig.start()
+        self.reconstruction.compute.start()
+        self.drafting.price()
+        self.library.refresh()
+
+    def close(self) -> None:
+        """Put the rig at rest and end all processes."""
+        self.desk.close()
+        self.rig.close()
+        self.reconstruction.compute.close()
+        self.library.let_go()
+
+    def open(self, path: Path) -> Path:
+        """Open a dataset; what it lacks of its surface is made."""
+        self.rig.require_idle("open another dataset")
+        self.reconstruction.abandon()
+        self.library.open(path)
+        self.book.open()
+        self._make_what_is_missing()
+        self.library.refresh()
+        return path
+
+    def close_dataset(self) -> None:
+        """Close the dataset."""
+        self.rig.require_idle("close its dataset")
+        self.reconstruction.abandon()
+        self.library.close()
+        self.book.open()
+
+    def start_scan(self, name: str | None) -> Future[Path]:
+        """Take the plan into a new dataset."""
+        from wafer_viewer.store.files import require_space
+
+        self.rig.require_idle("start another")
+        job, plan = self.drafting.ready()
+        path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
+        require_space(self._folder, plan.bytes_on_disk, path.stem)
+        self._before_scan()
+        return self.desk.then(self.rig.scan(Scan(path, plan, job)), lambda _: self._scan_begun(path))
+
+    def continue_scan(self) -> Future[Path]:
+        """Take the frames that the open dataset lacks."""
+        self.rig.require_idle("start another")
+        shown = self.library.shown
+        if shown.read_only is not None:
+            raise DatasetError(f"The scan cannot go on: {shown.read_only}")
+        if not self.library.dataset.missing():
+            raise DatasetError(f"{shown.name} has all its frames: there is nothing to go on with.")
+        self._before_scan()
+        self.library.let_go()
+        goes_on = self.rig.scan(Scan(shown.path, shown.plan, shown.job, goes_on=True))
+        goes_on.add_done_callback(lambda done: self.desk.note(self._hold_again, done))
+        return self.desk.then(goes_on, lambda _: self._scan_begun(shown.path))
+
+    def stop_scan(self) -> Future[None]:
+        """End the scan; done when it is over."""
+        self.rig.stop()
+        return self._scan_over
+
+    def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
+        """Make all heights of the open dataset again."""
+        shown = self.library.shown
+        if shown.read_only is not None:
+            raise DatasetError(f"Nothing can be reconstructed: {shown.read_only}")
+        fields = [n for n, state in shown.states.items() if self._has_stack(n, state)]
+        if not fields:
+            raise DatasetError(f"{shown.name} has no field with all its frames yet: scan first.")
+        self.reconstruction.abandon()
+        self.library.show_result(result)
+        self.book.open()
+        answer: Future[None] = Future()
+        self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
+        return answer
+
+    def _path_for(self, name: str) -> Path:
+        path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
+        if path.exists():
+            raise DatasetError(f"There is a dataset {path.name} already: choose another name, or go on with its scan.")
+        return path
+
+    def _before_scan(self) -> None:
+        self.reconstruction.abandon()
+        self._scan_over = Future()
+
+    def _scan_begun(self, path: Path) -> Path:
+        """The rig's process holds the dataset and takes frames: open it beside, and wait for fields."""
+        self.library.open(path, taking=True)
+        self.book.open()
+        shown = self.library.shown
+        taken = [n for n, state in shown.states.items() if state is FieldState.TAKEN]
+        self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
+        self.library.refresh()
+        return path
+
+    def _hold_again(self, begun: Future[None]) -> None:
+        if begun.exception() is not None:
+            self.library.hold()
+
+    def _rig_ready(self, event: RigReady) -> None:
+        self.drafting.tour = event.tour
+        self.drafting.price()
+
+    def _taken(self, event: Taken) -> None:
+        if not event.progress.finished:
+            self.library.taking(event.progress.field.number)
+
+    def _field_complete(self, number: int) -> None:
+        self.library.set_state(number, FieldState.TAKEN)
+        self.reconstruction.add([number])
+
+    def _scan_ended(self, event: ScanEnded | None) -> None:
+        """Also when the rig's process died: what is on disk counts."""
+        self.library.scan_ended()
+        if (scan := self.desk.snapshot.scan) is not None:
+            self.desk.change(scan=replace(scan, finished=True, seconds_left=0.0))
+        if event is not None and not event.stopped:
+            self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
+        self.reconstruction.go_on()
+        self.drafting.price()
+        self._scan_over.set_result(None)
+
+    def _make_what_is_missing(self) -> None:
+        """Fields without heights, a surface not stitched, numbers not known: as far as the dataset may be written."""
+        shown, result = self.library.shown, self.library.result
+        taken = [n for n, s in shown.states.items() if s is FieldState.TAKEN]
+        if shown.read_only is None and (taken or (shown.stamps and not result.has_mosaic)):
+            recipe = result.recipe() if shown.stamps else shown.job.recipe
+            self.reconstruction.begin(recipe, result.name, taken, restitch=True)
+        elif result.has_mosaic and self.desk.snapshot.surface is None:
+            self.reconstruction.describe()
+
+    def _has_stack(self, number: int, state: FieldState) -> bool:
+        if state not in (FieldState.TO_COME, FieldState.TAKING, FieldState.TO_REPEAT):
+            return True
+        return sum(shot.field == number for shot in self.library.dataset.kept()) >= MIN_FRAMES
+
+
+def _made(folder: Path) -> Path:
+    """The data folder, made at need."""
+    from wafer_viewer.store.files import writing
+
+    if folder.exists() and not folder.is_dir():
+        raise DatasetError(f"{folder} is a file: choose a folder for the datasets.")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder.absolute()

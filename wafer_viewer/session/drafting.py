@@ -1,0 +1,187 @@
+"""The plan being edited: priced at every change, with undo."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.history import History
+from wafer_viewer.session.state import Draft
+
+PLAN_ENDING = ".toml"
+RIG_STARTS = "The rig is starting: the plan is priced as soon as the rig answers."
+NO_JOB = "There is no plan yet: lay a field grid over the sample first."
+
+
+class Drafting:
+    """The draft of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, folder: Path) -> None:
+        self._desk, self._folder = desk, folder
+        self._jobs: History[Job | None] = History(None)
+        self.tour: Job | None = None
+
+    def edit(self, job: Job | None) -> None:
+        """Another job; None clears it."""
+        self._jobs.put(job)
+        self.price()
+
+    def undo(self) -> None:
+        """Back to the job before."""
+        self._jobs.undo()
+        self.price()
+
+    def redo(self) -> None:
+        """Forth again."""
+        self._jobs.redo()
+        self.price()
+
+    def price(self) -> None:
+        """Plan the job anew: after an edit, and when the rig answers."""
+        job, limits = self._jobs.value, self._desk.snapshot.rig.limits
+        plan, problem = _plan(job, limits)
+        self._desk.change(
+            draft=Draft(job, plan, problem, self._jobs.can_undo, self._jobs.can_redo, free_bytes(self._folder))
+        )
+
+    def cover_sample(self) -> None:
+        """As many fields as cover the sample, round its middle."""
+        job = self._job()
+        x_um, y_um, width_um, height_um = _extent(job, self._desk.snapshot.overview)
+        grid = self._grid(job)
+        covering = FieldGrid.covering(
+            width_um,
+            height_um,
+            field_width_um=grid.field_width_um,
+            field_height_um=grid.field_height_um,
+            overlap_x_fraction=grid.overlap_x_fraction,
+            overlap_y_fraction=grid.overlap_y_fraction,
+            center_x_um=x_um,
+            center_y_um=y_um,
+        )
+        self.edit(replace(job, grid=covering, fields=()))
+
+    def centre_on_stage(self) -> None:
+        """The grid round where the stage stands."""
+        job, rig = self._job(), self._desk.snapshot.rig
+        self.edit(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
+
+    def take_tour(self) -> None:
+        """The job that the virtual rig brings along."""
+        if self.tour is None:
+            raise PlanError(
+                "The tour needs a virtual rig that answers: wait until it has started, or serve without --rig."
+            )
+        self.edit(self.tour)
+
+    def load(self, path: Path) -> None:
+        """Read a job from PLAN.toml."""
+        self.edit(read_job(path))
+
+    def save(self, path: Path | None) -> Path:
+        """Write the job to PLAN.toml: beside the datasets when no path is given."""
+        from wafer_viewer.store.files import write_text
+
+        job = self._job()
+        target = path or self._folder / f"{suggested_name(job)}{PLAN_ENDING}"
+        write_text(target, encode(job))
+        return target
+
+    def ready(self) -> tuple[Job, ScanPlan]:
+        """The job and its plan. Raises PlanError with the reason when there is none to scan."""
+        draft = self._desk.snapshot.draft
+        if draft.job is None or draft.plan is None:
+            raise PlanError(draft.problem or NO_JOB)
+        return draft.job, draft.plan
+
+    def _job(self) -> Job:
+        limits = self._desk.snapshot.rig.limits
+        if self._jobs.value is not None:
+            return self._jobs.value
+        if limits is None:
+            raise PlanError(RIG_STARTS)
+        return first_job(limits)
+
+    def _grid(self, job: Job) -> FieldGrid:
+        if job.grid is not None:
+            return job.grid
+        limits = self._desk.snapshot.rig.limits
+        if limits is None:
+            raise PlanError(RIG_STARTS)
+        return one_field(limits)
+
+
+def first_job(limits: RigLimits) -> Job:
+    """One field and a sweep of steps of half the depth of field: what a plan begins with."""
+    step_um = max(0.1, round(limits.depth_of_field_um / 2, 1))
+    return Job(grid=one_field(limits), sweep=FocusSweep(z_step_um=step_um, n_frames=40))
+
+
+def one_field(limits: RigLimits) -> FieldGrid:
+    """A grid of one field at the stage's origin."""
+    return FieldGrid(rows=1, cols=1, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um)
+
+
+def read_job(path: Path) -> Job:
+    """The job in a PLAN.toml. Raises PlanError when it cannot be read or says something that cannot be."""
+    try:
+        text = path.read_bytes()
+    except OSError as fault:
+        raise PlanError(f"{path} cannot be read: {(fault.strerror or str(fault)).lower()}: check the path.") from fault
+    return decode(text, Job, path.name)
+
+
+def suggested_name(job: Job) -> str:
+    """A file's name from the names of the sample."""
+    words = [w for w in (job.sample.lot, job.sample.wafer_id or job.sample.name, job.product) if w][:2]
+    plain = "-".join("".join(c if c.isalnum() or c in "._" else "-" for c in w).strip("-.") for w in words)
+    return plain or "scan"
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Free space of a folder's disk; None when it cannot be asked."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, str | None]:
+    """The plan of a job, or why there is none."""
+    if job is None:
+        return None, None
+    if limits is None:
+        return None, RIG_STARTS
+    from wafer_viewer.acquire.planner import plan_scan
+
+    try:
+        return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy), None
+    except WaferViewerError as fault:
+        return None, str(fault)
+
+
+def _extent(job: Job, overview: Overview | None) -> tuple[float, float, float, float]:
+    """(x, y) of the middle, width and height of the sample in um."""
+    outline = overview.outline_um if overview is not None else ()
+    sample = job.sample
+    if sample.width_um > 0 and sample.height_um > 0:
+        x_um, y_um = job.grid.center_um if job.grid is not None and not outline else _middle(outline)
+        return x_um, y_um, sample.width_um, sample.height_um
+    if not outline:
+        raise PlanError("The sample has no size: give its width and height, then cover it.")
+    xs, ys = [x for x, _ in outline], [y for _, y in outline]
+    return *_middle(outline), max(xs) - min(xs), max(ys) - min(ys)
+
+
+def _middle(outline: tuple[tuple[float, float], ...]) -> tuple[float, float]:
+    if not outline:
+        return 0.0, 0.0
+    xs, ys = [x for x, _ in outline], [y for _, y in outline]
+    return math.fsum((min(xs), max(xs))) / 2, math.fsum((min(ys), max(ys))) / 2

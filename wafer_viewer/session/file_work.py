@@ -1,0 +1,41 @@
+"""Images in and surfaces out: background work with progress, done by the workers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.session.compute import Compute
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.library import ENDING, Library, free_name
+from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.tasks import export_surface, import_images
+
+
+class FileWork:
+    """On the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
+        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+
+    def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:
+        """Make a dataset of images; done with its path."""
+        folder = self._desk.snapshot.data_folder
+        out = folder / f"{name or free_name(folder, srcs[0].stem if srcs else 'import')}{ENDING}"
+        return self._work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
+
+    def export_surface(self, path: Path, field_number: int | None) -> Future[Path]:
+        """Write the mosaic, or a field's surface, to a file; done with its path."""
+        dataset = self._library.dataset
+        args = (dataset.path, self._library.result_name, field_number, path.absolute())
+        return self._work(f"Export to {path.name}", export_surface, *args)
+
+    def _work(self, title: str, task: Callable[..., Path], *args: Any) -> Future[Path]:
+        """Run a task under a work of its own, which a person can cancel."""
+        work = ""
+        work = self._notices.begin(title, lambda: self._compute.cancel(work))
+        done = self._compute.run(work, task, *args)
+        done.add_done_callback(lambda _: self._desk.note(self._notices.end, work))
+        return done

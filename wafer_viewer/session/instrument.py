@@ -1,0 +1,182 @@
+"""The viewer's end of the rig: asks its process to move and scan, and keeps the snapshot true to what it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+from wafer_viewer.model.errors import RigError
+from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.link import Link
+from wafer_viewer.session.messages import (
+    At,
+    FieldComplete,
+    Move,
+    Pause,
+    Paused,
+    Resume,
+    RigAbsent,
+    RigReady,
+    Scan,
+    ScanEnded,
+    ScanFault,
+    Stop,
+    Taken,
+)
+from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.state import LatestFrame, RigStatus
+
+
+@dataclass(frozen=True, slots=True)
+class Reports:
+    """Who wants to know of what the rig did; called on the session's thread."""
+
+    ready: Callable[[RigReady], None]
+    taken: Callable[[Taken], None]
+    field_complete: Callable[[int], None]
+    scan_ended: Callable[[ScanEnded | None], None]
+    """With None when the rig's process died during a scan."""
+
+
+class Instrument:
+    """The rig of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, config: RigConfig, reports: Reports) -> None:
+        self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
+        self._link: Link | None = None
+        self.latest_frame: LatestFrame | None = None
+        self._on = {
+            RigReady: self._ready,
+            RigAbsent: self._absent,
+            At: self._at,
+            Paused: self._paused,
+            Taken: self._taken,
+            FieldComplete: lambda event: reports.field_complete(event.number),
+            ScanFault: self._scan_fault,
+            ScanEnded: self._scan_ended,
+        }
+
+    def start(self) -> Link:
+        """The link to a living process; a rig that failed is started anew when it is asked for something."""
+        if self._link is None or not self._link.alive:
+            self._show(state="starting", message="")
+            self._link = Link(_own_rig, (self._config,), self._heard, self._gone)
+        return self._link
+
+    def move_to(self, move: Move) -> Future[None]:
+        """Move the stage; done on arrival."""
+        self.require_idle("move the stage")
+        link = self.start()
+        if self._desk.snapshot.rig.state == "ready":
+            self._show(state="moving")
+        return link.ask(move)
+
+    def scan(self, scan: Scan) -> Future[None]:
+        """Begin a scan; done once it has begun."""
+        link = self.start()
+        self._show(state="scanning", message="")
+        begun = link.ask(scan)
+        begun.add_done_callback(lambda done: self._desk.note(self._begun, done))
+        return begun
+
+    def pause(self) -> Future[None]:
+        """Halt at the end of this pass."""
+        self._require_scan("pause")
+        self._show(message="Halts at the end of this pass.")
+        return self.start().ask(Pause())
+
+    def resume(self) -> Future[None]:
+        """Go on after a pause."""
+        self._require_scan("go on with")
+        self._show(message="")
+        return self.start().ask(Resume())
+
+    def stop(self) -> Future[None]:
+        """End the scan with the rig at rest."""
+        self._require_scan("stop")
+        self._show(state="stopping", message="")
+        return self.start().ask(Stop())
+
+    def require_idle(self, what: str) -> None:
+        """Raise RigError while a scan has the rig."""
+        if self._desk.snapshot.scanning:
+            raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
+
+    def close(self) -> None:
+        """Stop motion, disarm the box, end the process."""
+        if self._link is not None:
+            self._link.close()
+
+    def _heard(self, event: Any) -> None:
+        self._desk.note(self._on[type(event)], event)
+
+    def _gone(self, exit_code: int | None) -> None:
+        self._desk.note(self._died, exit_code)
+
+    def _ready(self, event: RigReady) -> None:
+        state = "scanning" if self._desk.snapshot.scanning else "ready"
+        status = RigStatus(event.name, event.simulated, state, limits=event.limits, calibration=event.calibration)
+        self._desk.change(rig=status, overview=event.overview)
+        self._at(At(event.position))
+        self._reports.ready(event)
+
+    def _absent(self, event: RigAbsent) -> None:
+        self._show(state="absent", message=event.why)
+
+    def _at(self, event: At) -> None:
+        p, state = event.position, self._desk.snapshot.rig.state
+        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, state="ready" if state == "moving" else state)
+
+    def _paused(self, event: Paused) -> None:
+        if self._desk.snapshot.rig.state != "stopping":
+            self._show(state="paused" if event.paused else "scanning", message="")
+
+    def _taken(self, event: Taken) -> None:
+        self.latest_frame = event.latest or self.latest_frame
+        self._at(At(event.position))
+        self._desk.change(scan=event.progress)
+        self._reports.taken(event)
+
+    def _scan_fault(self, event: ScanFault) -> None:
+        self._notices.fault("The scan reports a fault", event.what, "scan")
+
+    def _begun(self, done: Future[None]) -> None:
+        if done.exception() is not None and self._desk.snapshot.rig.state == "scanning":
+            self._show(state="ready")
+
+    def _scan_ended(self, event: ScanEnded) -> None:
+        self._show(state="ready", message="")
+        if event.error is not None:
+            self._notices.fault(
+                "The scan stopped", f"{event.error} The frames so far are kept: go on with the scan.", "scan"
+            )
+        self._reports.scan_ended(event)
+
+    def _died(self, exit_code: int | None) -> None:
+        """The process is gone without having been asked to; an absent rig has told why before."""
+        snapshot = self._desk.snapshot
+        if snapshot.rig.state == "absent":
+            return
+        kept = " The frames so far are kept." if snapshot.scanning else ""
+        text = f"The rig's process ended (exit code {exit_code}).{kept}"
+        self._show(state="fault", message=f"{text} The next move or scan starts it anew.")
+        self._notices.fault("The rig stopped answering", f"{text} The next move or scan starts it anew.", "rig")
+        if snapshot.scanning:
+            self._reports.scan_ended(None)
+
+    def _require_scan(self, what: str) -> None:
+        if not self._desk.snapshot.scanning:
+            raise RigError(f"No scan is running: there is nothing to {what}.")
+
+    def _show(self, **changes: Any) -> None:
+        self._desk.change(rig=replace(self._desk.snapshot.rig, **changes))
+
+
+def _own_rig(pipe: Connection, config: RigConfig) -> None:
+    from wafer_viewer.session.rig_process import run_rig
+
+    run_rig(pipe, config)

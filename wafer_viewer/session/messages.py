@@ -1,0 +1,159 @@
+"""What the viewer asks of the rig's process and of the compute host, and what these report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.devices import Overview, Position
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import Job, ScanPlan
+from wafer_viewer.session.state import LatestFrame, ScanProgress
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Go there; None leaves an axis where it is. Answered on arrival."""
+
+    x_um: float | None = None
+    y_um: float | None = None
+    z_um: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Take a plan into a new dataset, or what is missing of it into one that exists. Answered once it has begun."""
+
+    path: Path
+    plan: ScanPlan
+    job: Job
+    goes_on: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Halt at the end of this pass. Answered at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resume:
+    """Go on after a pause. Answered at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """End the scan soon, with the rig at rest. Answered at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigReady:
+    """The rig answers: what it is and can do; `tour`: a filled-in job, where the rig brings a sample of its own."""
+
+    name: str
+    simulated: bool
+    limits: RigLimits
+    setup: OpticalSetup
+    calibration: Calibration | None
+    overview: Overview | None
+    position: Position
+    tour: Job | None
+
+
+@dataclass(frozen=True, slots=True)
+class RigAbsent:
+    """The rig could not be opened."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """Where the stage stands, after a motion."""
+
+    position: Position
+
+
+@dataclass(frozen=True, slots=True)
+class Paused:
+    """The scan halted, or went on."""
+
+    paused: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taken:
+    """How far the scan is; `latest` a few times a second."""
+
+    progress: ScanProgress
+    position: Position
+    latest: LatestFrame | None
+
+
+@dataclass(frozen=True, slots=True)
+class FieldComplete:
+    """The last frame of a field is kept."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFault:
+    """Something about the running scan that a person should know."""
+
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEnded:
+    """The scan is over and its dataset closed. `error` says what ended it, where it did not end by itself."""
+
+    path: Path
+    stopped: bool
+    n_missing: int
+    error: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Carry out ``task(*args, progress=…, should_stop=…)`` on a worker. Answered with what it returns."""
+
+    work: str
+    task: Callable[..., Any]
+    args: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """Tell the tasks of a work to stop. Answered at once."""
+
+    work: str
+
+
+@dataclass(frozen=True, slots=True)
+class ComputeUp:
+    """The workers take tasks."""
+
+    n_workers: int
+
+
+@dataclass(frozen=True, slots=True)
+class ComputeWarm:
+    """Every kernel is compiled and loaded."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComputeAbsent:
+    """There is no cluster, and why."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progressed:
+    """How far a work is, 0 to 1."""
+
+    work: str
+    fraction: float

@@ -1,0 +1,75 @@
+"""What can be asked of the open dataset, from any thread: surfaces, frames, profiles, steps, a point's height."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.stack import Image
+from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.session.library import Library
+from wafer_viewer.session.state import Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOut:
+    """The surface at a point; z_um None where it is unmeasured, for the reason that `origin` gives."""
+
+    z_um: float | None
+    confidence: float
+    origin: Origin
+
+
+class Questions:
+    """Each opens what it reads and changes nothing. All raise WaferViewerError when there is no answer."""
+
+    def __init__(self, library: Library, snapshot: Callable[[], Snapshot]) -> None:
+        self._library, self._snapshot = library, snapshot
+
+    def mosaic(self) -> Mosaic:
+        """The stitched surface of the open dataset."""
+        return self._library.result.mosaic()
+
+    def height_map(self, field_number: int) -> HeightMap:
+        """The surface of one field."""
+        return self._library.result.surface(self._library.dataset.field(field_number))
+
+    def surface_source(self, show: int) -> Mosaic:
+        """What a browser shows: 0 the stitched surface, else the field of that number."""
+        return self.mosaic() if show == 0 else self.height_map(show)
+
+    def frame(self, field_number: int, k: int) -> Image:
+        """One frame of a field, as it was stored."""
+        stack = self._library.dataset.stack(field_number)
+        if not 0 <= k < stack.n_frames or not stack.present[k]:
+            raise DatasetError(f"Field {field_number} has no frame {k} of {stack.n_frames}: choose another.")
+        return np.array(stack.images[k])
+
+    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
+        """A section along a line."""
+        from wafer_viewer.measure.profile import profile
+
+        return profile(self.surface_source(show), line)
+
+    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
+        """The height of one region over another; 'uncalibrated' where the dataset's calibration does not hold."""
+        from wafer_viewer.measure.step import step_height
+
+        return step_height(self.surface_source(show), upper, lower, calibration_valid=self._calibrated())
+
+    def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
+        """The surface at a point. Raises MeasureError when it lies outside."""
+        at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
+        if 0 in at.shape:
+            raise MeasureError(f"({x_um:.1f}, {y_um:.1f}) um lies outside of the surface.")
+        z_um = float(at.z_um[0, 0])
+        return ReadOut(z_um if np.isfinite(z_um) else None, float(at.confidence[0, 0]), Origin(int(at.origin[0, 0])))
+
+    def _calibrated(self) -> bool:
+        shown = self._snapshot().dataset
+        return shown is not None and shown.calibration_problem is None

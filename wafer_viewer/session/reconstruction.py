@@ -1,0 +1,221 @@
+"""From taken fields to the stitched surface: which field goes to a worker when, and what follows."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.session.compute import Compute
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.library import Library
+from wafer_viewer.session.link import ChildGone
+from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
+from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.state import FieldState, SurfaceInfo
+from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, stitch_fields
+
+RESTARTS = 3
+"""How often the compute host is started anew after it died, in the life of a session."""
+
+
+@dataclass(slots=True)
+class Run:
+    """One reconstruction of the open dataset; more fields may join while a scan goes on."""
+
+    path: Path
+    result: str
+    recipe: Recipe
+    work: str
+    waiting: deque[int] = field(default_factory=deque[int])
+    busy: set[int] = field(default_factory=set[int])
+    total: int = 0
+    restitch: bool = False
+    answer: Future[None] | None = None
+
+    @property
+    def idle(self) -> bool:
+        """Whether no field waits or is with a worker."""
+        return not self.waiting and not self.busy
+
+
+class Reconstruction:
+    """On the session's thread only. While a scan runs one worker stays free for the rig."""
+
+    def __init__(self, desk: Desk, notices: Notices, library: Library, scheduler: str | None) -> None:
+        self._desk, self._notices, self._library = desk, notices, library
+        self.compute = Compute(scheduler, self._heard, self._gone)
+        self._n_workers, self._warm, self._restarts = 1, False, 0
+        self._run: Run | None = None
+        self._on = {
+            ComputeUp: self._up,
+            ComputeWarm: self._warmed,
+            ComputeAbsent: self._absent,
+            Progressed: lambda event: self._notices.progress(event.work, event.fraction),
+        }
+
+    def begin(
+        self,
+        recipe: Recipe,
+        result: str,
+        fields: Iterable[int],
+        answer: Future[None] | None = None,
+        *,
+        restitch: bool = False,
+    ) -> None:
+        """Reconstruct fields of the open dataset into a result, then stitch; what ran before is given up.
+
+        restitch: also when no field has new heights.
+        """
+        self.abandon()
+        store = self._library.dataset.result(result)
+        store.save_recipe(recipe)
+        work = self._notices.begin("Heights of the fields", self._cancelled)
+        self._run = Run(self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch)
+        self.add(fields)
+
+    def add(self, fields: Iterable[int]) -> None:
+        """More fields are taken."""
+        if (run := self._run) is None:
+            return
+        new = [n for n in fields if n not in run.waiting and n not in run.busy]
+        run.waiting.extend(new)
+        run.total += len(new)
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Give fields to free workers; when none is left and no scan runs, stitch."""
+        run = self._run
+        if run is None or not self._warm:
+            return
+        while run.waiting and len(run.busy) < self._room:
+            self._start(run, run.waiting.popleft())
+        if run.idle and not self._desk.snapshot.scanning:
+            self._finish(run)
+
+    def abandon(self) -> None:
+        """Forget what is waiting; what workers have in hand is not shown any more."""
+        if (run := self._run) is not None:
+            self._end(run, ComputeError("The reconstruction was given up for another one."))
+
+    def describe(self) -> None:
+        """Find the numbers of a mosaic that was stitched elsewhere."""
+        run = (self._library.dataset.path, self._library.result_name)
+        done = self.compute.run("describe", describe_mosaic, *run)
+        done.add_done_callback(lambda info: self._desk.note(self._described, run, info))
+
+    @property
+    def _room(self) -> int:
+        return max(1, self._n_workers - 1) if self._desk.snapshot.scanning else self._n_workers
+
+    def _start(self, run: Run, number: int) -> None:
+        run.busy.add(number)
+        self._library.set_state(number, FieldState.RECONSTRUCTING)
+        done = self.compute.run(
+            f"{run.work}-field-{number}", reconstruct_field, run.path, number, run.result, run.recipe
+        )
+        done.add_done_callback(partial(self._later, self._field_done, run, number))
+
+    def _field_done(self, run: Run, number: int, done: Future[None]) -> None:
+        run.busy.discard(number)
+        if run is not self._run:
+            return
+        fault = done.exception()
+        if isinstance(fault, ChildGone):
+            run.waiting.append(number)
+        elif fault is not None:
+            self._library.set_state(number, FieldState.FAILED)
+            self._notices.fault(f"Field {number} has no heights", str(fault), "surface", where=f"field {number}")
+        else:
+            self._library.set_state(number, FieldState.MEASURED)
+            run.restitch = True
+        self._notices.progress(run.work, (run.total - len(run.waiting) - len(run.busy)) / max(1, run.total))
+        self.go_on()
+
+    def _finish(self, run: Run) -> None:
+        """All fields are done: stitch what there is."""
+        if not run.restitch:
+            self._end(run, None)
+            return
+        run.restitch = False
+        self._notices.end(run.work)
+        run.work = self._notices.begin("Stitching the fields", self._cancelled)
+        done = self.compute.run(run.work, stitch_fields, run.path, run.result, run.recipe)
+        done.add_done_callback(partial(self._later, self._stitched, run))
+
+    def _stitched(self, run: Run, done: Future[SurfaceInfo]) -> None:
+        if run is not self._run:
+            return
+        fault = done.exception()
+        if isinstance(fault, ChildGone):
+            run.restitch = True
+            self.go_on()
+            return
+        if fault is not None:
+            self._notices.fault("The fields were not stitched", str(fault), "surface")
+        else:
+            self._library.show_surface(done.result())
+        self._end(run, fault)
+
+    def _described(self, run: tuple[Path, str], done: Future[SurfaceInfo]) -> None:
+        shown = self._desk.snapshot.dataset
+        if shown is None or (shown.path, self._library.result_name) != run:
+            return
+        if (fault := done.exception()) is not None:
+            self._notices.fault("The stitched surface cannot be read", str(fault), "open")
+        else:
+            self._library.show_surface(done.result())
+
+    def _cancelled(self) -> None:
+        """A person stops the work."""
+        run = self._run
+        if run is None:
+            return
+        self.compute.cancel(run.work)
+        for number in (*run.waiting, *run.busy):
+            self._library.set_state(number, FieldState.TAKEN)
+        self._end(run, ComputeError("The reconstruction was stopped; the fields that were done are kept."))
+
+    def _end(self, run: Run, fault: BaseException | None) -> None:
+        self._notices.end(run.work)
+        self._run = None
+        if run.answer is not None:
+            run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
+
+    def _heard(self, event: Any) -> None:
+        self._desk.note(self._on[type(event)], event)
+
+    def _later(self, then: Callable[..., None], *args: Any) -> None:
+        self._desk.note(then, *args)
+
+    def _up(self, event: ComputeUp) -> None:
+        self._n_workers = event.n_workers
+
+    def _warmed(self, _: ComputeWarm) -> None:
+        self._warm = True
+        self._desk.change(compute_ready=True)
+        self.go_on()
+
+    def _absent(self, event: ComputeAbsent) -> None:
+        self._notices.fault("Nothing can be reconstructed", event.why, "surface")
+
+    def _gone(self, exit_code: int | None) -> None:
+        self._desk.note(self._died, exit_code)
+
+    def _died(self, exit_code: int | None) -> None:
+        """The host is gone without having been asked to: a new one takes over, a few times."""
+        self._warm = False
+        self._desk.change(compute_ready=False)
+        self._restarts += 1
+        mended = self._restarts <= RESTARTS
+        text = f"The process that hosts the workers ended (exit code {exit_code})."
+        mend = "A new one takes over. Nothing to do." if mended else "Start the viewer anew."
+        self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
+        if mended:
+            self.compute.start()

@@ -1,0 +1,245 @@
+"""The operator's session: what the page and the command line ask for, one verb after the other on one thread.
+
+State is a frozen `Snapshot`; every verb returns a future, and a `WaferViewerError` comes out of its ``result()``.
+"""
+
+from __future__ import annotations
+
+import atexit
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.plan import Job
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.stack import Image
+from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.conductor import Conductor
+from wafer_viewer.session.library import DEFAULT_RESULT
+from wafer_viewer.session.messages import Move
+from wafer_viewer.session.questions import Questions, ReadOut
+from wafer_viewer.session.state import LatestFrame, Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.painter import Painter, PaintRequest
+
+
+class Session:
+    """One rig, one data folder, one open dataset, shared by all browsers.
+
+    rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
+    The constructor returns at once; the rig and the workers come up meanwhile. Raises DatasetError when the data
+    folder is not there and cannot be made.
+    """
+
+    def __init__(self, data_folder: Path, rig: RigConfig | None = None, scheduler: str | None = None) -> None:
+        self._rooms = rooms = Conductor(Path(data_folder), rig or RigConfig(), scheduler)
+        self._desk, self._do = rooms.desk, rooms.desk.do
+        self._questions = Questions(rooms.library, lambda: self.snapshot)
+        self._painter: Painter | None = None
+        self._desk.note(rooms.start)
+        atexit.register(self.close)
+
+    # ------------------------------------------------------------------ state
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The newest state."""
+        return self._desk.snapshot
+
+    @property
+    def latest_frame(self) -> LatestFrame | None:
+        """The latest frame of the running scan, or of the last one."""
+        return self._rooms.rig.latest_frame
+
+    def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
+        """Call `listener` on the session's thread after changes, at most ten times a second; returns how to leave."""
+        return self._desk.subscribe(listener)
+
+    def wait_until(self, condition: Callable[[Snapshot], bool], timeout_s: float = 60.0) -> Snapshot:
+        """Wait for a snapshot of which `condition` holds; never call it on the session's thread.
+
+        Raises TimeoutError when none came in time.
+        """
+        return self._desk.wait_until(condition, timeout_s)
+
+    def close(self) -> None:
+        """Put the rig at rest and end all processes; twice does no harm."""
+        atexit.unregister(self.close)
+        self._rooms.close()
+        if self._painter is not None:
+            self._painter.close()
+
+    # ------------------------------------------------------------------- plan
+
+    def edit_job(self, job: Job | None) -> Future[None]:
+        """Another plan; it is priced at once."""
+        return self._do(self._rooms.drafting.edit, job)
+
+    def undo(self) -> Future[None]:
+        """The plan before."""
+        return self._do(self._rooms.drafting.undo)
+
+    def redo(self) -> Future[None]:
+        """The plan that was undone."""
+        return self._do(self._rooms.drafting.redo)
+
+    def cover_sample(self) -> Future[None]:
+        """A grid of as many fields as cover the sample."""
+        return self._do(self._rooms.drafting.cover_sample)
+
+    def centre_on_stage(self) -> Future[None]:
+        """The grid round where the stage stands."""
+        return self._do(self._rooms.drafting.centre_on_stage)
+
+    def take_tour(self) -> Future[None]:
+        """A filled-in plan for the virtual sample."""
+        return self._do(self._rooms.drafting.take_tour)
+
+    def load_plan(self, path: Path) -> Future[None]:
+        """The plan in a PLAN.toml."""
+        return self._do(self._rooms.drafting.load, Path(path))
+
+    def save_plan(self, path: Path | None = None) -> Future[Path]:
+        """Write the plan, beside the datasets when no path is given."""
+        return self._do(self._rooms.drafting.save, path)
+
+    # -------------------------------------------------------------------- rig
+
+    def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
+        """Move the stage; done on arrival."""
+        return self._do(self._rooms.rig.move_to, Move(x_um, y_um, z_um))
+
+    def start_scan(self, name: str | None = None) -> Future[Path]:
+        """Take the plan into a new dataset, which is then the open one; done once it has begun."""
+        return self._do(self._rooms.start_scan, name)
+
+    def continue_scan(self) -> Future[Path]:
+        """Take what is missing in the open dataset; done once it has begun."""
+        return self._do(self._rooms.continue_scan)
+
+    def pause(self) -> Future[None]:
+        """Halt at the end of this pass."""
+        return self._do(self._rooms.rig.pause)
+
+    def resume(self) -> Future[None]:
+        """Go on after a pause."""
+        return self._do(self._rooms.rig.resume)
+
+    def stop_scan(self) -> Future[None]:
+        """End the scan; done when the rig is at rest. This is no emergency stop."""
+        return self._do(self._rooms.stop_scan)
+
+    # --------------------------------------------------------------- datasets
+
+    def refresh_datasets(self) -> Future[None]:
+        """List the data folder anew."""
+        return self._do(self._rooms.library.refresh)
+
+    def open_dataset(self, path: Path) -> Future[None]:
+        """Open a dataset; what it lacks of its surface is made."""
+        return self._do(self._rooms.open, Path(path))
+
+    def close_dataset(self) -> Future[None]:
+        """Close the dataset."""
+        return self._do(self._rooms.close_dataset)
+
+    def import_images(
+        self,
+        srcs: tuple[Path, ...],
+        *,
+        z_step_um: float | None,
+        pixel_um: float | None,
+        pattern: str | None = None,
+        name: str | None = None,
+        overlap_fraction: float = 0.1,
+    ) -> Future[Path]:
+        """Make a dataset of images taken elsewhere, open and reconstruct it; done when it is open."""
+        options = {
+            "z_step_um": z_step_um,
+            "pixel_um": pixel_um,
+            "pattern": pattern,
+            "overlap_fraction": overlap_fraction,
+        }
+        made = self._do(self._rooms.files.import_images, srcs, options, name)
+        return self._desk.then(made, self._rooms.open)
+
+    def reconstruct(self, recipe: Recipe | None = None, result: str = DEFAULT_RESULT) -> Future[None]:
+        """Make all heights of the open dataset again and stitch them; done when the surface is there."""
+        return self._do(self._rooms.reconstruct, recipe, result)
+
+    def cancel(self, work_id: str) -> Future[None]:
+        """Stop a background work."""
+        return self._do(self._rooms.notices.cancel, work_id)
+
+    def dismiss(self, fault_id: str) -> Future[None]:
+        """Take a fault off the list."""
+        return self._do(self._rooms.notices.dismiss, fault_id)
+
+    # ---------------------------------------------------------------- results
+
+    def keep(self, finding: AnyFinding) -> Future[AnyFinding]:
+        """Number, name and keep a measurement."""
+        return self._do(self._rooms.book.keep, finding)
+
+    def rename(self, number: int, name: str) -> Future[None]:
+        """Another name for a result."""
+        return self._do(self._rooms.book.rename, number, name)
+
+    def delete(self, number: int) -> Future[None]:
+        """Take a result off the list."""
+        return self._do(self._rooms.book.delete, number)
+
+    def undo_findings(self) -> Future[None]:
+        """The list of results before."""
+        return self._do(self._rooms.book.undo)
+
+    def export_surface(self, path: Path, field: int | None = None) -> Future[Path]:
+        """Write the stitched surface, or a field's, as the kind of file that the ending names."""
+        return self._do(self._rooms.files.export_surface, Path(path), field)
+
+    def export_findings(self, path: Path) -> Future[Path]:
+        """Write the results as CSV."""
+        return self._do(self._rooms.book.export, Path(path))
+
+    # -------------------------------------------- questions, from any thread
+
+    def mosaic(self) -> Mosaic:
+        """The stitched surface of the open dataset."""
+        return self._questions.mosaic()
+
+    def height_map(self, field: int) -> HeightMap:
+        """The surface of one field."""
+        return self._questions.height_map(field)
+
+    def surface_source(self, show: int) -> Mosaic:
+        """What a browser shows: 0 the stitched surface, else the field of that number."""
+        return self._questions.surface_source(show)
+
+    def frame(self, field: int, k: int) -> Image:
+        """One frame of a field, as it was stored."""
+        return self._questions.frame(field, k)
+
+    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
+        """A section along a line."""
+        return self._questions.profile(line, show)
+
+    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
+        """The height of one region over another."""
+        return self._questions.step_height(upper, lower, show)
+
+    def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
+        """The surface at a point."""
+        return self._questions.read_out(x_um, y_um, show)
+
+    def paint(self, request: PaintRequest) -> Future[bytes]:
+        """A picture tile, made in a process of its own."""
+        if self._painter is None:
+            from wafer_viewer.session.painter import Painter
+
+            self._painter = Painter()
+        return self._painter.paint(request)

@@ -1,0 +1,186 @@
+"""What workers do: each task names a dataset, opens it itself, writes its own file and can be done twice.
+
+Pixels travel through the dataset, never through the scheduler. The command line calls the same functions directly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from wafer_viewer.model.plan import Field
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.session.state import SurfaceInfo
+
+Progress = Callable[[float], None]
+ShouldStop = Callable[[], bool]
+PROGRESS_TOPIC = "wafer-viewer-progress"
+ASK_EVERY_S = 0.25
+
+
+def silent(_: float) -> None:
+    """Progress that nobody watches."""
+
+
+def never() -> bool:
+    """A work that nobody stops."""
+    return False
+
+
+def reconstruct_field(
+    dataset: Path,
+    field_number: int,
+    result: str,
+    recipe: Recipe,
+    threads: int = 1,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> None:
+    """Make the surface of one field and keep it in a result."""
+    from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.store.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
+    data.result(result).save_surface(data.field(field_number), surface)
+
+
+def stitch_fields(
+    dataset: Path, result: str, recipe: Recipe, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> SurfaceInfo:
+    """Stitch the surfaces that a result has into its mosaic, and say how it looks."""
+    from wafer_viewer.reconstruct.blend import stitch
+    from wafer_viewer.session.summary import save_summary, summarise
+    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.mosaic import write_mosaic
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    done = kept.surfaces_done(data.fields)
+    fields = [f for f in data.fields if f.number in done]
+    heights = [kept.surface(f) for f in fields]
+    write_mosaic(kept.mosaic_path, stitch(heights, fields, recipe), progress, should_stop)
+    info = summarise(kept.mosaic(), heights, result)
+    save_summary(kept, info)
+    return info
+
+
+def describe_mosaic(
+    dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> SurfaceInfo:
+    """Say how a mosaic looks that was stitched elsewhere."""
+    from wafer_viewer.session.summary import save_summary, summarise
+    from wafer_viewer.store.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    heights = [kept.surface(f) for f in data.fields if f.number in kept.surfaces_done(data.fields)]
+    info = summarise(kept.mosaic(), heights, result)
+    save_summary(kept, info)
+    return info
+
+
+def import_images(
+    srcs: Sequence[Path],
+    out: Path,
+    options: dict[str, Any],
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Make a dataset of images taken elsewhere; `options` are those of `import_dataset`."""
+    from wafer_viewer.store.importers import import_dataset
+
+    import_dataset(tuple(srcs), out, progress=progress, should_stop=should_stop, **options)
+    return out
+
+
+def export_surface(
+    dataset: Path,
+    result: str,
+    field_number: int | None,
+    out: Path,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the mosaic, or the surface of one field, as a file of the kind that its ending names."""
+    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.exporters import export
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    export(kept.mosaic().window() if field_number is None else kept.surface(data.field(field_number)), out)
+    return out
+
+
+def warm_up() -> None:
+    """Compile or load every kernel, by making and stitching a surface of a few pixels."""
+    from wafer_viewer.reconstruct.blend import stitch
+    from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.reconstruct.field import warm_up as compile_kernels
+    from wafer_viewer.store.mosaic import write_mosaic
+
+    compile_kernels()
+    heights = [reconstruct(_tiny_stack(x_um), threads=1) for x_um in (0.0, 40.0)]
+    with TemporaryDirectory() as folder:
+        write_mosaic(Path(folder) / "mosaic.zarr", stitch(heights))
+
+
+def _tiny_stack(x_um: float) -> FieldStack:
+    """A few frames of noise, sharpest in the middle."""
+    import numpy as np
+
+    noise = np.random.default_rng(1)
+    images = np.stack([noise.normal(128, 5 + 40 * np.exp(-((k - 3) ** 2)), (64, 64)).clip(0, 255) for k in range(8)])
+    return FieldStack(
+        field=Field(number=1, row=0, col=0, x_um=x_um, y_um=0.0, z_start_um=0.0),
+        images=images.astype(np.uint8),
+        z_um=np.arange(8.0),
+        present=np.ones(8, bool),
+        pixel_um=1.0,
+    )
+
+
+def run_watched(work: str, task: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+    """Run a task on a worker: its progress goes to the host, and it hears when it is to stop."""
+    return task(*args, progress=_teller(work), should_stop=_listener(work))
+
+
+def stop_sign(work: str) -> str:
+    """The name of the event that tells a work's tasks to stop."""
+    return f"stop-{work}"
+
+
+def _teller(work: str) -> Progress:
+    from distributed import get_worker
+
+    told_at = 0.0
+
+    def tell(fraction: float) -> None:
+        nonlocal told_at
+        if fraction >= 1 or time.monotonic() - told_at >= ASK_EVERY_S:
+            told_at = time.monotonic()
+            get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(fraction)})
+
+    return tell
+
+
+def _listener(work: str) -> ShouldStop:
+    from distributed import Event
+
+    asked_at, stop = 0.0, False
+
+    def should_stop() -> bool:
+        nonlocal asked_at, stop
+        if not stop and time.monotonic() - asked_at >= ASK_EVERY_S:
+            asked_at = time.monotonic()
+            stop = Event(stop_sign(work)).is_set()
+        return stop
+
+    return should_stop
