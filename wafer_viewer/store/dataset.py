@@ -1,0 +1,204 @@
+"""Reading a dataset: the folder ``NAME.wafer`` with its plan, frames, journal and results."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun
+from wafer_viewer.store.pages import map_pages
+from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
+from wafer_viewer.store.result import Result
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What `Dataset.check` found: pages whose checksum holds, slots without a frame, pages that changed since."""
+
+    n_good: int
+    missing: tuple[Shot, ...]
+    damaged: tuple[Shot, ...]
+    faults: tuple[str, ...]
+    """Files that cannot be read, a sentence each."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether every slot has a frame with the right checksum."""
+        return not (self.missing or self.damaged or self.faults)
+
+
+class Dataset:
+    """A dataset opened for reading, also while another process writes to it: `refresh` reads what came since."""
+
+    def __init__(self, path: Path, scan: ScanRecord) -> None:
+        self.path, self.scan = path, scan
+        self._journal = JournalReader(path / JOURNAL)
+        self._frames: dict[Shot, FrameKept] = {}
+        self._missed: dict[Shot, Missed] = {}
+        self._faults: list[str] = []
+        self._ended = False
+        self.refresh()
+
+    @classmethod
+    def open(cls, path: str | Path) -> Dataset:
+        """Open a folder. Raises DatasetError when it is no dataset, a damaged one or one of a newer program."""
+        folder = Path(path)
+        return cls(folder, read_record(folder))
+
+    def refresh(self) -> None:
+        """Read the journal's new lines."""
+        for line in self._journal.new_lines():
+            match line:
+                case FrameKept():
+                    self._frames.setdefault(line.shot, line)
+                case Missed():
+                    self._missed[line.shot] = line
+                case FaultNoted():
+                    self._faults.append(line.what)
+                case Finished() | PassBegun():
+                    self._ended = isinstance(line, Finished)
+                case _:
+                    pass
+
+    @property
+    def name(self) -> str:
+        """The folder's name without its ending."""
+        return self.path.stem
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The fields, as planned."""
+        return self.scan.plan.fields
+
+    @property
+    def n_exposures(self) -> int:
+        """Frames taken at each z."""
+        return self.scan.n_exposures
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a virtual rig took the frames."""
+        return self.scan.simulated
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What went wrong during the scan, in order."""
+        return tuple(self._faults)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every frame is there, or the scan ended without those that are missing."""
+        return self._ended or not self.missing()
+
+    def field(self, number: int) -> Field:
+        """The field with a running number. Raises DatasetError when there is none."""
+        found = next((f for f in self.fields if f.number == number), None)
+        if found is None:
+            raise DatasetError(
+                f"{self.path.name} has {len(self.fields)} fields and no field {number}: choose one of them."
+            )
+        return found
+
+    def calibration_problem(self, today: str) -> str | None:
+        """Why lengths read 'uncalibrated', or None when they are calibrated. `today` is an ISO 8601 day."""
+        return self.scan.calibration_problem(today)
+
+    def kept(self) -> set[Shot]:
+        """The slots that have a frame."""
+        return set(self._frames)
+
+    def missing(self) -> set[Shot]:
+        """The slots without a frame: still to come, or missed."""
+        return {shot for field in self.fields for shot in self._shots(field)} - self._frames.keys()
+
+    def missed(self) -> dict[Shot, str]:
+        """The slots that stayed empty when their turn came, and why."""
+        return {shot: line.why for shot, line in self._missed.items() if shot not in self._frames}
+
+    def complete_fields(self) -> set[int]:
+        """Numbers of the fields that have all their frames."""
+        return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
+
+    def stack(self, field_number: int, exposure: int = 0) -> FieldStack:
+        """The focus stack of a field at one exposure, memory-mapped; z as recorded, times the calibrated z scale.
+
+        Raises DatasetError when the field or its file is missing, or fewer than three frames are there.
+        """
+        field = self.field(field_number)
+        lines = [self._frames.get(Shot(field_number, k, exposure)) for k in range(self.scan.plan.sweep.n_frames)]
+        present = np.array([line is not None for line in lines])
+        self._require_frames(field, int(present.sum()))
+        return FieldStack(
+            field=field,
+            images=map_pages(frames_file(self.path, field), self.scan.pages)[exposure :: self.n_exposures],
+            z_um=self._z_um(field, lines),
+            present=present,
+            pixel_um=self.scan.pixel_um,
+            calibration=self.scan.calibration,
+            simulated=self.simulated,
+            checksum=_checksum(line for line in lines if line is not None),
+            source=f"{self.path.name}, field {field_number}",
+        )
+
+    def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
+        """Read every page and compare its checksum with the journal's."""
+        good, damaged, faults = 0, list[Shot](), list[str]()
+        for field in watched(self.fields, len(self.fields), "The check", progress, should_stop):
+            try:
+                bad = self._damaged(field)
+            except DatasetError as fault:
+                faults.append(str(fault))
+                continue
+            damaged += bad
+            good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
+        missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
+        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults))
+
+    def results(self) -> tuple[str, ...]:
+        """Names of the reconstructions."""
+        folder = self.path / RESULTS
+        return tuple(sorted(p.name for p in folder.iterdir() if p.is_dir())) if folder.is_dir() else ()
+
+    def result(self, name: str = "default") -> Result:
+        """A reconstruction by its name, made when something is first saved to it."""
+        return Result.of(self.path / RESULTS, name)
+
+    def _shots(self, field: Field) -> list[Shot]:
+        n_frames = self.scan.plan.sweep.n_frames
+        return [Shot(field.number, k, e) for k in range(n_frames) for e in range(self.n_exposures)]
+
+    def _z_um(self, field: Field, lines: list[FrameKept | None]) -> np.ndarray:
+        planned = [self.scan.plan.sweep.z_um(field, k) for k in range(len(lines))]
+        z_um = [line.z_um if line is not None else z for line, z in zip(lines, planned, strict=True)]
+        return np.array(z_um) * self.scan.z_scale
+
+    def _require_frames(self, field: Field, n_present: int) -> None:
+        if n_present < MIN_FRAMES:
+            raise DatasetError(
+                f"Field {field.number} of {self.path.name} has {n_present} of {self.scan.plan.sweep.n_frames} frames "
+                f"and at least {MIN_FRAMES} are needed: go on with the scan."
+            )
+
+    def _damaged(self, field: Field) -> list[Shot]:
+        shots = [shot for shot in self._shots(field) if shot in self._frames]
+        if not shots:
+            return []
+        pages = map_pages(frames_file(self.path, field), self.scan.pages)
+        return [s for s in shots if zlib.crc32(pages[self.scan.page_of(s.k, s.exposure)]) != self._frames[s].crc32]
+
+
+def _checksum(lines: Iterable[FrameKept]) -> str:
+    """One checksum of a stack from those of its pages, which were taken when the frames came in."""
+    digest = hashlib.sha256()
+    for line in lines:
+        digest.update(f"{line.shot.k} {line.z_um!r} {line.crc32:08x}\n".encode())
+    return digest.hexdigest()

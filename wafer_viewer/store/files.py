@@ -1,0 +1,106 @@
+"""Small habits of writing: beside first and renamed into place, so that no half-written file is ever found."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from wafer_viewer.model.errors import DatasetError
+
+_MENDS = {
+    errno.ENOSPC: "the disk is full: free some space or choose another folder",
+    errno.EDQUOT: "the quota is used up: free some space or choose another folder",
+    errno.EACCES: "there is no permission to write there: choose another folder",
+    errno.EPERM: "there is no permission to write there: choose another folder",
+    errno.EROFS: "it is on a read-only disk: choose another folder",
+    errno.ENOTDIR: "a part of the path is a file: choose another folder",
+    errno.ENOENT: "its folder does not exist: make it or choose another",
+    errno.EISDIR: "it is a folder: choose another name",
+}
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path beside `path` to write a file or a folder to; renamed into place at the end, removed on any failure.
+
+    Raises DatasetError when the place cannot be written to.
+    """
+    beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
+    try:
+        with writing(path):
+            yield beside
+            _move(beside, path)
+    except DatasetError as fault:  # people know the place by its own name
+        raise DatasetError(str(fault).replace(beside.name, path.name)) from fault
+    finally:
+        remove(beside)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an operating system's refusal to write `path` into one sentence."""
+    try:
+        yield
+    except OSError as fault:
+        mend = _MENDS.get(fault.errno or 0, f"{(fault.strerror or str(fault)).lower()}: choose another folder")
+        raise DatasetError(f"{path} cannot be written: {mend}.") from fault
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a small text file, whole or not at all."""
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder with all it holds; what is not there is removed already."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def require_space(folder: Path, needed_bytes: int, what: str) -> None:
+    """Raise DatasetError when the disk that holds `folder` has less free space than needed."""
+    free = shutil.disk_usage(_existing(folder)).free
+    if needed_bytes > free:
+        raise DatasetError(
+            f"{what} needs {size(needed_bytes)} and {_existing(folder)} has {size(free)} free: "
+            "free some space or choose another folder."
+        )
+
+
+def size(n_bytes: float) -> str:
+    """A size in words, ``3.4 GB``."""
+    for unit in ("B", "kB", "MB"):
+        if n_bytes < 1000:
+            return f"{n_bytes:.0f} {unit}" if unit == "B" else f"{n_bytes:.1f} {unit}"
+        n_bytes /= 1000
+    return f"{n_bytes:.1f} GB"
+
+
+def natural(name: str) -> list[tuple[int, int, str]]:
+    """A key that sorts as people count: ``a2`` before ``a10``."""
+    return [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", name.casefold())]
+
+
+def _existing(folder: Path) -> Path:
+    absolute = folder.absolute()
+    return next(p for p in (absolute, *absolute.parents) if p.exists())
+
+
+def _move(source: Path, target: Path) -> None:
+    """Rename, also over a folder that is not empty: it is moved aside first and removed afterwards."""
+    if not target.is_dir():
+        source.replace(target)
+        return
+    aside = target.with_name(f"{source.name}.old")
+    target.rename(aside)
+    source.rename(target)
+    remove(aside)

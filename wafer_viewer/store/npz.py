@@ -1,0 +1,77 @@
+"""A height map as ``.npz``: uncompressed, so that its layers can be mapped from the disk instead of read.
+
+Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; pixel_um, x0_um, y0_um; provenance, a JSON text.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.surface import HeightMap, Provenance
+
+LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+PLACE = ("pixel_um", "x0_um", "y0_um")
+_LOCAL_HEADER = struct.Struct("<26xHH")
+"""The end of a zip member's own header: the lengths of its name and of its extra field."""
+
+
+def write_npz(surface: HeightMap, path: Path) -> None:
+    """Write a height map to a path, whatever its ending."""
+    arrays: dict[str, Any] = {name: getattr(surface, name) for name in (*LAYERS, *PLACE)}
+    with path.open("wb") as file:
+        np.savez(file, provenance=np.array(encode(surface.provenance, "json")), **arrays)
+
+
+def read_npz(path: str | Path) -> HeightMap:
+    """Read a height map; its layers are mapped copy-on-write, so changing them does not change the file.
+
+    Raises DatasetError when the file is no ``.npz`` of a height map.
+    """
+    place = Path(path)
+    try:
+        with zipfile.ZipFile(place) as archive, place.open("rb") as file:
+            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in LAYERS}
+        with np.load(place) as members:
+            where: dict[str, Any] = {name: float(members[name]) for name in PLACE}
+            provenance = decode(str(members["provenance"]), Provenance, place.name, "json")
+    except FileNotFoundError as fault:
+        raise DatasetError(f"{place} does not exist: check the path.") from fault
+    except KeyError as fault:
+        raise DatasetError(
+            f"{place} is no height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
+        ) from fault
+    except (zipfile.BadZipFile, ValueError, OSError, struct.error) as fault:
+        raise DatasetError(f"{place} cannot be read as .npz: give a file that Wafer Viewer wrote.") from fault
+    try:
+        return HeightMap(**layers, **where, provenance=provenance)
+    except WaferViewerError as fault:
+        raise DatasetError(f"{place}: {fault}") from fault
+
+
+def _map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Map one uncompressed array of the archive; a compressed one is read."""
+    if member.compress_type != zipfile.ZIP_STORED:
+        with np.load(path) as members:
+            return members[member.filename.removesuffix(".npy")]
+    file.seek(member.header_offset)
+    name_bytes, extra_bytes = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
+    file.seek(name_bytes + extra_bytes, 1)
+    shape, fortran, dtype = _array_header(file)
+    if 0 in shape or fortran:
+        raise ValueError(f"{member.filename} has an unusual layout")
+    return np.asarray(np.memmap(path, dtype, "c", file.tell(), shape))
+
+
+def _array_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type that stand before an array's numbers."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read(file)

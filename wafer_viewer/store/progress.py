@@ -1,0 +1,24 @@
+"""How long work on files tells how far it is, and is told to stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
+
+from wafer_viewer.model.errors import DatasetError
+
+Progress = Callable[[float], None]
+ShouldStop = Callable[[], bool]
+T = TypeVar("T")
+
+
+def watched(
+    items: Iterable[T], total: int, what: str, progress: Progress | None, should_stop: ShouldStop | None
+) -> Iterator[T]:
+    """The items, with the fraction done told after each. Raises DatasetError when the work is to stop."""
+    for done, item in enumerate(items, 1):
+        if should_stop is not None and should_stop():
+            raise DatasetError(f"{what} was stopped at {done - 1} of {total}. Nothing was kept of it.")
+        yield item
+        if progress is not None:
+            progress(done / total)

@@ -1,0 +1,113 @@
+"""One reconstruction of a dataset: the folder ``results/NAME`` with its recipe, surfaces, mosaic and findings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.plan import Field
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.spec import Spec, decode, encode
+from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.store.files import replacing, write_text, writing
+from wafer_viewer.store.mosaic import ZarrMosaic
+from wafer_viewer.store.npz import read_npz, write_npz
+
+RECIPE, FINDINGS, SURFACES, MOSAIC = "recipe.json", "findings.json", "surfaces", "mosaic.zarr"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """Where a reconstruction lies; nothing is held open, so workers can pass it among themselves."""
+
+    path: Path
+
+    @classmethod
+    def of(cls, folder: Path, name: str) -> Result:
+        """The result with a name in the folder of results. Raises DatasetError when the name is no folder's name."""
+        if not re.fullmatch(r"[\w][\w .+-]*", name):
+            raise DatasetError(f"A result cannot be called {name!r}: use letters, digits, spaces and . + - _ only.")
+        return cls(folder / name)
+
+    @property
+    def name(self) -> str:
+        """The name of the result."""
+        return self.path.name
+
+    @property
+    def exists(self) -> bool:
+        """Whether anything was saved to it."""
+        return self.path.is_dir()
+
+    def recipe(self) -> Recipe:
+        """The recipe it was made with. Raises DatasetError when none was saved."""
+        return decode(self._text(RECIPE), Recipe, str(self.path / RECIPE), "json")
+
+    def save_recipe(self, recipe: Recipe) -> None:
+        """Keep the recipe."""
+        self._save(RECIPE, recipe)
+
+    def surface(self, field: Field) -> HeightMap:
+        """The surface of a field, memory-mapped. Raises DatasetError when it was not reconstructed yet."""
+        path = self._surface_file(field)
+        if not path.exists():
+            raise DatasetError(f"Result {self.name!r} has no surface of field {field.number}: reconstruct it first.")
+        return read_npz(path)
+
+    def save_surface(self, field: Field, surface: HeightMap) -> None:
+        """Keep the surface of a field, in place of an earlier one."""
+        path = self._surface_file(field)
+        self._make_folder(path.parent)
+        with replacing(path) as beside:
+            write_npz(surface, beside)
+
+    def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
+        """Numbers of those fields that have a surface."""
+        return {f.number for f in fields if self._surface_file(f).exists()}
+
+    @property
+    def mosaic_path(self) -> Path:
+        """Where `write_mosaic` puts the stitched surface."""
+        return self.path / MOSAIC
+
+    @property
+    def has_mosaic(self) -> bool:
+        """Whether the fields were stitched."""
+        return self.mosaic_path.is_dir()
+
+    def mosaic(self) -> Mosaic:
+        """The stitched surface. Raises DatasetError when the fields were not stitched yet."""
+        if not self.has_mosaic:
+            raise DatasetError(f"Result {self.name!r} has no stitched surface: stitch its fields first.")
+        return ZarrMosaic.open(self.mosaic_path)
+
+    def findings(self) -> Findings:
+        """What was measured; nothing at first."""
+        if not (self.path / FINDINGS).exists():
+            return Findings()
+        return decode(self._text(FINDINGS), Findings, str(self.path / FINDINGS), "json")
+
+    def save_findings(self, findings: Findings) -> None:
+        """Keep what was measured, in place of what was kept before."""
+        self._save(FINDINGS, findings)
+
+    def _surface_file(self, field: Field) -> Path:
+        return self.path / SURFACES / f"{field.name}.npz"
+
+    def _save(self, name: str, spec: Spec) -> None:
+        self._make_folder(self.path)
+        write_text(self.path / name, encode(spec, "json"))
+
+    def _text(self, name: str) -> bytes:
+        try:
+            return (self.path / name).read_bytes()
+        except OSError as fault:
+            raise DatasetError(f"{self.path / name} cannot be read: {fault.strerror}.") from fault
+
+    def _make_folder(self, folder: Path) -> None:
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
