@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Int64s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 REACH_PX = 2
 
 
-def pad_with_nan(values: NDArray[np.float32]) -> NDArray[np.float32]:
+def pad_with_nan(values: Float32s) -> Float32s:
     """A copy with a border of NaN as wide as the window reaches: the kernels know no borders."""
     return np.pad(values, REACH_PX, constant_values=np.nan)
 
 
 @kernel
-def medians_at(padded, rows, cols):
+def medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     """The median of the finite pixels in the 5 x 5 window round each (row, col) of the map before it was padded.
 
-    padded: float32 from `pad_with_nan`; returns float32, NaN where the window holds nothing.
+    padded: from `pad_with_nan`; NaN where the window holds nothing.
     """
     out = np.empty(rows.size, np.float32)
     window = np.empty(25, np.float32)
@@ -35,8 +35,8 @@ def medians_at(padded, rows, cols):
 
 
 @kernel
-def far_from_median(padded, limit):
-    """Which measured pixels of the map are further than `limit` from the median of their 5 x 5 window; bool, before padding.
+def far_from_median(padded: Float32s, limit: Real) -> Bools:
+    """Which measured pixels are further than `limit` from the median of their 5 x 5 window, of the map before padding.
 
     A value is within `limit` of the median exactly when at least half of the window is above value - limit and at
     least half is below value + limit: counting runs as vectors, sorting does not.
@@ -57,7 +57,7 @@ def far_from_median(padded, limit):
 
 
 @kernel
-def _insert(window, count, v):
+def _insert(window: Float32s, count: Whole, v: Real) -> int:
     at = count
     while at > 0 and window[at - 1] > v:
         window[at] = window[at - 1]
@@ -67,7 +67,7 @@ def _insert(window, count, v):
 
 
 @kernel
-def _count(here, other, limit, above, below, finite):
+def _count(here: Float32s, other: Float32s, limit: Real, above: Int32s, below: Int32s, finite: Int32s) -> None:
     for x in range(above.size):
         v, low, high = other[x], here[x] - limit, here[x] + limit
         above[x] += np.int32(v >= low)
@@ -76,7 +76,7 @@ def _count(here, other, limit, above, below, finite):
 
 
 @kernel
-def _judge(here, above, below, finite, far):
+def _judge(here: Float32s, above: Int32s, below: Int32s, finite: Int32s, far: Bools) -> None:
     for x in range(far.size):
         enough = (above[x] + above[x] >= finite[x]) & (below[x] + below[x] >= finite[x])
         far[x] = (here[x] == here[x]) & (not enough)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wafer_viewer.numerics.jit import inline_kernel, kernel
+from wafer_viewer.numerics.arrays import Float32s, Greys, Real, UInt8s, Whole
+from wafer_viewer.numerics.jit import kernel
 
 _MEASURED = 0
 _FILLED = 1
@@ -17,11 +17,11 @@ _NOT_COVERED = 10
 class Sums(NamedTuple):
     """What a window of a mosaic has added up so far, all [row, col]."""
 
-    z: NDArray[np.float32]
-    raw: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    weight: NDArray[np.float32]
-    origin: NDArray[np.uint8]
+    z: Float32s
+    raw: Float32s
+    confidence: Float32s
+    weight: Float32s
+    origin: UInt8s
 
 
 class Shift(NamedTuple):
@@ -34,67 +34,131 @@ class Shift(NamedTuple):
 
 
 @kernel
-def add_heights(z, raw, confidence, origin, shift, row_weights, col_weights, max_step, sums):
+def add_heights(
+    z: Float32s,
+    raw: Float32s,
+    confidence: Float32s,
+    origin: UInt8s,
+    shift: Shift,
+    row_weights: Float32s,
+    col_weights: Float32s,
+    max_step: Real,
+    sums: Sums,
+) -> None:
     """Add one field to the part of the sums that it covers.
 
     Where the field lies between the pixels it is read bilinearly, but never across NaN or a step over `max_step`. A
     measured height replaces filled ones and is not mixed with them.
     """
-    whole = shift.row_part == 0 and shift.col_part == 0
+    n = col_weights.size
+    heights, raws, new, kept = (
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+        np.empty(n, np.float32),
+    )
+    near_col = shift.col + (1 if shift.col_part > 0.5 else 0)
+    for r in range(row_weights.size):
+        near_row = r + shift.row + (1 if shift.row_part > 0.5 else 0)
+        codes = origin[near_row, near_col : near_col + n]
+        _read(z, r, shift, max_step, heights)
+        _read(raw, r, shift, max_step, raws)
+        _weigh(heights, codes, row_weights[r], col_weights, sums.origin[r], new, kept)
+        _add(heights, new, kept, sums.z[r])
+        _add(raws, new, kept, sums.raw[r])
+        _add(confidence[near_row, near_col : near_col + n], new, kept, sums.confidence[r])
+        _add_weight(new, kept, sums.weight[r])
+
+
+@kernel
+def add_picture(
+    picture: Greys, shift: Shift, row_weights: Float32s, col_weights: Float32s, grey: Float32s, weight: Float32s
+) -> None:
+    """Add the grey of one picture to the part of the sums that it covers, bilinearly between the pixels."""
+    n = col_weights.size
+    ahead = shift.col + (1 if shift.col_part > 0 else 0)
+    s, t = np.float32(shift.row_part), np.float32(shift.col_part)
     for r in range(row_weights.size):
         i = r + shift.row
-        for c in range(col_weights.size):
-            j = c + shift.col
-            p, q = (i, j) if whole else _nearest(i, j, shift)
-            code = origin[p, q]
-            v = z[p, q] if whole else _between(z, i, j, shift, max_step)
-            if v != v:
-                if sums.origin[r, c] == _NOT_COVERED:
-                    sums.origin[r, c] = code
-                continue
-            if code == _FILLED and sums.weight[r, c] > 0 and sums.origin[r, c] == _MEASURED:
-                continue
-            if code == _MEASURED and sums.origin[r, c] != _MEASURED:
-                sums.z[r, c] = sums.raw[r, c] = sums.confidence[r, c] = sums.weight[r, c] = 0
-            w = row_weights[r] * col_weights[c]
-            sums.origin[r, c] = code
-            sums.weight[r, c] += w
-            sums.z[r, c] += w * v
-            sums.raw[r, c] += w * (raw[p, q] if whole else _between(raw, i, j, shift, max_step))
-            sums.confidence[r, c] += w * confidence[p, q]
+        k = i + (1 if shift.row_part > 0 else 0)
+        a, b = picture[i, shift.col : shift.col + n], picture[i, ahead : ahead + n]
+        c, d = picture[k, shift.col : shift.col + n], picture[k, ahead : ahead + n]
+        _add_grey(a, b, t, row_weights[r] * (np.float32(1) - s), col_weights, grey[r])
+        if s > 0:
+            _add_grey(c, d, t, row_weights[r] * s, col_weights, grey[r])
+        for x in range(n):
+            weight[r, x] += row_weights[r] * col_weights[x]
 
 
 @kernel
-def add_picture(picture, shift, row_weights, col_weights, grey, weight):
-    """Add the grey of one picture to the part of the sums that it covers, bilinearly between the pixels."""
-    last_row, last_col = picture.shape[0] - 1, picture.shape[1] - 1
-    s, t = np.float32(shift.row_part), np.float32(shift.col_part)
-    for r in range(row_weights.size):
-        upper = picture[r + shift.row]
-        lower = picture[min(r + shift.row + 1, last_row)]
-        for c in range(col_weights.size):
-            j = c + shift.col
-            k = min(j + 1, last_col)
-            above = np.float32(upper[j]) + t * (np.float32(upper[k]) - np.float32(upper[j]))
-            below = np.float32(lower[j]) + t * (np.float32(lower[k]) - np.float32(lower[j]))
-            w = row_weights[r] * col_weights[c]
-            grey[r, c] += w * (above + s * (below - above))
-            weight[r, c] += w
-
-
-@inline_kernel
-def _nearest(i, j, shift):
-    return i + (1 if shift.row_part > 0.5 else 0), j + (1 if shift.col_part > 0.5 else 0)
+def _read(layer: Float32s, r: Whole, shift: Shift, max_step: Real, out: Float32s) -> None:
+    """One row of a layer, in the window's pixels."""
+    n, i, j = out.size, r + shift.row, shift.col
+    if shift.row_part == 0 and shift.col_part == 0:
+        out[:] = layer[i, j : j + n]
+        return
+    k, ahead = i + (1 if shift.row_part > 0 else 0), j + (1 if shift.col_part > 0 else 0)
+    near_row, near_col = k if shift.row_part > 0.5 else i, ahead if shift.col_part > 0.5 else j
+    nearest = layer[near_row, near_col : near_col + n]
+    a, b, c, d = layer[i, j : j + n], layer[i, ahead : ahead + n], layer[k, j : j + n], layer[k, ahead : ahead + n]
+    _between(a, b, c, d, nearest, np.float32(shift.row_part), np.float32(shift.col_part), np.float32(max_step), out)
 
 
 @kernel
-def _between(z, i, j, shift, max_step):
-    """The bilinear value, or the nearest one beside NaN or a step."""
-    i1, j1 = min(i + 1, z.shape[0] - 1), min(j + 1, z.shape[1] - 1)
-    a, b, c, d = z[i, j], z[i, j1], z[i1, j], z[i1, j1]
-    s, t = np.float32(shift.row_part), np.float32(shift.col_part)
-    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) <= max_step and a + b + c + d == a + b + c + d:
-        above, below = a + t * (b - a), c + t * (d - c)
-        return above + s * (below - above)
-    p, q = _nearest(i, j, shift)
-    return z[p, q]
+def _between(
+    a: Float32s,
+    b: Float32s,
+    c: Float32s,
+    d: Float32s,
+    nearest: Float32s,
+    s: Real,
+    t: Real,
+    max_step: Real,
+    out: Float32s,
+) -> None:
+    """The bilinear value, or the nearest one beside NaN (which no comparison lets pass) or a step."""
+    for x in range(out.size):
+        above, below = a[x] + t * (b[x] - a[x]), c[x] + t * (d[x] - c[x])
+        flat = (abs(b[x] - a[x]) <= max_step) & (abs(d[x] - c[x]) <= max_step) & (abs(c[x] - a[x]) <= max_step)
+        out[x] = above + s * (below - above) if flat else nearest[x]
+
+
+@kernel
+def _weigh(
+    heights: Float32s,
+    codes: UInt8s,
+    row_weight: Real,
+    col_weights: Float32s,
+    origin: UInt8s,
+    new: Float32s,
+    kept: Float32s,
+) -> None:
+    """What the new heights count, what becomes of the old sums (1 kept, 0 replaced), and whose origin it is."""
+    for x in range(new.size):
+        old, code = origin[x], codes[x]
+        there = heights[x] == heights[x]
+        taken = there & ((code == _MEASURED) | (old != _MEASURED))
+        replaces = taken & (code == _MEASURED) & (old != _MEASURED)
+        new[x] = row_weight * col_weights[x] if taken else np.float32(0)
+        kept[x] = np.float32(0) if replaces else np.float32(1)
+        origin[x] = code if taken | (old == _NOT_COVERED) else old
+
+
+@kernel
+def _add(values: Float32s, new: Float32s, kept: Float32s, total: Float32s) -> None:
+    for x in range(total.size):
+        v = values[x] if new[x] > 0 else np.float32(0)
+        total[x] = kept[x] * total[x] + new[x] * v
+
+
+@kernel
+def _add_weight(new: Float32s, kept: Float32s, total: Float32s) -> None:
+    for x in range(total.size):
+        total[x] = kept[x] * total[x] + new[x]
+
+
+@kernel
+def _add_grey(a: Greys, b: Greys, t: Real, row_weight: Real, col_weights: Float32s, grey: Float32s) -> None:
+    for x in range(grey.size):
+        left = np.float32(a[x])
+        grey[x] += row_weight * col_weights[x] * (left + t * (np.float32(b[x]) - left))

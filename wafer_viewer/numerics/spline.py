@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Int64s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 
 @kernel
-def fill_rows(z, max_gap, max_step):
-    """Fill gaps of NaN up to `max_gap` pixels along each row of float32 z, in place.
+def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> None:
+    """Fill gaps of NaN up to `max_gap` pixels along each row of z, in place.
 
     A gap whose two sides differ by more than `max_step` is a step: it stays, and no spline runs across it, nor across
     a longer gap. Each run between those is a natural cubic spline of its own, solved by the Thomas algorithm.
@@ -30,7 +31,8 @@ def fill_rows(z, max_gap, max_step):
 
 
 @kernel
-def _knots(row, knots):
+def _knots(row: Float32s, knots: Int64s) -> int:
+    """Write down where the row is measured."""
     count = 0
     for x in range(row.size):
         knots[count] = x
@@ -40,17 +42,17 @@ def _knots(row, knots):
 
 
 @kernel
-def _parted(row, a, b, max_gap, max_step):
+def _parted(row: Float32s, a: Whole, b: Whole, max_gap: Whole, max_step: Real) -> np.bool_ | bool:
     return b - a - 1 > max_gap or abs(row[b] - row[a]) > max_step
 
 
 @kernel
-def _has_gap(knots, first, stop):
+def _has_gap(knots: Int64s, first: Whole, stop: Whole) -> bool:
     return knots[stop - 1] - knots[first] > stop - 1 - first
 
 
 @kernel
-def _bends(row, knots, bend, factor):
+def _bends(row: Float32s, knots: Int64s, bend: Float64s, factor: Float64s) -> None:
     """Second derivatives at the knots; zero at both ends."""
     last = knots.size - 1
     bend[0], factor[0] = 0.0, 0.0
@@ -66,7 +68,7 @@ def _bends(row, knots, bend, factor):
 
 
 @kernel
-def _fill_run(row, knots, bend):
+def _fill_run(row: Float32s, knots: Int64s, bend: Float64s) -> None:
     for n in range(knots.size - 1):
         a, b = knots[n], knots[n + 1]
         wide = float(b - a)

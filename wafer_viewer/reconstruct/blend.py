@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,24 +133,18 @@ def blend_window(
     Memory is that of the window, however many fields there are.
     """
     lattice = lattice or layout(heights)
-    shape = rows.stop - rows.start, cols.stop - cols.start
-    sums = Sums(*(np.zeros(shape, np.float32) for _ in range(4)), np.full(shape, Origin.NOT_COVERED, np.uint8))
-    grey, grey_weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     touching = [(lattice.places[n], heights[n]) for n in lattice.touching(rows, cols)]
+    sums, picture = _empty_sums(rows, cols), _Picture.empty(rows, cols)
     for place, height in touching:
-        part, shift, row_weights, col_weights = _placed(place, rows, cols)
-        if not (row_weights.size and col_weights.size):
-            continue
-        layers = height.z_um, height.z_raw_um, height.confidence, height.origin
-        max_step = np.float32(MAX_STEP_FRAMES * height.provenance.z_step_um)
-        add_heights(*map(_fixed, layers), shift, row_weights, col_weights, max_step, Sums(*(s[part] for s in sums)))
-        add_picture(_fixed(height.all_in_focus), shift, row_weights, col_weights, grey[part], grey_weight[part])
-    dtype = np.result_type(*{h.all_in_focus.dtype for _, h in touching}) if touching else np.dtype(np.uint8)
+        spot = _spot(place, rows, cols)
+        if spot is not None:
+            _add_heights(height, spot, sums)
+            picture.add(height.all_in_focus, spot)
     return HeightMap(
         z_um=_mean(sums.z, sums.weight),
         z_raw_um=_mean(sums.raw, sums.weight),
-        confidence=np.nan_to_num(_mean(sums.confidence, sums.weight)),
-        all_in_focus=_as_grey(grey, grey_weight, dtype),
+        confidence=_mean(sums.confidence, sums.weight, 0.0),
+        all_in_focus=picture.grey([h.all_in_focus for _, h in touching]),
         origin=sums.origin,
         pixel_um=lattice.pixel_um,
         x0_um=lattice.x0_um + cols.start * lattice.pixel_um,
@@ -160,13 +155,12 @@ def blend_window(
 
 def blend_pictures(pictures: Sequence[Image], lattice: Layout, rows: slice, cols: slice) -> Image:
     """The pixels [rows, cols] of the mosaic of one picture a field, with the ramps of the heights; 0 where none is."""
-    shape = rows.stop - rows.start, cols.stop - cols.start
-    grey, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    picture = _Picture.empty(rows, cols)
     for n in lattice.touching(rows, cols):
-        part, shift, row_weights, col_weights = _placed(lattice.places[n], rows, cols)
-        if row_weights.size and col_weights.size:
-            add_picture(_fixed(pictures[n]), shift, row_weights, col_weights, grey[part], weight[part])
-    return _as_grey(grey, weight, pictures[0].dtype)
+        spot = _spot(lattice.places[n], rows, cols)
+        if spot is not None:
+            picture.add(pictures[n], spot)
+    return picture.grey(pictures)
 
 
 def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance:
@@ -186,36 +180,73 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
     )
 
 
-def _placed(
-    place: Place, rows: slice, cols: slice
-) -> tuple[tuple[slice, slice], Shift, NDArray[np.float32], NDArray[np.float32]]:
-    """The part of a window that a field covers, the way from there to the field's pixels, and the weights."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spot:
+    """The part of a window that a field covers, the way from there to the field's pixels, and the field's weights."""
+
+    part: tuple[slice, slice]
+    shift: Shift
+    row_weights: NDArray[np.float32]
+    col_weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Picture:
+    """Grey that is being added up over a window."""
+
+    total: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+    @classmethod
+    def empty(cls, rows: slice, cols: slice) -> _Picture:
+        shape = rows.stop - rows.start, cols.stop - cols.start
+        return cls(np.zeros(shape, np.float32), np.zeros(shape, np.float32))
+
+    def add(self, picture: Image, spot: _Spot) -> None:
+        total, weight = self.total[spot.part], self.weight[spot.part]
+        add_picture(_fixed(picture), spot.shift, spot.row_weights, spot.col_weights, total, weight)
+
+    def grey(self, like: Sequence[Image]) -> Image:
+        """The mean grey, in the numbers of the pictures it is from; 0 where there was none."""
+        dtype = np.result_type(*{p.dtype for p in like}) if like else np.dtype(np.uint8)
+        return np.rint(_mean(self.total, self.weight, 0.0)).astype(dtype)
+
+
+def _empty_sums(rows: slice, cols: slice) -> Sums:
+    shape = rows.stop - rows.start, cols.stop - cols.start
+    z, raw, confidence, weight = (np.zeros(shape, np.float32) for _ in range(4))
+    return Sums(z, raw, confidence, weight, np.full(shape, Origin.NOT_COVERED, np.uint8))
+
+
+def _add_heights(height: HeightMap, spot: _Spot, sums: Sums) -> None:
+    z, raw, confidence, origin = map(_fixed, (height.z_um, height.z_raw_um, height.confidence, height.origin))
+    max_step = np.float32(MAX_STEP_FRAMES * height.provenance.z_step_um)
+    part = Sums(*(layer[spot.part] for layer in sums))  # pyright: ignore[reportArgumentType]
+    add_heights(z, raw, confidence, origin, spot.shift, spot.row_weights, spot.col_weights, max_step, part)
+
+
+def _spot(place: Place, rows: slice, cols: slice) -> _Spot | None:
+    """Where a field lies in a window; None when it covers no pixel of it."""
     top, bottom = max(rows.start, math.ceil(place.row)), min(rows.stop, math.floor(place.last_row) + 1)
     left, right = max(cols.start, math.ceil(place.col)), min(cols.stop, math.floor(place.last_col) + 1)
-    part = (
-        slice(top - rows.start, max(top, bottom) - rows.start),
-        slice(left - cols.start, max(left, right) - cols.start),
-    )
+    if bottom <= top or right <= left:
+        return None
     row_part, row = math.modf(top - place.row)
     col_part, col = math.modf(left - place.col)
-    return (
-        part,
+    return _Spot(
+        (slice(top - rows.start, bottom - rows.start), slice(left - cols.start, right - cols.start)),
         Shift(int(row), int(col), row_part, col_part),
         place.row_weights(np.arange(top, bottom, dtype=np.float64)),
         place.col_weights(np.arange(left, right, dtype=np.float64)),
     )
 
 
-def _fixed(layer: NDArray) -> NDArray:
+def _fixed(layer: NDArray[Any]) -> NDArray[Any]:
     """A read-only view: kernels compile once for maps in memory and for those in a file."""
     view = layer.view()
     view.flags.writeable = False
     return view if view.flags.c_contiguous else _fixed(np.ascontiguousarray(layer))
 
 
-def _mean(total: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.divide(total, weight, out=np.full(total.shape, np.nan, np.float32), where=weight > 0)
-
-
-def _as_grey(total: NDArray[np.float32], weight: NDArray[np.float32], dtype: np.dtype) -> Image:
-    return np.rint(np.nan_to_num(_mean(total, weight))).astype(dtype)
+def _mean(total: NDArray[np.float32], weight: NDArray[np.float32], without: float = np.nan) -> NDArray[np.float32]:
+    return np.divide(total, weight, out=np.full(total.shape, without, np.float32), where=weight > 0)

@@ -9,12 +9,13 @@ noted in passing.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole, Wholes
 from wafer_viewer.numerics.jit import kernel
 
 _SML, _TENENGRAD, _GLV = 0, 1, 2
@@ -39,26 +40,36 @@ FOCUS_MEASURES: dict[str, FocusMeasure] = {
 class Rows(NamedTuple):
     """The rows that the kernels work in: small enough for the first cache, one set for each thread."""
 
-    smooth: NDArray[np.signedinteger]
-    slope: NDArray[np.signedinteger]
-    energy: NDArray[np.signedinteger]
-    ring: NDArray[np.signedinteger]
-    columns: NDArray[np.signedinteger]
-    squares: NDArray[np.signedinteger]
-    doubled: NDArray[np.signedinteger]
-    redoubled: NDArray[np.signedinteger]
-    sums: NDArray[np.signedinteger]
-    square_sums: NDArray[np.signedinteger]
-    value: NDArray[np.float32]
+    smooth: Wholes
+    slope: Wholes
+    energy: Wholes
+    ring: Wholes
+    columns: Wholes
+    squares: Wholes
+    doubled: Wholes
+    redoubled: Wholes
+    sums: Wholes
+    square_sums: Wholes
+    value: Float32s
 
     @classmethod
-    def make(cls, cols: int, window: int, dtype: np.dtype) -> Rows:
+    def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> Rows:
         """Rows for blocks `cols` wide; int32 holds all sums of 8-bit grey up to a window of 25, int64 of 16-bit."""
         whole = np.int32 if np.dtype(dtype).itemsize == 1 else np.int64
         wide = cols + window - 1
-        rows = [np.zeros(wide + 2, whole), np.zeros(wide + 2, whole), np.zeros(wide, whole)]
-        rows += [np.zeros((window, wide), whole)] + [np.zeros(wide, whole) for _ in range(4)]
-        return cls(*rows, np.zeros(cols, whole), np.zeros(cols, whole), np.zeros(cols, np.float32))
+        return cls(
+            smooth=np.zeros(wide + 2, whole),
+            slope=np.zeros(wide + 2, whole),
+            energy=np.zeros(wide, whole),
+            ring=np.zeros((window, wide), whole),
+            columns=np.zeros(wide, whole),
+            squares=np.zeros(wide, whole),
+            doubled=np.zeros(wide, whole),
+            redoubled=np.zeros(wide, whole),
+            sums=np.zeros(cols, whole),
+            square_sums=np.zeros(cols, whole),
+            value=np.zeros(cols, np.float32),
+        )
 
 
 def margin_px(window: int) -> int:
@@ -66,7 +77,7 @@ def margin_px(window: int) -> int:
     return window // 2 + 1
 
 
-def mantissa_bits(dtype: np.dtype) -> int:
+def mantissa_bits(dtype: np.dtype[Any]) -> int:
     """Bits of a level of the focus volume that follow the whole part of log2: five or six bits are before them."""
     return 11 if np.dtype(dtype).itemsize == 1 else 10
 
@@ -83,11 +94,20 @@ def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
 
 
 @kernel
-def focus_block(block, measure, window, clipped_counts, rows, levels, best, peak, clipped):
+def focus_block(
+    block: Greys,
+    measure: Whole,
+    window: Whole,
+    clipped_counts: Whole,
+    rows: Rows,
+    levels: UInt16s,
+    best: UInt16s,
+    peak: UInt16s,
+    clipped: UInt16s,
+) -> None:
     """Focus volume, best level, best frame and number of clipped frames of a block.
 
-    block: uint8 or uint16 [k, row + 2 margin, col + 2 margin]; levels: uint16 [k, row, col]; best: uint16 [row, col];
-    peak, clipped: uint16 [row, col].
+    block: [k, row + 2 margin, col + 2 margin]; levels: [k, row, col]; best, peak, clipped: [row, col].
     """
     best[:] = 0
     peak[:] = 0
@@ -108,7 +128,7 @@ def focus_block(block, measure, window, clipped_counts, rows, levels, best, peak
 
 
 @kernel
-def _focus_values(frame, measure, window, rows, out):
+def _focus_values(frame: Greys, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
     _begin(rows)
     for r in range(out.shape[0] + window - 1):
         _take_row(frame, r, measure, window, rows)
@@ -118,14 +138,14 @@ def _focus_values(frame, measure, window, rows, out):
 
 
 @kernel
-def _begin(rows):
+def _begin(rows: Rows) -> None:
     rows.ring[:] = 0
     rows.columns[:] = 0
     rows.squares[:] = 0
 
 
 @kernel
-def _take_row(frame, r, measure, window, rows):
+def _take_row(frame: Greys, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
     """Let row r of the frame into the column sums, and the row that leaves the window out of them."""
     ring = rows.ring[r % window]
     if measure == _GLV:
@@ -142,7 +162,7 @@ def _take_row(frame, r, measure, window, rows):
 
 
 @kernel
-def _sml_row(above, here, below, energy):
+def _sml_row(above: Greys, here: Greys, below: Greys, energy: Wholes) -> None:
     """|Ixx|^2 + |Iyy|^2 of eq. 2."""
     i = energy.dtype.type
     for x in range(energy.size):
@@ -153,7 +173,7 @@ def _sml_row(above, here, below, energy):
 
 
 @kernel
-def _tenengrad_row(above, here, below, smooth, slope, energy):
+def _tenengrad_row(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes, energy: Wholes) -> None:
     """Gx^2 + Gy^2 of eq. 3, the Sobel operator as one pass down the columns and one along the row."""
     i = energy.dtype.type
     for x in range(smooth.size):
@@ -166,7 +186,7 @@ def _tenengrad_row(above, here, below, smooth, slope, energy):
 
 
 @kernel
-def _slide(energy, ring, columns):
+def _slide(energy: Wholes, ring: Wholes, columns: Wholes) -> None:
     i = columns.dtype.type
     for x in range(columns.size):
         new = energy[x]
@@ -175,7 +195,7 @@ def _slide(energy, ring, columns):
 
 
 @kernel
-def _slide_grey(here, ring, columns, squares):
+def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
     """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
     i = columns.dtype.type
     for x in range(columns.size):
@@ -188,7 +208,7 @@ def _slide_grey(here, ring, columns, squares):
 
 
 @kernel
-def _add_up(measure, window, rows):
+def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
     """The measure of one row of pixels, in rows.value: for eq. 4 times the number of pixels of the window."""
     _box(rows.columns, window, rows.doubled, rows.redoubled, rows.sums)
     if measure == _GLV:
@@ -200,7 +220,7 @@ def _add_up(measure, window, rows):
 
 
 @kernel
-def _box(columns, window, doubled, redoubled, sums):
+def _box(columns: Wholes, window: Whole, doubled: Wholes, redoubled: Wholes, sums: Wholes) -> None:
     """Sums of `window` neighbours by doubling: log2(window) additions a pixel instead of window - 1.
 
     Sums of 2, 4, 8 ... neighbours are made in turn and those that make up an odd window are added.
@@ -224,7 +244,7 @@ def _box(columns, window, doubled, redoubled, sums):
 
 
 @kernel
-def _pairs(values, distance, out):
+def _pairs(values: Wholes, distance: Whole, out: Wholes) -> None:
     i = out.dtype.type
     ahead = values[distance:]
     for x in range(ahead.size):
@@ -232,7 +252,7 @@ def _pairs(values, distance, out):
 
 
 @kernel
-def _deviations(sums, square_sums, per_pixel, value):
+def _deviations(sums: Wholes, square_sums: Wholes, per_pixel: Real, value: Float32s) -> None:
     """Sum of squared deviations from the mean: exact in float64 for 16-bit grey and a window of 25."""
     for x in range(value.size):
         total = np.float64(sums[x])
@@ -240,7 +260,7 @@ def _deviations(sums, square_sums, per_pixel, value):
 
 
 @kernel
-def _note(bits, shift, k, level, best, peak):
+def _note(bits: Int32s, shift: Whole, k: Whole, level: UInt16s, best: UInt16s, peak: UInt16s) -> None:
     """Keep log2 of a row and the best frame so far.
 
     The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
@@ -259,7 +279,7 @@ def _note(bits, shift, k, level, best, peak):
 
 
 @kernel
-def _count_clipped(row, margin, clipped_counts, clipped):
+def _count_clipped(row: Greys, margin: Whole, clipped_counts: Whole, clipped: UInt16s) -> None:
     limit = np.int32(clipped_counts)
     inner = row[margin:]
     for x in range(clipped.size):

@@ -1,8 +1,9 @@
-"""Statistical outlier removal: points that are far from their neighbours in all three dimensions.
+"""Statistical outlier removal: points that are far from their nearest neighbours.
 
-`lattice` looks for the neighbours among the pixels round a pixel, `cloud` in the point cloud as the paper does; both
-compare the mean distance to the nearest neighbours with its mean and deviation over the field. On a clean field that
-deviation is tiny and the rule would eat the edges of steps, so the threshold has a floor.
+`lattice` looks for the neighbours among the pixels round a pixel and measures along z, `cloud` looks in the point cloud
+as the paper does; both compare the mean distance to the nearest neighbours with its mean and deviation over the field.
+On a clean field that deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a
+floor.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ def _none(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: f
 
 
 def _lattice(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
-    """The neighbours are the nearest of the 7 x 7 pixels round a pixel."""
+    """The neighbours are the nearest of the 7 x 7 pixels round a pixel; a pixel with too few of them is an outlier."""
     neighbours = min(how.neighbours, (2 * REACH_PX + 1) ** 2 // 2)
     padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
     rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
     if not rows.size:
         return np.zeros(z_um.shape, bool)
-    usual = mean_distances(padded, rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX, pixel_um, neighbours)
-    return beyond(padded, pixel_um, neighbours, _threshold(usual, how, floor_um))
+    usual = mean_distances(padded, rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX, neighbours)
+    return beyond(padded, neighbours, _threshold(usual, how, floor_um))
 
 
 def _cloud(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
@@ -60,7 +61,9 @@ def _cloud(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: 
 
 def _threshold(distances: NDArray[np.floating], how: Outliers, floor_um: float) -> float:
     known = distances[np.isfinite(distances)]
-    return max(floor_um, float(known.mean() + how.n_sigma * known.std())) if known.size else floor_um
+    if not known.size:
+        return floor_um
+    return float(known.mean() + max(how.n_sigma * known.std(), floor_um))
 
 
 FINDERS: dict[str, Finder] = {"none": _none, "lattice": _lattice, "cloud": _cloud}

@@ -7,11 +7,13 @@ flanks of a real focus curve become nearly straight: the tent.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole
 from wafer_viewer.numerics.jit import inline_kernel, kernel
 
 _ARGMAX, _GAUSSIAN, _TENT = 0, 1, 2
@@ -33,6 +35,25 @@ PEAKS: dict[str, PeakEstimator] = {
 }
 
 
+class Curves(NamedTuple):
+    """The focus volume of a block, levels [k, row, col], and of each pixel the peak's frame, its rival, the least."""
+
+    levels: UInt16s
+    peak: UInt16s
+    rival: UInt16s
+    least: UInt16s
+
+
+class Scores(NamedTuple):
+    """The part of `Peaks` that comes from the focus volume."""
+
+    z_um: Float32s
+    lead: Float32s
+    fall: Float32s
+    contrast: Float32s
+    all_in_focus: Greys
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Peaks:
     """What the focus volume says of each pixel, all arrays [row, col].
@@ -51,12 +72,17 @@ class Peaks:
     all_in_focus: Image
 
     @classmethod
-    def empty(cls, shape: tuple[int, int], dtype: np.dtype) -> Peaks:
+    def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any]) -> Peaks:
         """Room for the peaks of a field or of a part of it."""
         z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
         return cls(
             z_um, lead, fall, contrast, np.empty(shape, bool), np.empty(shape, np.uint16), np.empty(shape, dtype)
         )
+
+    @property
+    def scores(self) -> Scores:
+        """What `describe` writes."""
+        return Scores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
 
     @property
     def confidence(self) -> NDArray[np.float32]:
@@ -84,11 +110,12 @@ def log2_table(mantissa_bits: int) -> NDArray[np.float32]:
 
 
 @kernel
-def rivals(levels, peak, gap, rival, least):
+def find_rivals(curves: Curves, gap: Whole) -> None:
     """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
 
-    levels: uint16 [k, row, col]; peak, rival, least: uint16 [row, col]. Without a rival the lowest level stands in.
+    Without a rival the lowest level stands in.
     """
+    levels, peak, rival, least = curves
     last = levels.shape[0] - 1
     for y in range(peak.shape[0]):
         rival[y] = 0
@@ -100,7 +127,9 @@ def rivals(levels, peak, gap, rival, least):
 
 
 @kernel
-def _rival_row(before, here, after, k, gap, peak, rival):
+def _rival_row(
+    before: UInt16s, here: UInt16s, after: UInt16s, k: Whole, gap: Whole, peak: UInt16s, rival: UInt16s
+) -> None:
     i = np.int32
     frame = i(k)
     low, high = i(-gap), i(gap)
@@ -114,14 +143,14 @@ def _rival_row(before, here, after, k, gap, peak, rival):
 
 
 @kernel
-def _lower(here, least):
+def _lower(here: UInt16s, least: UInt16s) -> None:
     for x in range(here.size):
         a, b = here[x], least[x]
         least[x] = a if a < b else b
 
 
 @kernel
-def _raise(floor, values):
+def _raise(floor: UInt16s, values: UInt16s) -> None:
     for x in range(values.size):
         a, b = floor[x], values[x]
         values[x] = a if a > b else b
@@ -129,34 +158,43 @@ def _raise(floor, values):
 
 @kernel
 def describe(
-    levels, peak, rival, least, block, margin, z_um, gap, estimator, bits, table, z, lead, fall, contrast, aif
-):
+    curves: Curves,
+    block: Greys,
+    margin: Whole,
+    z_um: Float64s,
+    gap: Whole,
+    estimator: Whole,
+    table: Float32s,
+    out: Scores,
+) -> None:
     """Height, scores and all-in-focus grey of each pixel, from the levels round its peak."""
-    last = levels.shape[0] - 1
-    mask = (1 << bits) - 1
-    for y in range(z.shape[0]):
-        for x in range(z.shape[1]):
-            k = np.int64(peak[y, x])
-            top = _log2(levels[k, y, x], bits, mask, table)
-            left = _log2(levels[max(0, k - 1), y, x], bits, mask, table)
-            right = _log2(levels[min(last, k + 1), y, x], bits, mask, table)
-            before = _log2(levels[max(0, k - gap), y, x], bits, mask, table)
-            after = _log2(levels[min(last, k + gap), y, x], bits, mask, table)
-            z[y, x] = _place(estimator, z_um, k, last, left, top, right)
-            lead[y, x] = top - _log2(rival[y, x], bits, mask, table)
-            contrast[y, x] = top - _log2(least[y, x], bits, mask, table)
-            fall[y, x] = top - max(before, after)
-            aif[y, x] = block[k, y + margin, x + margin]
+    levels, last = curves.levels, curves.levels.shape[0] - 1
+    bits = 0
+    while 1 << bits < table.size:
+        bits += 1
+    for y in range(levels.shape[1]):
+        for x in range(levels.shape[2]):
+            k = np.int64(curves.peak[y, x])
+            top = _log2(levels[k, y, x], bits, table)
+            left = _log2(levels[max(0, k - 1), y, x], bits, table)
+            right = _log2(levels[min(last, k + 1), y, x], bits, table)
+            before = _log2(levels[max(0, k - gap), y, x], bits, table)
+            after = _log2(levels[min(last, k + gap), y, x], bits, table)
+            out.z_um[y, x] = _place(estimator, z_um, k, last, left, top, right)
+            out.lead[y, x] = top - _log2(curves.rival[y, x], bits, table)
+            out.contrast[y, x] = top - _log2(curves.least[y, x], bits, table)
+            out.fall[y, x] = top - max(before, after)
+            out.all_in_focus[y, x] = block[k, y + margin, x + margin]
 
 
 @inline_kernel
-def _log2(level, bits, mask, table):
+def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
     q = np.int64(level)
-    return np.float32(q >> bits) + table[q & mask]
+    return np.float32(q >> bits) + table[q & ((1 << bits) - 1)]
 
 
 @kernel
-def _place(estimator, z_um, k, last, left, top, right):
+def _place(estimator: Whole, z_um: Float64s, k: Whole, last: Whole, left: Real, top: Real, right: Real) -> Real:
     """The z of the peak, between the middles of the two intervals beside frame k."""
     z = z_um[k]
     if estimator == _ARGMAX or k == 0 or k == last:
@@ -169,7 +207,7 @@ def _place(estimator, z_um, k, last, left, top, right):
 
 
 @kernel
-def _parabola(below, z, above, left, top, right):
+def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """The vertex of the parabola through three points of log focus, at any spacing."""
     a = (z - below) * (top - right)
     b = (above - z) * (top - left)
@@ -177,7 +215,7 @@ def _parabola(below, z, above, left, top, right):
 
 
 @kernel
-def _tent(below, z, above, left, top, right):
+def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
     if top - left >= top - right:
         slope = (top - left) / (z - below)

@@ -9,11 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface import HeightMap, Origin
 
 _LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 
@@ -43,13 +44,13 @@ class Tier:
 
 def halved(height: HeightMap) -> HeightMap:
     """The means over 2 x 2 pixels of what is measured; the best origin of the four. An odd last line stands alone."""
-    grey = height.all_in_focus
+    grey, covered = height.all_in_focus, height.origin != Origin.NOT_COVERED
     return dataclasses.replace(
         height,
         z_um=_mean(height.z_um),
         z_raw_um=_mean(height.z_raw_um),
         confidence=_mean(height.confidence),
-        all_in_focus=np.rint(_mean(grey.astype(np.float32))).astype(grey.dtype),
+        all_in_focus=np.nan_to_num(np.rint(_mean(np.where(covered, grey, np.float32(np.nan))))).astype(grey.dtype),
         origin=np.minimum.reduce(_quarters(height.origin, 255)),
         pixel_um=2 * height.pixel_um,
         x0_um=height.x0_um + 0.5 * height.pixel_um,
@@ -65,7 +66,7 @@ def joined(bands: Sequence[HeightMap]) -> HeightMap:
     return dataclasses.replace(bands[0], **layers)
 
 
-def _quarters(values: NDArray, beyond: float) -> list[NDArray]:
+def _quarters(values: NDArray[Any], beyond: float) -> list[NDArray[Any]]:
     """The four pixels below each pixel of the next level; `beyond` stands in past an odd border."""
     rows, cols = values.shape
     even = np.pad(values, ((0, rows % 2), (0, cols % 2)), constant_values=beyond) if rows % 2 or cols % 2 else values

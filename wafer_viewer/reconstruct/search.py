@@ -7,13 +7,14 @@ import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, Rows, focus_block, mantissa_bits, margin_px
-from wafer_viewer.reconstruct.peak import PEAKS, Peaks, describe, log2_table, rivals
+from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, describe, find_rivals, log2_table
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 
 STRIPE_ROWS = 48
@@ -36,32 +37,28 @@ class Bench:
     """What one thread works with: the block it reads, the focus volume of the block, and its small change."""
 
     block: Image
-    levels: NDArray[np.uint16]
+    curves: Curves
     best: NDArray[np.uint16]
-    peak: NDArray[np.uint16]
-    rival: NDArray[np.uint16]
-    least: NDArray[np.uint16]
     rows: Rows
     table: NDArray[np.float32]
 
     @classmethod
-    def make(cls, n_frames: int, shape: tuple[int, int], window: int, dtype: np.dtype) -> Bench:
+    def make(cls, n_frames: int, shape: tuple[int, int], window: int, dtype: np.dtype[Any]) -> Bench:
         """A bench for blocks of up to `shape` pixels."""
         margin = margin_px(window)
         native = np.dtype(dtype).newbyteorder("=")
         block = np.zeros((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
-        small = (np.empty(shape, np.uint16) for _ in range(4))
-        levels = np.empty((n_frames, *shape), np.uint16)
-        table = log2_table(mantissa_bits(native))
-        return cls(block, levels, *small, Rows.make(shape[1], window, native), table)
+        best, peak, rival, least = (np.empty(shape, np.uint16) for _ in range(4))
+        curves = Curves(np.empty((n_frames, *shape), np.uint16), peak, rival, least)
+        return cls(block, curves, best, Rows.make(shape[1], window, native), log2_table(mantissa_bits(native)))
 
     def cut(self, n_rows: int, margin: int) -> Bench:
         """The same bench for a block of fewer rows: the last stripe of a field."""
         if n_rows == len(self.best):
             return self
-        block, levels = self.block[:, : n_rows + 2 * margin].copy(), self.levels[:, :n_rows].copy()
-        small = (a[:n_rows] for a in (self.best, self.peak, self.rival, self.least))
-        return Bench(block, levels, *small, self.rows, self.table)
+        levels, *small = self.curves
+        curves = Curves(levels[:, :n_rows].copy(), *(a[:n_rows] for a in small))
+        return Bench(self.block[:, : n_rows + 2 * margin].copy(), curves, self.best[:n_rows], self.rows, self.table)
 
 
 def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
@@ -97,14 +94,11 @@ def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench:
 def search_block(z_um: NDArray[np.float64], clipped_counts: int, search: Search, bench: Bench, out: Peaks) -> None:
     """The peaks of the block on a bench, into `out`."""
     measure, estimator = FOCUS_MEASURES[search.measure].code, PEAKS[search.estimator].code
-    levels, best, peak, window = bench.levels, bench.best, bench.peak, search.window
-    focus_block(bench.block, measure, window, clipped_counts, bench.rows, levels, best, peak, out.clipped)
-    rivals(levels, peak, search.gap, bench.rival, bench.least)
-    bits = mantissa_bits(bench.block.dtype)
-    describe(
-        levels, peak, bench.rival, bench.least, bench.block, margin_px(window), z_um, search.gap, estimator,
-        bits, bench.table, out.z_um, out.lead, out.fall, out.contrast, out.all_in_focus,
-    )  # fmt: skip
+    block, curves, margin = bench.block, bench.curves, margin_px(search.window)
+    peak = curves.peak
+    focus_block(block, measure, search.window, clipped_counts, bench.rows, curves.levels, bench.best, peak, out.clipped)
+    find_rivals(curves, search.gap)
+    describe(curves, block, margin, z_um, search.gap, estimator, bench.table, out.scores)
     out.at_end[:] = (peak == 0) | (peak == len(z_um) - 1)
 
 

@@ -95,7 +95,7 @@ def _half_height_width(bench: Bench, peaks: Peaks) -> float:
     if not textured.any():
         return 0.0
     half = 2 ** mantissa_bits(bench.block.dtype)
-    levels = bench.levels[:, textured].astype(np.int32)
+    levels = bench.curves.levels[:, textured].astype(np.int32)
     return float(np.median(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0)))
 
 

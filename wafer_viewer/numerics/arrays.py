@@ -1,0 +1,23 @@
+"""Short names for what kernels take: arrays by the kind of their numbers, and single numbers."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bools: TypeAlias = NDArray[np.bool_]
+Float32s: TypeAlias = NDArray[np.float32]
+Float64s: TypeAlias = NDArray[np.float64]
+Int32s: TypeAlias = NDArray[np.int32]
+Int64s: TypeAlias = NDArray[np.int64]
+UInt8s: TypeAlias = NDArray[np.uint8]
+UInt16s: TypeAlias = NDArray[np.uint16]
+Wholes: TypeAlias = NDArray[Any]
+"""int32 where the sums of 8-bit grey fit, int64 for 16-bit grey."""
+Greys: TypeAlias = NDArray[Any]
+"""uint8 or uint16."""
+
+Whole: TypeAlias = int | np.integer[Any]
+Real: TypeAlias = float | np.floating[Any]
