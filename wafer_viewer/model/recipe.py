@@ -32,7 +32,7 @@ class Outliers(Spec, frozen=True, kw_only=True):
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     mode: Literal["none", "lattice", "cloud"] = "lattice"
-    neighbours: Annotated[int, Within(4, 64)] = 12
+    neighbours: Annotated[int, Within(4, 64)] = 15
     n_sigma: Positive = 3.0
     floor_um: Positive | Auto = "auto"
 

@@ -55,12 +55,9 @@ def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
 
 def cleaned(stack: FieldStack, frames: Frames, recipe: Recipe, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
     """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
-    pixel_um, floor_um = stack.pixel_um, _number(recipe.outliers.floor_um)
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
     smoothed = smooth(raw, recipe.levy, int(_number(recipe.levy.iterations)), LEAST_NOISE_STEPS * frames.step_um)
-    dropped = find_outliers(smoothed, pixel_um, recipe.outliers, floor_um)
-    if recipe.outliers.mode != "none":
-        dropped |= np.abs(smoothed - raw) > floor_um
+    dropped = find_outliers(raw, smoothed, stack.pixel_um, recipe)
     origin = np.where(dropped, np.uint8(Origin.OUTLIER), origin)
     raw[dropped] = smoothed[dropped] = np.nan
     z_um = fill(smoothed, recipe.fill, frames.step_um)
@@ -70,7 +67,7 @@ def cleaned(stack: FieldStack, frames: Frames, recipe: Recipe, peaks: Peaks, ori
         confidence=peaks.confidence,
         all_in_focus=peaks.all_in_focus,
         origin=mark_filled(origin, z_um),
-        pixel_um=pixel_um,
+        pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
         y0_um=stack.y0_um,
         provenance=_provenance(stack, frames, recipe),

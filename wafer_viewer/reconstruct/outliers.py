@@ -4,6 +4,9 @@
 as the paper does; both compare the mean distance to the nearest neighbours with its mean and deviation over the field.
 On a clean field that deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a
 floor.
+
+Two more kinds of pixel stand alone: those that smoothing had to move by more than the floor, and those on islands
+smaller than the window of the focus measure, which cannot tell such a small thing from its surroundings.
 """
 
 from __future__ import annotations
@@ -13,7 +16,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Outliers
+from wafer_viewer.model.recipe import Outliers, Recipe
+from wafer_viewer.numerics.islands import small_islands
 from wafer_viewer.numerics.neighbours import REACH_PX, beyond, mean_distances
 
 _SAMPLE_EVERY_PX = 7
@@ -21,13 +25,16 @@ _SAMPLE_EVERY_PX = 7
 Finder = Callable[[NDArray[np.float32], float, Outliers, float], NDArray[np.bool_]]
 
 
-def find_outliers(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
-    """Which measured pixels of a map are outliers; bool [row, col]."""
-    return FINDERS[how.mode](z_um, pixel_um, how, floor_um)
-
-
-def _none(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
-    return np.zeros(z_um.shape, bool)
+def find_outliers(
+    raw_um: NDArray[np.float32], smoothed_um: NDArray[np.float32], pixel_um: float, recipe: Recipe
+) -> NDArray[np.bool_]:
+    """Which measured pixels of a map are outliers, by the settled recipe; bool [row, col]."""
+    how, floor_um = recipe.outliers, float(recipe.outliers.floor_um)
+    if how.mode == "none":
+        return np.zeros(raw_um.shape, bool)
+    found = FINDERS[how.mode](smoothed_um, pixel_um, how, floor_um) | (np.abs(smoothed_um - raw_um) > floor_um)
+    rest = np.where(found, np.float32(np.nan), smoothed_um)
+    return found | small_islands(rest, floor_um, int(recipe.window) ** 2)
 
 
 def _lattice(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
@@ -50,9 +57,10 @@ def _cloud(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: 
     if len(rows) <= how.neighbours:
         return found
     points = np.stack([cols * pixel_um, -rows * pixel_um, z_um[rows, cols]], axis=1).astype(np.float64)
-    tree = open3d.core.nns.NearestNeighborSearch(open3d.core.Tensor(points))
+    cloud = open3d.core.Tensor.from_numpy(points)
+    tree = open3d.core.nns.NearestNeighborSearch(cloud)
     tree.knn_index()
-    _, squared = tree.knn_search(open3d.core.Tensor(points), how.neighbours + 1)
+    _, squared = tree.knn_search(cloud, how.neighbours + 1)
     distance = np.sqrt(squared.numpy())[:, 1:].mean(axis=1)
     far = distance > _threshold(distance, how, floor_um)
     found[rows[far], cols[far]] = True
@@ -66,4 +74,4 @@ def _threshold(distances: NDArray[np.floating], how: Outliers, floor_um: float) 
     return float(known.mean() + max(how.n_sigma * known.std(), floor_um))
 
 
-FINDERS: dict[str, Finder] = {"none": _none, "lattice": _lattice, "cloud": _cloud}
+FINDERS: dict[str, Finder] = {"lattice": _lattice, "cloud": _cloud}
