@@ -75,7 +75,9 @@ def all_shots(plan: ScanPlan) -> list[Shot]:
 SUMMARY = PulseSummary(emitted=4, suppressed=0, quadrature_errors=0, exposures=4)
 
 
-def make_surface(rows=30, cols=40, pixel_um=0.5, x0_um=100.0, y0_um=50.0, seed=1, grey=np.uint8, **provenance) -> HeightMap:
+def make_surface(
+    rows=30, cols=40, pixel_um=0.5, x0_um=100.0, y0_um=50.0, seed=1, grey=np.uint8, **provenance
+) -> HeightMap:
     """A noisy slope with a measured, a filled and an unmeasured part."""
     rng = np.random.default_rng(seed)
     z = (0.1 * np.arange(cols) + rng.normal(size=(rows, cols))).astype(np.float32)

@@ -7,8 +7,8 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
@@ -26,7 +26,7 @@ _MENDS = {
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path) -> Generator[Path]:
     """A path beside `path` to write a file or a folder to; renamed into place at the end, removed on any failure.
 
     Raises DatasetError when the place cannot be written to.
@@ -43,7 +43,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path) -> Generator[None]:
     """Turn an operating system's refusal to write `path` into one sentence."""
     try:
         yield
@@ -59,11 +59,12 @@ def write_text(path: Path, text: str) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a folder with all it holds; what is not there is removed already."""
+    """Remove a file or a folder with all it holds, as far as the system lets us; it may be gone already."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        path.unlink(missing_ok=True)
+        with suppress(OSError):
+            path.unlink()
 
 
 def require_space(folder: Path, needed_bytes: int, what: str) -> None:

@@ -23,6 +23,8 @@ REC_709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in luminance, ITU-R BT.709."""
 NOTHING_WRITTEN = "Nothing was written."
 TIFF_ENDINGS = (".tif", ".tiff")
+_PLAIN_PHOTOMETRICS = (1, 2, 6)
+"""Grey with black 0, RGB, and YCbCr, which comes decoded: the kinds of TIFF whose values are what they say."""
 Paths = str | Path | Sequence[str | Path]
 
 
@@ -39,7 +41,10 @@ def pictures(src: Paths) -> list[Picture]:
 
     Raises DatasetError when there are none, or a file cannot be read as an image.
     """
-    return [picture for path in image_files(src) for picture in pictures_of(path)]
+    found = [picture for path in image_files(src) for picture in pictures_of(path)]
+    if not found:
+        raise DatasetError(f"Import stopped: no images were given. {NOTHING_WRITTEN} Name a folder, a file or several.")
+    return found
 
 
 def image_files(src: Paths) -> list[Path]:
@@ -101,13 +106,12 @@ def _read_page(path: Path, page: int, name: str) -> Image:
 
     try:
         with tifffile.TiffFile(path) as file:
-            first = file.pages[page]
-            values, color_first = first.asarray(), first.axes.startswith("S")
-            palette = first.colormap if isinstance(first, tifffile.TiffPage) else None
+            one: Any = file.pages[page]
+            if one.photometric not in _PLAIN_PHOTOMETRICS:
+                return as_grey(_read_with_pillow(path, page), name)
+            values, color_first = one.asarray(), one.axes.startswith("S")
     except (tifffile.TiffFileError, OSError, ValueError, IndexError, RuntimeError) as fault:
         raise damaged(name, fault) from fault
-    if palette is not None and values.ndim == 2:
-        values = np.moveaxis(palette[:, values], 0, -1)
     return as_grey(np.moveaxis(values, 0, -1) if color_first else values, name)
 
 
@@ -125,10 +129,12 @@ def _read_png(path: Path) -> NDArray[Any]:
     return imagecodecs.png_decode(path.read_bytes())
 
 
-def _read_with_pillow(path: Path) -> NDArray[Any]:
+def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
+    """Palettes, CMYK and the like are brought to RGB of 8 bits."""
     import PIL.Image
 
     with PIL.Image.open(path) as image:
+        image.seek(page)
         grey = image.mode in ("L", "I;16", "I;16B", "I;16L")
         return np.asarray(image if grey else image.convert("RGB"))
 

@@ -116,7 +116,8 @@ class _Alike:
 def _read_all(found: list[Picture], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
     alike = _Alike()
     first = alike.passed(found[0])
-    images: Image = np.empty((len(found), *first.shape), first.dtype)
+    dtype: np.dtype[Any] = first.dtype
+    images = np.empty((len(found), *first.shape), dtype)
     images[0] = first
     for k, picture in enumerate(watched(found[1:], len(found) - 1, "Reading the images", progress, should_stop), 1):
         images[k] = alike.passed(picture)

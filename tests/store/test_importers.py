@@ -1,0 +1,265 @@
+from __future__ import annotations
+
+import os
+
+import imagecodecs
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image as PillowImage
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.plan import Shot
+from wafer_viewer.store.images import REC_709, pictures
+from wafer_viewer.store.importers import import_dataset, open_stack
+
+STEP = {"z_step_um": 4.0, "pixel_um": 0.5}
+
+
+def grey(seed, rows=12, cols=16, dtype=np.uint8):
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, (rows, cols), dtype)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def write(path, image):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".tif":
+        tifffile.imwrite(path, image, photometric="rgb" if image.shape[-1] == 3 else "minisblack")
+    elif path.suffix == ".png":
+        path.write_bytes(imagecodecs.png_encode(image))
+    else:
+        PillowImage.fromarray(image).save(path, quality=95)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Twelve images whose names sort wrongly as text."""
+    for k in range(12):
+        write(tmp_path / f"stack/im{k}.png", grey(k))
+    return tmp_path / "stack"
+
+
+def test_a_folder_is_read_in_the_order_people_count_in(folder):
+    stack = open_stack(folder, **STEP)
+    np.testing.assert_array_equal(stack.images, [grey(k) for k in range(12)])
+    np.testing.assert_allclose(stack.z_um, 4.0 * np.arange(12))
+    assert stack.present.all()
+    assert stack.pixel_um == 0.5
+    assert stack.calibration is None
+    assert not stack.simulated
+
+
+def test_a_list_of_files_and_a_multi_page_tiff_are_the_same_stack(folder, tmp_path):
+    tifffile.imwrite(tmp_path / "all.tif", np.array([grey(k) for k in range(12)]), photometric="minisblack")
+    a = open_stack([str(p) for p in folder.iterdir()], **STEP)
+    b = open_stack(str(tmp_path / "all.tif"), **STEP)
+    np.testing.assert_array_equal(a.images, b.images)
+    assert a.checksum == b.checksum
+
+
+def test_frames_taken_downward_are_turned_round(folder):
+    stack = open_stack(folder, z_step_um=-4.0, pixel_um=0.5, z_start_um=100.0)
+    np.testing.assert_array_equal(stack.images[0], grey(11))
+    np.testing.assert_allclose(stack.z_um, 100 + 4.0 * np.arange(12))
+
+
+@pytest.mark.parametrize("ending", [".png", ".tif"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_colour_becomes_luminance_and_keeps_its_depth(tmp_path, ending, dtype):
+    color = np.random.default_rng(1).integers(0, np.iinfo(dtype).max, (12, 16, 3), dtype)
+    write(tmp_path / f"a{ending}", color)
+    (picture,) = pictures(tmp_path / f"a{ending}")
+    assert picture.read().dtype == dtype
+    np.testing.assert_array_equal(picture.read(), np.rint(color @ REC_709).astype(dtype))
+
+
+def test_white_stays_white(tmp_path):
+    write(tmp_path / "a.png", np.full((4, 4, 4), 255, np.uint8))
+    assert (pictures(tmp_path / "a.png")[0].read() == 255).all()
+
+
+KINDS = [
+    *((".tif", mode) for mode in ("L", "RGB", "P", "1", "CMYK", "LA")),
+    *((".png", mode) for mode in ("L", "RGB", "P", "1", "LA", "RGBA")),
+    *((".jpg", mode) for mode in ("L", "RGB", "CMYK")),
+    *((".bmp", mode) for mode in ("L", "RGB", "P", "1")),
+]
+
+
+@pytest.mark.parametrize(("ending", "mode"), KINDS)
+def test_whatever_pillow_writes_is_read_as_pillow_reads_it(tmp_path, ending, mode):
+    image = PillowImage.fromarray(grey(1)).convert(mode)
+    path = tmp_path / f"a{ending}"
+    image.save(path)
+    with PillowImage.open(path) as written:
+        expected = np.asarray(written.convert("L"), int)
+    assert np.abs(pictures(path)[0].read().astype(int) - expected).max() <= 2
+
+
+def test_compressed_big_endian_and_planar_tiffs(tmp_path):
+    image = grey(1, dtype=np.uint16)
+    tifffile.imwrite(tmp_path / "a.tif", image, compression="lzw", byteorder=">")
+    np.testing.assert_array_equal(pictures(tmp_path / "a.tif")[0].read(), image)
+    color = np.stack([grey(k) for k in range(3)])
+    tifffile.imwrite(tmp_path / "b.tif", color, photometric="rgb", planarconfig="separate")
+    expected = np.rint(np.moveaxis(color, 0, -1) @ REC_709)
+    np.testing.assert_array_equal(pictures(tmp_path / "b.tif")[0].read(), expected)
+
+
+def test_a_stack_becomes_a_dataset(folder, tmp_path):
+    fractions = []
+    data = import_dataset(folder, tmp_path / "a.wafer", progress=fractions.append, **STEP)
+    np.testing.assert_array_equal(data.stack(1).images, [grey(k) for k in range(12)])
+    assert data.finished
+    assert data.check().ok
+    assert not data.simulated
+    assert data.scan.imported_from == "stack"
+    assert data.calibration_problem("2026-01-01") == "imported images carry no calibration"
+    assert fractions == pytest.approx([(k + 1) / 12 for k in range(12)])
+    assert names(tmp_path) == ["a.wafer", "stack"]
+
+
+def grid(root, cells, n_frames=4, name="r{}_c{}_k{}.tif", dtype=np.uint8):
+    for row, col in cells:
+        for k in range(n_frames):
+            write(root / name.format(row, col, k), grey([row, col, k], dtype=dtype))
+    return root
+
+
+def test_a_grid_of_fields_is_told_by_the_names(tmp_path):
+    cells = [(1, 1), (1, 2), (2, 1), (2, 2), (2, 10)]
+    src = grid(tmp_path / "src", cells, dtype=np.uint16)
+    data = import_dataset(src, tmp_path / "a.wafer", pattern="r{row}_c{col}_k{k}.tif", overlap_fraction=0.25, **STEP)
+    assert [(f.row, f.col) for f in data.fields] == [(r - 1, c - 1) for r, c in cells]
+    assert [f.x_um for f in data.fields] == pytest.approx([0.75 * 8 * (c - 1) for _, c in cells])
+    assert [f.y_um for f in data.fields] == pytest.approx([-0.75 * 6 * (r - 1) for r, _ in cells])
+    np.testing.assert_array_equal(data.stack(5).images[3], grey([2, 10, 3], dtype=np.uint16))
+    assert data.check().ok
+
+
+def test_a_grid_of_multi_page_files_and_of_folders(tmp_path):
+    for row, col in ((0, 0), (0, 1)):
+        (tmp_path / "pages").mkdir(exist_ok=True)
+        stack = np.array([grey([row, col, k]) for k in range(4)])
+        tifffile.imwrite(tmp_path / f"pages/r{row}c{col}.tif", stack, photometric="minisblack")
+    src = grid(tmp_path / "folders", [(0, 0), (0, 1)], name="r{}c{}/image {}.png")
+    a = import_dataset(tmp_path / "pages", tmp_path / "a.wafer", pattern="r{row}c{col}.tif", **STEP)
+    b = import_dataset(src, tmp_path / "b.wafer", pattern="r{row}c{col}/image {k}.png", **STEP)
+    np.testing.assert_array_equal(a.stack(2).images, b.stack(2).images)
+
+
+def test_a_frame_that_others_have_is_an_empty_slot(tmp_path):
+    src = grid(tmp_path / "src", [(0, 0), (0, 1)])
+    (src / "r0_c1_k2.tif").unlink()
+    data = import_dataset(src, tmp_path / "a.wafer", pattern="r{row}_c{col}_k{k}.tif", **STEP)
+    assert data.stack(2).present.tolist() == [True, True, False, True]
+    assert data.missed() == {Shot(2, 2): "there was no such image"}
+    assert data.finished
+
+
+def spoil_size(folder):
+    write(folder / "im9.png", grey(9, rows=11))
+
+
+def spoil_depth(folder):
+    write(folder / "im1.png", grey(9, dtype=np.uint16))
+
+
+def spoil_png(folder):
+    (folder / "im4.png").write_bytes((folder / "im4.png").read_bytes()[:-60])
+
+
+def spoil_jpeg(folder):
+    write(folder / "im20.jpg", grey(1))
+    (folder / "im20.jpg").write_bytes((folder / "im20.jpg").read_bytes()[:-90])
+
+
+def spoil_tiff(folder):
+    write(folder / "im20.tif", grey(1))
+    os.truncate(folder / "im20.tif", (folder / "im20.tif").stat().st_size - 100)
+
+
+def text_named_tif(folder):
+    (folder / "im20.tif").write_text("no image at all")
+
+
+def float_tiff(folder):
+    tifffile.imwrite(folder / "im20.tif", np.zeros((12, 16), np.float32))
+
+
+def only_two(folder):
+    for k in range(2, 12):
+        (folder / f"im{k}.png").unlink()
+
+
+def none_at_all(folder):
+    only_two(folder)
+    for path in folder.iterdir():
+        path.rename(path.with_suffix(".txt"))
+
+
+BAD = [
+    (spoil_size, r"Import stopped at im9.png: it is 16 x 11 px, 8 bit, the 9 before it are 16 x 12 px, 8 bit. Nothing"),
+    (spoil_depth, r"Import stopped at im1.png: it is 16 x 12 px, 16 bit, the one before it is 16 x 12 px, 8 bit."),
+    (spoil_png, r"Import stopped at im4.png: it is damaged or no image"),
+    (spoil_jpeg, r"Import stopped at im20.jpg: it is damaged or no image"),
+    (spoil_tiff, r"Import stopped at im20.tif: it is damaged or no image"),
+    (text_named_tif, r"Import stopped at im20.tif: it is damaged or no image \(not a TIFF file"),
+    (float_tiff, r"Import stopped at im20.tif: its values are float32"),
+    (only_two, r"has 2 frames and at least 3 are needed"),
+    (none_at_all, r"the folder holds no images"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "sentence"), BAD, ids=[spoil.__name__ for spoil, _ in BAD])
+def test_bad_images_are_named_and_nothing_is_written(folder, tmp_path, spoil, sentence):
+    spoil(folder)
+    with pytest.raises(DatasetError, match=sentence) as caught:
+        import_dataset(folder, tmp_path / "a.wafer", **STEP)
+    assert "Nothing was written." in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert names(tmp_path) == ["stack"]
+    with pytest.raises(DatasetError, match=sentence):
+        open_stack(folder, **STEP)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"z_step_um": None}, "The z step is missing: give it with --z-step-um"),
+        ({"pixel_um": None}, "The pixel size is missing: give it with --pixel-um"),
+        ({"z_step_um": 0.0}, "The z step is 0 um"),
+        ({"pixel_um": -1.0}, "The pixel size is -1 um"),
+        ({"overlap_fraction": 0.6}, "The overlap is 60% of a field: it must be between 0 % and 50%"),
+        ({"pattern": "r{row}.tif"}, "does not say which field a file is"),
+        ({"pattern": "r{row}c{col}.png"}, r"im0.png: its name does not fit the pattern 'r\{row\}c\{col\}.png'"),
+        ({"srcs": "/nowhere"}, "/nowhere: it does not exist"),
+        ({"srcs": []}, "no images were given"),
+        ({"out": "nowhere/a.wafer"}, "nowhere/a.wafer cannot be written: its folder does not exist"),
+        ({"out": "stack/im0.png/a.wafer"}, "im0.png/a.wafer cannot be written: a part of the path is a file"),
+        ({"out": "stack"}, "stack exists already"),
+    ],
+)
+def test_wrong_settings_are_one_sentence(folder, tmp_path, monkeypatch, change, sentence):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(DatasetError, match=sentence):
+        import_dataset(**({"srcs": folder, "out": "a.wafer", **STEP} | change))
+    assert names(tmp_path) == ["stack"]
+    assert len(names(folder)) == 12
+
+
+def test_a_frame_that_is_there_twice(tmp_path):
+    grid(tmp_path / "src", [(0, 0)])
+    write(tmp_path / "src/r00_c0_k1.tif", grey(1))
+    with pytest.raises(DatasetError, match="frame 1 of row 0, column 0 is there twice"):
+        import_dataset(tmp_path / "src", tmp_path / "a.wafer", pattern="r{row}_c{col}_k{k}.tif", **STEP)
+
+
+def test_an_import_can_be_stopped(folder, tmp_path):
+    answers = iter([False] * 5 + [True])
+    with pytest.raises(DatasetError, match="The import was stopped at 5 of 12"):
+        import_dataset(folder, tmp_path / "a.wafer", should_stop=lambda: next(answers), **STEP)
+    assert names(tmp_path) == ["stack"]
