@@ -20,7 +20,7 @@ class RigConfig(Spec, frozen=True, kw_only=True):
     scene: str = "wafer"
     size: Literal["small", "full"] = "small"
     real_time: bool = False
-    seed: Annotated[int, Within(0)] = 0
+    seed: Annotated[int, Within(0, 2**31)] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

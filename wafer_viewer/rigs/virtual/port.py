@@ -43,7 +43,7 @@ class VirtualPort:
         self._wire = interference or Interference()
         self._rng = np.random.default_rng(self._wire.seed)
         self._arrived = bytearray()
-        self._open = True
+        self.is_open = True
 
     @property
     def in_waiting(self) -> int:
@@ -68,7 +68,7 @@ class VirtualPort:
 
     def close(self) -> None:
         """Let the port go."""
-        self._open = False
+        self.is_open = False
 
     def deliver(self, data: bytes, time_s: float) -> None:
         """The device sends: its bytes reach the reader a latency later."""
@@ -77,7 +77,7 @@ class VirtualPort:
             self._clock.at(time_s + LATENCY_S, lambda _: self._arrived.extend(on_wire))
 
     def _check_open(self) -> None:
-        if not self._open:
+        if not self.is_open:
             raise RigError("The virtual pulse box's port is closed: open the rig again.")
 
     def _disturbed(self, data: bytes) -> bytes:

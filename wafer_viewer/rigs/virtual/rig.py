@@ -179,6 +179,8 @@ class VirtualRig:
 
     def close(self) -> None:
         """Stop motion, disarm the box, let the ports go."""
+        if not self._port.is_open:
+            return
         self._box.halt()
         self._stage.stop()
         self._camera.stop()

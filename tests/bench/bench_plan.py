@@ -1,0 +1,106 @@
+"""What the paper's two jobs cost on the virtual rig, how fast they are priced, and how fast a scan's bookkeeping is.
+
+    python tests/bench/bench_plan.py [--quick]
+
+The scan runs on the virtual rig with empty pictures, so that only planner, wire, firmware and runner are timed; with
+--quick it is the gauge-block job's first row of fields, otherwise the whole job.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from wafer_viewer.acquire.planner import plan_scan, price_all
+from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+
+LIMITS = virtual_limits(1080, 1440)
+EXPOSURES_US = (100.0,)
+Job = tuple[tuple[Field, ...], FocusSweep]
+
+
+class Dark:
+    """Renders nothing."""
+
+    def __init__(self):
+        self.image = np.zeros((1080, 1440), np.uint8)
+
+    def frame(self, x_um, y_um, z_um, exposure_us, seed):
+        return self.image
+
+
+class Nowhere:
+    """Fulfils ScanSink and ScanControl, keeps nothing and stops nothing."""
+
+    def should_stop(self):
+        return False
+
+    def should_pause(self):
+        return False
+
+    def __getattr__(self, name):
+        return lambda *_: None
+
+
+def covering(rows: int, cols: int, width_um: float, height_um: float) -> tuple[Field, ...]:
+    """The fields of a job of the paper: a given number of rows and columns over a given rectangle."""
+    overlap_x = 1 - (width_um - LIMITS.field_width_um) / (cols - 1) / LIMITS.field_width_um
+    overlap_y = 1 - (height_um - LIMITS.field_height_um) / (rows - 1) / LIMITS.field_height_um
+    return FieldGrid(
+        rows=rows,
+        cols=cols,
+        field_width_um=LIMITS.field_width_um,
+        field_height_um=LIMITS.field_height_um,
+        overlap_x_fraction=overlap_x,
+        overlap_y_fraction=overlap_y,
+    ).fields()
+
+
+JOBS: dict[str, Job] = {
+    "gauge blocks, 9 x 7 fields, 126 frames": (covering(9, 7, 3000, 3200), FocusSweep(z_step_um=4.0, n_frames=126)),
+    "wafer, 16 x 13 fields, 101 frames": (covering(16, 13, 6000, 6000), FocusSweep(z_step_um=4.0, n_frames=101)),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What the paper's jobs cost, and how fast they are priced.")
+    parser.add_argument("--quick", action="store_true", help="scan one row of fields only, under ten seconds")
+    quick = parser.parse_args().quick
+    for title, job in JOBS.items():
+        show_prices(title, *job)
+    fields, sweep = next(iter(JOBS.values()))
+    show_scan(plan_scan(fields[:7] if quick else fields, sweep, EXPOSURES_US, LIMITS))
+
+
+def show_prices(title: str, fields: tuple[Field, ...], sweep: FocusSweep) -> None:
+    """The table that the operator sees, and the milliseconds that it took."""
+    price_all(fields, sweep, EXPOSURES_US, LIMITS)
+    begun = time.perf_counter()
+    prices = price_all(fields, sweep, EXPOSURES_US, LIMITS)
+    priced_ms = (time.perf_counter() - begun) * 1000
+    floor_s = len(fields) * sweep.n_frames / LIMITS.camera.frame_rate_hz
+    print(f"{title}: camera's floor {floor_s:.1f} s, all strategies priced in {priced_ms:.0f} ms")
+    for price in sorted(prices, key=lambda p: p.predicted_s or float("inf")):
+        cost = f"{price.predicted_s:8.1f} s  {price.motions:6d} motions" if price.predicted_s else price.ruled_out
+        print(f"  {price.title:24s} {cost}")
+
+
+def show_scan(plan: ScanPlan) -> None:
+    """Predicted against the virtual clock, and the processor's time for each frame."""
+    rig = VirtualRig(limits=LIMITS, renderer=Dark())
+    begun = time.perf_counter()
+    outcome = run_scan(plan, rig, Nowhere(), Nowhere())
+    us = (time.perf_counter() - begun) / plan.n_frames * 1e6
+    rig.close()
+    print(
+        f"{plan.n_frames} frames scanned: predicted {plan.predicted_s:.2f} s, "
+        f"took {outcome.duration_s:.2f} s of the rig's time, {len(outcome.missing)} missing; {us:.0f} us a frame"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,242 @@
+"""The contract of the role PulseBox, and what this box does when things go wrong."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from itertools import pairwise
+
+import pytest
+import serial
+
+from wafer_viewer.model.errors import RigError, WireError
+from wafer_viewer.model.plan import PulseTrain
+from wafer_viewer.rigs.pulse_box import PulseBoxClient
+from wafer_viewer.rigs.virtual.camera import Faults
+from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.firmware import VirtualPulseBox
+from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+from wafer_viewer.rigs.virtual.port import VirtualPort
+from wafer_viewer.rigs.virtual.rig import virtual_limits
+
+UPWARD = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=8, direction=1)
+DOWNWARD = PulseTrain(axis="z", first_count=1_500, counts_per_frame=200, n_frames=5, direction=-1)
+
+
+def pass_over(rig, train, speed_um_s=500.0, spare_um=3.0):
+    """Move through a train from before its first to behind its last pulse; returns the pulses as they came."""
+    z = rig.limits.z
+    rig.stage.move_to(z_um=z.position_um(train.first_count) - train.direction * spare_um)
+    rig.box.arm(train)
+    rig.stage.start("z", z.position_um(train.last_count) + train.direction * spare_um, speed_um_s)
+    pulses = []
+    while rig.stage.moving():
+        rig.clock.sleep(0.005)
+        pulses += rig.box.pulses()
+    return pulses
+
+
+@pytest.mark.parametrize("train", [UPWARD, DOWNWARD], ids=["upward", "downward"])
+def test_every_pulse_falls_on_its_count_in_order(rig, train):
+    pulses = pass_over(rig, train)
+    summary = rig.box.disarm()
+    pulses += rig.box.pulses()
+    assert [p.number for p in pulses] == list(range(train.n_frames))
+    counts = [train.first_count + train.direction * train.counts_per_frame * i for i in range(train.n_frames)]
+    assert [p.count for p in pulses] == counts
+    assert summary.emitted == train.n_frames
+    assert summary.suppressed == summary.quadrature_errors == 0
+    assert sorted(p.time_us for p in pulses) == [p.time_us for p in pulses]
+
+
+def test_pulses_are_evenly_spaced_at_speed(rig):
+    times = [p.time_us for p in pass_over(rig, UPWARD) + (rig.box.disarm() and rig.box.pulses())]
+    gaps = [b - a for a, b in pairwise(times)]
+    assert gaps == pytest.approx([2_000] * 7, abs=2)
+
+
+def test_nothing_comes_before_arming_and_after_disarming(rig):
+    rig.stage.move_to(z_um=20.0)
+    assert rig.box.pulses() == []
+    pass_over(rig, UPWARD)
+    rig.box.disarm()
+    rig.box.pulses()
+    rig.stage.move_to(z_um=0.0)
+    rig.stage.move_to(z_um=20.0)
+    assert rig.box.pulses() == []
+
+
+def test_arming_forgets_the_run_before(rig):
+    pass_over(rig, UPWARD)
+    rig.box.disarm()
+    rig.box.arm(UPWARD)
+    assert rig.box.pulses() == []
+    assert rig.box.disarm().emitted == 0
+
+
+def test_on_command_the_scale_gives_no_pulse_and_fire_gives_one(rig):
+    rig.box.arm(UPWARD, on_command=True)
+    rig.stage.move_to(z_um=7.0)
+    assert rig.box.pulses() == []
+    rig.box.fire()
+    rig.stage.move_to(z_um=9.0)
+    rig.box.fire()
+    assert rig.box.disarm().emitted == 2
+    assert [(p.number, p.count) for p in rig.box.pulses()] == [(0, 700), (1, 900)]
+
+
+def test_a_halt_stops_pulses_at_once(rig):
+    rig.stage.move_to(z_um=2.0)
+    rig.box.arm(UPWARD)
+    rig.stage.start("z", 20.0, 100.0)
+    rig.clock.sleep(0.06)
+    rig.box.halt()
+    rig.stage.wait()
+    assert 0 < rig.box.disarm().emitted < 8
+
+
+def test_firing_unarmed_and_arming_twice_are_refused(rig):
+    with pytest.raises(RigError, match="refused FIRE: not armed"):
+        rig.box.fire()
+    rig.box.arm(UPWARD)
+    with pytest.raises(RigError, match="refused CFG: armed"):
+        rig.box.arm(UPWARD)
+
+
+def test_a_box_that_does_not_hear_us_disarms_itself(switch_on):
+    rig = switch_on()
+    rig.stage.move_to(z_um=2.0)
+    rig.box.arm(UPWARD)
+    rig.clock.sleep(3.0)
+    rig.stage.move_to(z_um=20.0)
+    with pytest.raises(RigError, match="no heartbeat for 2000 ms"):
+        rig.box.pulses()
+    assert rig.box.disarm().emitted == 0
+
+
+def test_a_box_that_is_asked_for_pulses_stays_armed(switch_on):
+    rig = switch_on()
+    rig.stage.move_to(z_um=2.0)
+    rig.box.arm(UPWARD)
+    for _ in range(30):
+        rig.clock.sleep(0.4)
+        rig.box.pulses()
+    rig.stage.start("z", 20.0, 100.0)
+    rig.stage.wait()
+    assert rig.box.disarm().emitted == 8
+
+
+def test_a_box_that_was_started_anew_is_noticed(switch_on):
+    rig = switch_on(faults=Faults(reboots=(3,)))
+    pass_over(rig, UPWARD)
+    with pytest.raises(RigError, match=r"started anew.*boot 2, before 1"):
+        rig.box.disarm()
+    assert len(pass_over(rig, UPWARD)) >= 7
+
+
+def test_pulses_too_near_to_each_other_are_suppressed_and_counted(switch_on):
+    rig = switch_on()
+    close = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=40, direction=1)
+    pass_over(rig, close, speed_um_s=1_500.0, spare_um=30.0)
+    summary = rig.box.disarm()
+    assert summary.suppressed == 20
+    assert summary.emitted == 20
+    assert {p.count % 200 for p in rig.box.pulses()} <= {100, 0}
+
+
+def test_a_trigger_during_readout_is_ignored_and_the_box_knows(switch_on):
+    rig = switch_on()
+    rig.camera.start(100.0)
+    pass_over(rig, UPWARD)
+    summary = rig.box.disarm()
+    assert summary.emitted == 8
+    assert summary.exposures < 8
+
+
+def test_it_needs_a_box_that_speaks_its_protocol(switch_on, monkeypatch):
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.firmware.VERSION", "WPC/9")
+    with pytest.raises(RigError, match=r"WPC/9, not WPC/1.*update"):
+        switch_on()
+
+
+def test_a_dead_port_is_said_in_a_sentence():
+    class Dead:
+        timeout = None
+        in_waiting = 0
+
+        def read(self, size=1, /):
+            raise serial.SerialException("device reports readiness to read but returned no data")
+
+        def write(self, data, /):
+            return len(data)
+
+    with pytest.raises(RigError, match=r"cannot be read .*check its cable"):
+        PulseBoxClient(Dead(), VirtualClock())
+
+
+def test_a_silent_port_is_a_timeout():
+    class Silent:
+        def receive(self, data, time_s):
+            return b""
+
+    clock = VirtualClock()
+    with pytest.raises(RigError, match="did not answer HELLO within 12 tries"):
+        PulseBoxClient(VirtualPort(clock, Silent()), clock)
+
+
+def test_records_that_left_the_ring_are_a_refusal_not_a_guess(switch_on, monkeypatch):
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.firmware.RING_RECORDS", 4)
+    rig = switch_on()
+    rig.box.arm(UPWARD, on_command=True)
+    for _ in range(8):
+        rig.box.fire()
+    rig.box._records.clear()
+    monkeypatch.setattr(rig.box._wire, "events", list)
+    with pytest.raises((RigError, WireError), match="not in the ring"):
+        rig.box.disarm()
+
+
+class WallClock:
+    """Fulfils the role Clock with the wall's time."""
+
+    def now_s(self):
+        return time.monotonic()
+
+    def sleep(self, seconds):
+        time.sleep(seconds)
+
+
+@pytest.fixture
+def pseudo_terminal():
+    """A pulse box behind a real pyserial port: the far end of a pseudo-terminal, served by a thread."""
+    clock = VirtualClock()
+    firmware = VirtualPulseBox(clock, VirtualStage(clock, virtual_limits(16, 24)), lambda time_s: True)
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    firmware.connect(lambda data, time_s: os.write(ours, data))
+
+    def serve():
+        while (data := os.read(ours, 4096)) != b"\x00":
+            os.write(ours, firmware.receive(data, time.monotonic()))
+
+    server = threading.Thread(target=serve, daemon=True)
+    server.start()
+    with serial.Serial(os.ttyname(theirs)) as port:
+        yield port
+        port.write(b"\x00")
+        server.join(5.0)
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_it_works_through_pyserial(pseudo_terminal):
+    box = PulseBoxClient(pseudo_terminal, WallClock())
+    for run in range(3):
+        box.arm(UPWARD, on_command=True)
+        for _ in range(run + 1):
+            box.fire()
+        assert box.disarm().emitted == run + 1
+        assert [p.number for p in box.pulses()] == list(range(run + 1))
+    assert box.retries == 0
