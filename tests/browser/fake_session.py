@@ -1,0 +1,277 @@
+"""A session that stands still: it shows the snapshot it was given and remembers what it was asked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.acquire.planner import plan_scan
+from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.rigs.virtual.rig import scene_overview, virtual_limits
+from wafer_viewer.session.state import (
+    DatasetEntry,
+    Draft,
+    Fault,
+    FieldState,
+    LatestFrame,
+    OpenDataset,
+    RigStatus,
+    ScanProgress,
+    Snapshot,
+    SurfaceInfo,
+    Work,
+)
+
+LIMITS = virtual_limits(540, 720)
+DATA = Path("/tmp/wafers")
+
+
+class FakeSession:
+    """Every verb is remembered in `asked` and done at once; `edit_job` makes a new draft."""
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        self.snapshot = snapshot
+        self.latest_frame: LatestFrame | None = None
+        self.asked: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+        self.fails_with: Exception | None = None
+        self._listeners: list[Callable[[Snapshot], None]] = []
+
+    def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
+        self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
+
+    def change(self, **fields: Any) -> None:
+        self.snapshot = dataclasses.replace(self.snapshot, version=self.snapshot.version + 1, **fields)
+        for listener in list(self._listeners):
+            listener(self.snapshot)
+
+    def edit_job(self, job: Job | None) -> Future[None]:
+        self.change(draft=draft_of(job))
+        return self._done("edit_job", (job,), {})
+
+    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
+        return a_profile(line)
+
+    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
+        return a_step(upper, lower)
+
+    def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
+        return SimpleNamespace(z_um=21.86, confidence=0.94, origin=0)
+
+    def __getattr__(self, name: str) -> Callable[..., Future[Any]]:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return lambda *args, **kwargs: self._done(name, args, kwargs)
+
+    def _done(self, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Future[Any]:
+        self.asked.append((name, args, kwargs))
+        answer: Future[Any] = Future()
+        if self.fails_with is not None:
+            answer.set_exception(self.fails_with)
+        else:
+            answer.set_result(None)
+        return answer
+
+
+def a_job() -> Job:
+    grid = FieldGrid(rows=3, cols=3, field_width_um=LIMITS.field_width_um, field_height_um=LIMITS.field_height_um)
+    return Job(
+        sample=Sample(
+            name="coupon-07", lot="L2231", wafer_id="W07", operator="K. Adler", width_um=6000, height_um=6000
+        ),
+        grid=grid.centred_on(200, -100),
+        z_start_um=-45.0,
+        sweep=FocusSweep(z_step_um=1.5, n_frames=60),
+    )
+
+
+def draft_of(job: Job | None) -> Draft:
+    if job is None:
+        return Draft(free_bytes=212_000_000_000)
+    try:
+        plan = plan_scan(job.all_fields(), job.sweep, job.exposures_us, LIMITS, job.strategy)
+        return Draft(job=job, plan=plan, can_undo=True, free_bytes=212_000_000_000)
+    except PlanError as fault:
+        return Draft(job=job, problem=str(fault), can_undo=True, free_bytes=212_000_000_000)
+
+
+RIG = RigStatus(state="ready", x_um=-312.0, y_um=145.0, z_um=2043.1, limits=LIMITS)
+
+
+def entries() -> tuple[DatasetEntry, ...]:
+    names = (
+        ("coupon-06", "today 08:41", False),
+        ("step-400-check", "today 07:55", False),
+        ("coupon-04", "yesterday", True),
+    )
+    return tuple(
+        DatasetEntry(DATA / f"{n}.wafer", f"{n}.wafer", taken, unfinished, True) for n, taken, unfinished in names
+    )
+
+
+def empty() -> Snapshot:
+    return Snapshot(rig=RIG, data_folder=DATA, overview=scene_overview("wafer"), draft=draft_of(None))
+
+
+def planned() -> Snapshot:
+    return dataclasses.replace(empty(), draft=draft_of(a_job()), datasets=entries())
+
+
+def dataset(states: dict[int, FieldState], finished: bool, problem: str | None = None) -> OpenDataset:
+    job = a_job()
+    plan = draft_of(job).plan
+    if plan is None:
+        raise DatasetError("The plan of the fake dataset is not possible.")
+    return OpenDataset(
+        path=DATA / "coupon-07.wafer",
+        name="coupon-07",
+        taken="2026-03-14 09:41",
+        simulated=True,
+        calibration_problem=problem,
+        read_only=None,
+        finished=finished,
+        fields=plan.fields,
+        states=states,
+        stamps={n: 1 for n, s in states.items() if s is FieldState.MEASURED},
+        plan=plan,
+        job=job,
+        results=("default",),
+    )
+
+
+def scanning() -> Snapshot:
+    states = dict.fromkeys(range(1, 10), FieldState.TO_COME)
+    states.update(
+        {1: FieldState.MEASURED, 2: FieldState.MEASURED, 3: FieldState.TO_REPEAT, 6: FieldState.RECONSTRUCTING}
+    )
+    states[5] = FieldState.TAKING
+    data = dataset(states, finished=False)
+    scan = ScanProgress(
+        field=data.fields[4],
+        k=33,
+        z_um=31.5,
+        order=5,
+        frames_done=274,
+        frames_total=540,
+        frames_missing=1,
+        pulses=275,
+        seconds_left=23.0,
+        seconds_gone=7.4,
+        started="09:41:07",
+        strategy="Z passes, up and down",
+    )
+    fault = Fault(
+        id="f1",
+        title="Frame 173 did not arrive",
+        text="Field 3, z = +31.0 µm: the pulse was sent, no frame came. Field 3 is taken again at the end. Nothing to do.",
+        at="09:41:24",
+        where="field 3",
+        needs_person=False,
+        source="scan",
+    )
+    works = (Work("w1", "Surface of field 6", 0.41), Work("w2", "Stitch 9 fields", None))
+    return dataclasses.replace(
+        planned(), rig=dataclasses.replace(RIG, state="scanning"), dataset=data, scan=scan, works=works, faults=(fault,)
+    )
+
+
+def a_frame(snapshot: Snapshot) -> LatestFrame:
+    overview = snapshot.overview
+    image = (
+        overview.image[200:740, 200:920] if overview and overview.image is not None else np.zeros((540, 720), np.uint8)
+    )
+    field = snapshot.scan.field if snapshot.scan else dataset({}, True).fields[0]
+    return LatestFrame(np.ascontiguousarray(image), field, 33, 31.5, 231, 0.0002)
+
+
+def measured(problem: str | None = None) -> Snapshot:
+    data = dataset(dict.fromkeys(range(1, 10), FieldState.MEASURED), finished=True, problem=problem)
+    info = SurfaceInfo(
+        result="default",
+        stamp=1,
+        rows=1510,
+        cols=2010,
+        pixel_um=0.46729,
+        x0_um=-300.0,
+        y0_um=250.0,
+        levels=4,
+        n_fields=9,
+        highest_um=34.04,
+        lowest_um=-18.3,
+        measured_fraction=0.992,
+        filled_fraction=0.002,
+        unmeasured=(("no texture", 0.004), ("light bleeding over an edge", 0.002)),
+        overlap_rms_um=0.11,
+        low_um=-13.5,
+        high_um=16.5,
+    )
+    step = a_step(Region.rectangle(0, 0, 80, 60), Region.rectangle(0, -120, 80, -90))
+    line = a_profile(Region.line(-200, 0, 500, 0, 3.0))[0]
+    kept = (
+        dataclass_named(step, "Die to trench", 1),
+        dataclass_named(line, "Across the gel drop <b>&", 2),
+    )
+    scan = dataclasses.replace(_scan_of(data), finished=True)
+    return dataclasses.replace(planned(), dataset=data, surface=info, findings=kept, findings_undo=True, scan=scan)
+
+
+def _scan_of(data: OpenDataset) -> ScanProgress:
+    return ScanProgress(data.fields[8], 59, 43.5, 9, 540, 540, 0, 540, 0.0, 14.2, "09:41:07", "Z passes, up and down")
+
+
+def dataclass_named(finding: Any, name: str, number: int) -> Any:
+    from wafer_viewer.model.spec import replace
+
+    return replace(finding, name=name, number=number)
+
+
+def a_step(upper: Region, lower: Region) -> StepHeight:
+    budget = (
+        Contribution(name="z scale, calibrated 2026-01-12", u_um=0.012),
+        Contribution(name="Repeatability of the focus peak", u_um=0.094),
+        Contribution(name="Flatness of the regions", u_um=0.108),
+        Contribution(name="Level line", u_um=0.058),
+    )
+    return StepHeight(
+        upper=upper,
+        lower=lower,
+        height=Length.evaluated(11.862, budget),
+        definition="distance of two parallel planes fitted together",
+        upper_mean_um=0.12,
+        lower_mean_um=-11.74,
+        upper_sq_um=0.42,
+        lower_sq_um=0.51,
+        upper_points=6600,
+        lower_points=4400,
+        relative_tilt_mrad=0.3,
+        simulated=True,
+    )
+
+
+def a_profile(line: Region) -> tuple[Profile, ProfileCurve]:
+    n = 4000
+    distance = np.linspace(0, 2100, n)
+    z = 34 * np.exp(-(((distance - 1320) / 110) ** 2)) + 1.2 * np.sin(distance / 20)
+    z[(distance % 430) < 55] -= 12
+    z[2000:2040] = np.nan
+    a, b = line.points
+    curve = ProfileCurve(distance, z, np.linspace(a.x_um, b.x_um, n), np.linspace(a.y_um, b.y_um, n))
+    profile = Profile(
+        line=line,
+        length_um=2100.0,
+        pt=Length(value_um=47.6),
+        rise=Length(value_um=33.91, expanded_um=0.42, status="evaluated"),
+        measured_fraction=0.99,
+        simulated=True,
+    )
+    return profile, curve

@@ -1,0 +1,210 @@
+"""The panel of the second step: how long the scan still takes, what came of it, the frame just taken."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import stop_dialog
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import LatestFrame, OpenDataset, ScanProgress, Snapshot
+
+FRAME_EVERY_S = 0.18
+FRAME_WIDTH_PX = 720
+_ORDINALS = {1: "st", 2: "nd", 3: "rd"}
+
+
+class AcquirePanel:
+    """Progress, pause and stop, counters, the latest frame; when it is done, the way to the surface."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._frame_shown: LatestFrame | None = None
+        self._frame_at = 0.0
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        set_prop(self._folder, "visible", view.step == "acquire")
+        if view.step != "acquire":
+            return
+        scan = snapshot.scan
+        running = snapshot.scanning
+        self._title.show(html.title(*_title(snapshot)))
+        self._figures.show(_figures(scan) if scan else "")
+        set_prop(self._progress, "visible", scan is not None)
+        set_prop(self._progress, "value", round(100 * _done(scan), 1) if scan else 0.0)
+        self._show_buttons(snapshot, running)
+        self._notes.show(self._page.notes(snapshot))
+        self._counters.show(_counters(scan) if scan else "")
+        self._show_frame(snapshot)
+
+    def pause_or_resume(self) -> None:
+        """Pause a running scan, go on with a paused one."""
+        page = self._page
+        if page.session.snapshot.rig.state == "paused":
+            page.ask("The scan did not go on", page.session.resume())
+        else:
+            page.ask("The scan did not pause", page.session.pause())
+
+    def _build(self) -> None:
+        page, gui = self._page, self._page.gui
+        self._title = Cell(gui)
+        self._figures = Cell(gui)
+        self._progress = gui.add_progress_bar(0.0)
+        self._running = gui.add_folder(None, visible=False)
+        with self._running:
+            pause = guarded(page, "The scan did not pause")(lambda _: self.pause_or_resume())
+            self._pause = button(gui, "Pause", viser.Icon.PLAYER_PAUSE, pause)
+            self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, lambda _: stop_dialog(page))
+            in_a_row(gui, [self._pause, self._stop], 40)
+            Cell(gui, '<div class="wv-why">Stop ends the scan in software: it is no emergency stop.</div>')
+        self._notes = Cell(gui)
+        self._counters = Cell(gui)
+        self._frame_head = Cell(gui)
+        self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False)
+        self._frame_words = Cell(gui)
+        self._go_on = button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
+        self._look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
+        leading(gui, self._go_on)
+        leading(gui, self._look)
+
+    def _continue(self) -> object:
+        page = self._page
+        return guarded(page, "The scan did not go on")(
+            lambda _: page.ask("The scan did not go on", page.session.continue_scan())
+        )
+
+    def _show_buttons(self, snapshot: Snapshot, running: bool) -> None:
+        paused = snapshot.rig.state == "paused"
+        set_prop(self._running, "visible", running)
+        set_prop(self._pause, "label", "Go on" if paused else "Pause")
+        set_prop(self._pause, "icon", viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE)
+        set_prop(self._pause, "disabled", snapshot.rig.state == "stopping")
+        set_prop(self._stop, "disabled", snapshot.rig.state == "stopping")
+        data = snapshot.dataset
+        unfinished = data is not None and not data.finished and not running
+        set_prop(self._go_on, "visible", unfinished and data is not None and data.read_only is None)
+        set_prop(self._go_on, "disabled", snapshot.rig.state != "ready")
+        set_prop(self._look, "visible", not running and not unfinished and snapshot.surface is not None)
+
+    def _show_frame(self, snapshot: Snapshot) -> None:
+        frame = self._page.session.latest_frame
+        self._frame_head.show(_frame_head(frame))
+        set_prop(self._image, "visible", frame is not None)
+        if frame is None:
+            self._frame_words.show(html.empty("The latest frame will be shown here."))
+            return
+        self._frame_words.show(_frame_words(frame, snapshot))
+        if frame is not self._frame_shown and time.monotonic() - self._frame_at > FRAME_EVERY_S:
+            self._frame_shown, self._frame_at = frame, time.monotonic()
+            self._image.image = picture(frame.image)
+
+
+def picture(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
+    """A frame small enough to be sent often: uint8 [row, col, 3], at most `FRAME_WIDTH_PX` wide; 16 bit is cut to 8."""
+    every = max(1, -(-image.shape[1] // FRAME_WIDTH_PX))
+    small = image[::every, ::every]
+    grey = (small >> 8).astype(np.uint8) if small.dtype == np.uint16 else small
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def _title(snapshot: Snapshot) -> tuple[str, str]:
+    scan, data = snapshot.scan, snapshot.dataset
+    if snapshot.scanning and scan is not None:
+        n = len(data.fields) if data else 0
+        words = {"paused": "Paused at", "stopping": "Stopping at"}.get(snapshot.rig.state, "Taking")
+        return f"{words} field {scan.field.number}, the {_ordinal(scan.order)} of {n}", _how(scan)
+    if snapshot.scanning:
+        return "The scan begins", "The stage goes to the first field."
+    if data is not None and not data.finished:
+        return "The scan is unfinished", _missing(data)
+    if scan is not None:
+        return "The scan is done", _waits(snapshot) or _how(scan)
+    return "No scan yet", "Start one in Plan."
+
+
+def _ordinal(n: int) -> str:
+    return f"{n}{'th' if n % 100 in (11, 12, 13) else _ORDINALS.get(n % 10, 'th')}"
+
+
+def _how(scan: ScanProgress) -> str:
+    return f"{scan.strategy} · started {scan.started}" + (
+        f" · took {duration(scan.seconds_gone)}" if scan.finished else ""
+    )
+
+
+def _missing(data: OpenDataset) -> str:
+    left = sum(state.value in ("to come", "being taken", "to repeat") for state in data.states.values())
+    return f"{left} of {len(data.fields)} fields are not complete; the missing frames alone are taken."
+
+
+def _waits(snapshot: Snapshot) -> str:
+    if snapshot.surface is None:
+        return (
+            f"{len(snapshot.works)} jobs until the surface is there."
+            if snapshot.works
+            else "The surface is being made."
+        )
+    return ""
+
+
+def _done(scan: ScanProgress) -> float:
+    return scan.frames_done / max(1, scan.frames_total)
+
+
+def _figures(scan: ScanProgress) -> str:
+    done = 100 * _done(scan)
+    left = html.figure(
+        "Took" if scan.finished else "Time left",
+        duration(scan.seconds_gone if scan.finished else scan.seconds_left),
+        size_px=46,
+    )
+    return (
+        html.columns([left, html.figure("Done", number(int(done), 0), "%", size_px=46)], "1.1fr 1fr")
+        + '<div style="height:9px"></div>'
+    )
+
+
+def _counters(scan: ScanProgress) -> str:
+    rate = scan.frames_done / scan.seconds_gone if scan.seconds_gone > 0 else None
+    missing = html.figure(
+        "Missing", number(scan.frames_missing, 0), size_px=19, tone="attention" if scan.frames_missing else None
+    )
+    cells = [
+        html.figure("Pulses", number(scan.pulses, 0), size_px=19),
+        html.figure("Frames", number(scan.frames_done, 0), size_px=19),
+        html.figure("Of", number(scan.frames_total, 0), size_px=19),
+        missing,
+    ]
+    return html.head("Counters", f"{number(rate, 1)} frames/s") + html.columns(cells)
+
+
+def _frame_head(frame: LatestFrame | None) -> str:
+    if frame is None:
+        return html.head("Last frame")
+    return html.head("Last frame", f"field {frame.field.number} · z {with_unit(frame.z_um, 1, signed=True)}")
+
+
+def _frame_words(frame: LatestFrame, snapshot: Snapshot) -> str:
+    limit = 65535 if frame.image.dtype == np.uint16 else 255
+    rows = [
+        ("Brightest pixel", f"{number(frame.brightest, 0)} of {number(limit, 0)}"),
+        ("Pixels at the limit", share(frame.clipped_fraction, 2)),
+    ]
+    data, scan = snapshot.dataset, snapshot.scan
+    if data is not None and scan is not None:
+        whole = data.plan.bytes_on_disk
+        free = f" · {size(snapshot.draft.free_bytes)} free" if snapshot.draft.free_bytes is not None else ""
+        rows.append(("Disk", f"{size(whole * _done(scan))} of {size(whole)}{free}"))
+    return html.pairs(rows) + '<div style="height:10px"></div>'

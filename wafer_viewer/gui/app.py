@@ -1,0 +1,122 @@
+"""The viewer's front door: the server, the address people open, one page for every browser that comes."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import logging.handlers
+import os
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import viser
+
+from wafer_viewer.gui.access import AccessGuard
+from wafer_viewer.gui.build import build_page
+from wafer_viewer.gui.guard import log
+from wafer_viewer.gui.page import Page
+from wafer_viewer.model.errors import WaferViewerError
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.session import Session
+
+LOG_BYTES = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A viewer that runs: its address with the token, and the way to end it."""
+
+    address: str
+    stop: Callable[[], None]
+
+
+def serve(
+    session: Session,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    announce: Callable[[str], None] = print,
+    open_browser: bool = False,
+) -> None:
+    """Show the session to browsers until ctrl-C; `announce` gets the line with the address.
+
+    Raises WaferViewerError when the port is in use.
+    """
+    running = start(session, host, port)
+    announce(f"Wafer Viewer is at {running.address} (ctrl-C ends it)")
+    if open_browser:
+        import webbrowser
+
+        webbrowser.open(running.address)
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        announce("Wafer Viewer ends.")
+    finally:
+        running.stop()
+
+
+def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
+    """Show the session to browsers and come back at once; port 0 takes a free one.
+
+    Raises WaferViewerError when the port is in use.
+    """
+    keep_log()
+    server = viser.ViserServer(host=host, port=_free(host, port), verbose=False)
+    guard = AccessGuard.install(server, host, server.get_port())
+    server.scene.set_up_direction("+z")
+    server.scene.world_axes.visible = False
+    pages: dict[int, Page] = {}
+
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        try:
+            pages[client.client_id] = build_page(client, session)
+        except Exception:  # a browser that goes while its page is made
+            log.exception("A page could not be made.")
+
+    @server.on_client_disconnect
+    def _(client: viser.ClientHandle) -> None:
+        page = pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+    def stop() -> None:
+        while pages:
+            pages.popitem()[1].close()
+        server.stop()
+
+    return Running(guard.address, stop)
+
+
+def keep_log() -> None:
+    """Write what went wrong unforeseen to a file: ``WAFER_VIEWER_LOG``, else one in the user's state folder."""
+    if log.handlers:
+        return
+    state = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    path = Path(os.environ.get("WAFER_VIEWER_LOG") or state / "wafer-viewer" / "viewer.log")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handler: logging.Handler = logging.handlers.RotatingFileHandler(path, maxBytes=LOG_BYTES, backupCount=1)
+    except OSError:
+        handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    log.addHandler(handler)
+
+
+def _free(host: str, port: int) -> int:
+    """The port, tried; viser itself would silently take another."""
+    with socket.socket() as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((host, port))
+        except OSError as fault:
+            if fault.errno in (errno.EADDRINUSE, errno.EACCES):
+                why = "in use by another program" if fault.errno == errno.EADDRINUSE else "not allowed to this user"
+                raise WaferViewerError(f"Port {port} is {why}: choose another with --port N.") from fault
+            raise WaferViewerError(f"The address {host} cannot be used ({fault.strerror}): choose another.") from fault
+        return trial.getsockname()[1]

@@ -1,0 +1,155 @@
+"""One page put together: its frame, header, panels, overlays, scene and keys, and who hears of what."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import viser
+
+from wafer_viewer.gui.acquire_panel import AcquirePanel
+from wafer_viewer.gui.colour_legend import ColourLegend
+from wafer_viewer.gui.commands import Command, add_commands, looking
+from wafer_viewer.gui.guard import guarded, tell_failure
+from wafer_viewer.gui.header import Header, possible
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.latest import Latest
+from wafer_viewer.gui.left import LeftPanel
+from wafer_viewer.gui.measure_panel import MeasurePanel
+from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar, Toolbar
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.plan_panel import PlanPanel
+from wafer_viewer.gui.profile_dock import ProfileDock, open_in
+from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.style import BRAND, PROFILE_PX, RIGHT_PX, sheet
+from wafer_viewer.gui.surface_panel import SurfacePanel
+from wafer_viewer.gui.view import Step, View
+from wafer_viewer.gui.welcome import Welcome
+from wafer_viewer.session.state import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.session import Session
+
+
+class Frame:
+    """The style sheet and viser's theme: light or dark, and the room for the bottom panel."""
+
+    def __init__(self, page: Page) -> None:
+        self._gui = page.gui
+        self._dark: bool | None = None
+        self._sheet = Cell(page.gui, padded=False)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the frame up to date."""
+        self._sheet.show(sheet(view.dark, PROFILE_PX if open_in(view) else 0))
+        if view.dark != self._dark:
+            self._dark = view.dark
+            self._gui.configure_theme(
+                dark_mode=view.dark,
+                show_logo=False,
+                show_share_button=False,
+                control_width="large",
+                brand_color=BRAND[view.dark],
+            )
+
+
+class Drawing:
+    """The 3D scene as a part of the page."""
+
+    def __init__(self, scene: SceneView) -> None:
+        self._scene = scene
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Have the scene drawn; it works on its own thread."""
+        self._scene.draw(snapshot, view)
+
+
+class PossibleStep:
+    """Leads back to a step there is something to do in: after a reload, or when a dataset is closed."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Go to Plan where the step shown has nothing to show."""
+        if not possible(view.step, snapshot):
+            self._page.change(step="plan")
+
+
+def build_page(client: viser.ClientHandle, session: Session) -> Page:
+    """Make the page of a browser that has just come, and begin to draw it."""
+    page = Page(client, session)
+    page.gui.main_panel.dock_right()
+    page.gui.main_panel.set_width(RIGHT_PX)
+    frame = Frame(page)
+    page.add_picks()
+    header = Header(page.gui, lambda step: page.change(step=step))
+    scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault))
+    plan, acquire = PlanPanel(page), AcquirePanel(page)
+    surface, measure = SurfacePanel(page), MeasurePanel(page)
+    read_out = ReadOutBox(page)
+    parts = [
+        *(PossibleStep(page), frame, header, plan, acquire, surface, measure, LeftPanel(page), Toolbar(page), Legend(page)),
+        *(ColourLegend(page), ScaleBar(page, scene), read_out, ProfileDock(page, measure), Welcome(page)),
+        Drawing(scene),
+    ]
+    look = scene.look_from
+    page.on_pick("dismiss", page.dismiss)
+    page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
+    page.on_pick("tool", measure.use)
+    page.on_pick("look", look)
+    _listen_to_scene(page, scene, read_out)
+    add_commands(page, [*looking(look), *_commands(page, plan, acquire, surface, measure)])
+    page.on_close(measure.close)
+    page.on_close(scene.close)
+    page.begin(parts)
+    return page
+
+
+def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox) -> None:
+    """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
+    clicks = Latest("read-out")
+    page.on_close(clicks.close)
+    failed = "The surface was not read"
+    scene.on_profile(guarded(page, failed)(lambda line: page.change(profile=line, selected=None)))
+    scene.on_regions(guarded(page, failed)(lambda upper, lower: page.change(upper=upper, lower=lower, selected=None)))
+    scene.on_pick(lambda x_um, y_um: clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um)))
+    scene.on_camera(page.redraw)
+    scene.on_scale(page.show_scale)
+
+
+def _commands(
+    page: Page, plan: PlanPanel, acquire: AcquirePanel, surface: SurfacePanel, measure: MeasurePanel
+) -> list[Command]:
+    session = page.session
+
+    def scan_or_pause() -> None:
+        if session.snapshot.scanning:
+            acquire.pause_or_resume()
+        elif plan.why_not(session.snapshot) is None:
+            plan.start()
+
+    def undo() -> None:
+        verb = session.undo_findings if page.view.step == "measure" else session.undo
+        page.ask("Nothing was undone", verb())
+
+    steps: list[Step] = ["plan", "acquire", "surface", "measure"]
+    icon = viser.Icon
+    return [
+        Command("Scan, pause, go on", "G", scan_or_pause, icon.PLAYER_PLAY),
+        Command("Profile", "L", lambda: measure.use("profile"), icon.LINE),
+        Command("Step height", "K", lambda: measure.use("step"), icon.STAIRS_UP),
+        Command("Leave the tool", "escape", lambda: page.change(tool="none", selected=None), icon.X),
+        Command("Hillshade", "H", surface.toggle_hillshade, icon.SUN),
+        Command("All-in-focus", "U", surface.toggle_all_in_focus, icon.FOCUS_2),
+        Command("Undo", "Z", undo, icon.ARROW_BACK_UP, "cmd/ctrl"),
+        Command(
+            "Redo", "Z", lambda: page.ask("Nothing was redone", session.redo()), icon.ARROW_FORWARD_UP, "cmd/ctrl+shift"
+        ),
+        Command("Light or dark page", None, lambda: page.change(dark=not page.view.dark), icon.MOON),
+        *(
+            Command(
+                f"Go to {step.capitalize()}", None, lambda s=step: possible(s, session.snapshot) and page.change(step=s)
+            )
+            for step in steps
+        ),
+    ]

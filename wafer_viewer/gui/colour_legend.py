@@ -1,0 +1,59 @@
+"""Top right in Surface and Measure: what the colours mean, with the histogram of what is shown."""
+
+from __future__ import annotations
+
+from wafer_viewer.draw.bake import QUANTITIES
+from wafer_viewer.draw.colour_bar import colour_bar_html, origin_legend_html
+from wafer_viewer.gui.kit import Overlay
+from wafer_viewer.gui.overlays import EDGE_PX
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.paint_request import Scale
+from wafer_viewer.session.state import Snapshot
+
+WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
+MOST_BAR_PX, LEAST_BAR_PX = 320, 110
+BELOW_PX = 96
+"""Room left under the bar for the read-out."""
+SIGNED = ("height", "deviation")
+
+
+class ColourLegend:
+    """The colour bar on glass, as high as the scene allows."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
+        self._of_origins = Overlay(page.gui, -EDGE_PX, EDGE_PX, 236, 210, align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the legend up to date."""
+        scale = self._page.scale if view.step in ("surface", "measure") else None
+        of_origins = scale is not None and scale.quantity == "origin"
+        bar_px = self._bar_px()
+        bar = _bar(scale, view, bar_px) if scale is not None and not of_origins else ""
+        self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2)
+        self._of_origins.show(_on_glass(origin_legend_html(scale.origins)) if scale is not None and of_origins else "")
+
+    def _bar_px(self) -> int:
+        room = self._page.client.camera.image_height - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
+        return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
+
+
+def _bar(scale: Scale, view: View, bar_px: int) -> str:
+    title, unit, _ = QUANTITIES[view.colour_by]
+    colours = "grey" if view.colour_by == "grey" else view.colours
+    return colour_bar_html(
+        title.removesuffix(" from plane"),
+        unit,
+        scale.low,
+        scale.high,
+        colours,
+        scale.counts,
+        height_px=bar_px,
+        signed=view.colour_by in SIGNED,
+    )
+
+
+def _on_glass(content: str) -> str:
+    return content and f'<div class="wv-glass">{content}</div>'

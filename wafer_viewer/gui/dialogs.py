@@ -1,0 +1,218 @@
+"""Questions in the middle of the page: which dataset, which images, which plan, where to, really stop."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, button, in_a_row
+from wafer_viewer.gui.page import Page
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.session.state import DatasetEntry
+
+EXPORT_KINDS = {
+    "TIFF, heights as 32-bit float": ".tif",
+    "NumPy, all layers": ".npz",
+    "PLY, points with colour": ".ply",
+    "STL, a mesh": ".stl",
+    "CSV, x y z": ".csv",
+}
+
+
+class Dialog:
+    """A question with its way out: one button that does it, one that leaves everything as it is."""
+
+    def __init__(self, page: Page, title: str, below: str) -> None:
+        self.page = page
+        self.modal = page.gui.add_modal(title)
+        with self.modal:
+            Cell(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
+
+    def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str) -> None:
+        """The two buttons at the foot. `act` may raise: the dialog then stays open, so that it can be mended."""
+        with self.modal:
+            problem = Cell(self.page.gui)
+            away = button(self.page.gui, "Cancel", None, lambda _: self.close())
+            do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
+            in_a_row(self.page.gui, [away, do], 38)
+
+    def close(self) -> None:
+        """Leave the question."""
+        if not self.modal.closed:
+            self.modal.close()
+
+    def _do(self, act: Callable[[], None], problem: Cell) -> None:
+        try:
+            act()
+        except DatasetError as fault:
+            problem.show(f'<div class="wv-note fault">{html.safe(fault)}</div>')
+            return
+        self.close()
+
+
+def open_dialog(page: Page) -> None:
+    """Open a dataset: one of the data folder, or by its path."""
+    snapshot = page.session.snapshot
+    dialog = Dialog(
+        page, "Open a dataset", f"A folder NAME.wafer, as a scan or an import makes it. In {snapshot.data_folder}:"
+    )
+    with dialog.modal:
+        Cell(page.gui, dataset_table(snapshot.datasets, None, what="open-in-dialog"))
+        path = page.gui.add_text("Path", "")
+
+    def open_path(text: str) -> None:
+        open_dataset(page, _existing(text))
+
+    def open_listed(text: str) -> None:
+        dialog.close()
+        open_path(text)
+
+    page.on_pick("open-in-dialog", open_listed)
+    dialog.answers("Open", viser.Icon.FOLDER_OPEN, lambda: open_path(path.value), "The dataset was not opened")
+
+
+def open_dataset(page: Page, path: Path) -> None:
+    """Open a dataset and look at what there is of it."""
+
+    def look(_: Any) -> None:
+        data = page.session.snapshot.dataset
+        unfinished = data is not None and not data.finished
+        page.change(step="acquire" if unfinished else "surface", show=0, range_um=None, selected=None, frame_k=None)
+
+    page.ask("The dataset was not opened", page.session.open_dataset(path), look)
+
+
+def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> str:
+    """The datasets of the data folder; a click on one picks `what`."""
+    if not entries:
+        return html.empty("No datasets here yet.")
+
+    def line(entry: DatasetEntry) -> str:
+        signs = [word for word, yes in (("unfinished", entry.unfinished), ("simulated", entry.simulated)) if yes]
+        marks = f'<small style="color:var(--attention)">{" · ".join(signs)}</small>' if signs else ""
+        name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.name)}</span>{marks}'
+        look = "sel" if entry.path == opened else ""
+        return html.row([name, html.safe(entry.taken)], " n", html.pick(what, entry.path), look)
+
+    return html.table(["Name", "Taken"], [line(entry) for entry in entries], " n")
+
+
+def import_dialog(page: Page) -> None:
+    """Import images taken elsewhere: a folder, a multi-page TIFF, or a TIFF sent from this browser."""
+    dialog = Dialog(
+        page, "Import images", "A folder of images, one focus stack or a grid of them, or a multi-page TIFF."
+    )
+    gui = page.gui
+    with dialog.modal:
+        path = gui.add_text("Path", "")
+        upload = gui.add_upload_button("Or send a TIFF from here…", icon=viser.Icon.UPLOAD, mime_type="image/tiff")
+        sent = Cell(gui)
+        step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
+        pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)
+        pattern = gui.add_text("Grid pattern", "")
+        Cell(gui, '<div class="wv-lab">Only for a grid of fields, such as r{row}_c{col}_k{k}.tif</div>')
+        name = gui.add_text("Name", "")
+
+    @upload.on_upload
+    def _(event: Any) -> None:
+        path.value = str(_put_down(event.target.value))
+        sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
+
+    def begin() -> None:
+        source = _existing(path.value)
+        _wanted("z step", step.value, "the distance between two images of the stack")
+        _wanted("pixel size", pixel.value, "the size of a pixel on the sample")
+        done = page.session.import_images(
+            (source,),
+            z_step_um=step.value,
+            pixel_um=pixel.value,
+            pattern=pattern.value.strip() or None,
+            name=name.value.strip() or None,
+        )
+        page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
+
+    dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")
+
+
+def load_plan_dialog(page: Page) -> None:
+    """Load a plan from its file."""
+    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan writes it.")
+    with dialog.modal:
+        path = page.gui.add_text("Path", "")
+    dialog.answers(
+        "Load",
+        viser.Icon.FOLDER_OPEN,
+        lambda: page.ask("The plan was not loaded", page.session.load_plan(_existing(path.value))),
+        "The plan was not loaded",
+    )
+
+
+def export_dialog(page: Page) -> None:
+    """Write the surface that is shown to a file."""
+    snapshot, field = page.session.snapshot, page.view.show or None
+    data = snapshot.dataset
+    stem = data.path.stem if data else "surface"
+    what = f"field {field}" if field else "the stitched surface"
+    dialog = Dialog(page, "Export the surface", f"Writes {what} in full resolution.")
+    with dialog.modal:
+        kind = page.gui.add_dropdown("Format", tuple(EXPORT_KINDS))
+        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{f'-field{field}' if field else ''}.tif"))
+        kind.on_update(lambda _: setattr(path, "value", str(Path(path.value).with_suffix(EXPORT_KINDS[kind.value]))))
+
+    def write() -> None:
+        target = Path(path.value).expanduser()
+        done = page.session.export_surface(target, field)
+        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
+
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+
+
+def stop_dialog(page: Page) -> None:
+    """Ask once before a scan is stopped."""
+    dialog = Dialog(page, "Stop the scan?", "What was taken stays, and the scan can be continued later.")
+    dialog.answers(
+        "Stop scan",
+        viser.Icon.PLAYER_STOP,
+        lambda: page.ask("The scan was not stopped", page.session.stop_scan()),
+        "The scan was not stopped",
+    )
+
+
+def rename_dialog(page: Page, number: int, old: str) -> None:
+    """Give a result another name."""
+    dialog = Dialog(page, "Rename the result", "The name stands in the list, in exports and in reports.")
+    with dialog.modal:
+        name = page.gui.add_text("Name", old)
+    dialog.answers(
+        "Rename",
+        viser.Icon.PENCIL,
+        lambda: page.ask("The name stays", page.session.rename(number, name.value.strip())),
+        "The name stays",
+    )
+
+
+def _existing(text: str) -> Path:
+    if not text.strip():
+        raise DatasetError("No path is given: type one, or choose from the list.")
+    path = Path(text.strip()).expanduser()
+    if not path.exists():
+        raise DatasetError(f"{path} is not there: check the path.")
+    return path
+
+
+def _wanted(name: str, value: float, what: str) -> None:
+    if value <= 0:
+        raise DatasetError(f"The {name} is missing: give {what} in µm.")
+
+
+def _put_down(file: viser.UploadedFile) -> Path:
+    """Keep what a browser sent in a folder of its own; only the last part of its name is taken from the sender."""
+    target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or "upload.tif")
+    target.write_bytes(file.content)
+    return target

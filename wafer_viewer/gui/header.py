@@ -1,0 +1,139 @@
+"""The header, always in sight: what is open, the steps of the work, the rig and whether it is real."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import get_args
+
+import viser
+
+from wafer_viewer.draw.numbers import THIN, number
+from wafer_viewer.gui.html import icon, pick, safe
+from wafer_viewer.gui.kit import Cell, Gui, button, set_prop
+from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_STEP_PX, NARROW_WINDOW_PX, STEP_PX, by_id
+from wafer_viewer.gui.view import Step, View
+from wafer_viewer.session.state import RigStatus, Snapshot
+
+STEPS: tuple[Step, ...] = get_args(Step)
+TITLES: dict[Step, str] = {"plan": "Plan", "acquire": "Acquire", "surface": "Surface", "measure": "Measure"}
+_MARK = (
+    '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
+    '<circle cx="17" cy="17" r="15.5" stroke-width="2"/>'
+    '<path d="M4 21h6l2.5-9H21l2.5 9H30" stroke-width="2.6" stroke-linejoin="round"/></g></svg>'
+)
+_TONE = {
+    "ready": "good",
+    "starting": "busy",
+    "moving": "busy",
+    "scanning": "busy",
+    "paused": "busy",
+    "stopping": "busy",
+    "fault": "fault",
+    "absent": "fault",
+}
+
+
+def possible(step: Step, snapshot: Snapshot) -> bool:
+    """Whether there is anything to do in a step."""
+    data = snapshot.dataset
+    match step:
+        case "plan":
+            return True
+        case "acquire":
+            return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
+        case "surface":
+            return data is not None and (snapshot.surface is not None or bool(data.stamps))
+        case "measure":
+            return snapshot.surface is not None
+
+
+def done(step: Step, snapshot: Snapshot) -> bool:
+    """Whether a tick stands before a step."""
+    data = snapshot.dataset
+    return (
+        data is not None
+        and {
+            "plan": True,
+            "acquire": data.finished and not snapshot.scanning,
+            "surface": bool(snapshot.findings),
+            "measure": False,
+        }[step]
+    )
+
+
+class Header:
+    """Mark, dataset, steps, rig. The steps are real buttons that style places over the header's bar."""
+
+    def __init__(self, gui: Gui, go_to: Callable[[Step], None]) -> None:
+        self._steps = {step: button(gui, TITLES[step], None, lambda _, s=step: go_to(s)) for step in STEPS}
+        self._bar = Cell(gui, padded=False)
+        self._style = Cell(gui, padded=False)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the header up to date."""
+        self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
+        self._style.show(self._step_style(view.step))
+        for step, handle in self._steps.items():
+            set_prop(handle, "disabled", not possible(step, snapshot))
+            set_prop(handle, "icon", viser.Icon.CHECK if done(step, snapshot) and step != view.step else None)
+
+    def _step_style(self, current: Step) -> str:
+        rules = "".join(_step_rules(handle, k, step == current) for k, (step, handle) in enumerate(self._steps.items()))
+        narrow = "".join(
+            f"{by_id(h._impl.uuid)}{{width:{NARROW_STEP_PX}px!important;left:{LEFT_PX + k * NARROW_STEP_PX}px}}"
+            for k, h in enumerate(self._steps.values())
+        )
+        return f"<style>{rules}@media(max-width:{NARROW_WINDOW_PX}px){{{narrow}}}</style>"
+
+
+def _step_rules(handle: object, place: int, current: bool) -> str:
+    at = by_id(handle._impl.uuid)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+    ink, line, weight = ("accent", "inset 0 -3px 0 var(--accent)", 650) if current else ("ink2", "none", 500)
+    return (
+        f"{at}{{position:fixed;z-index:3;left:{LEFT_PX + place * STEP_PX}px;top:0;width:{STEP_PX}px!important;"
+        f"height:{HEADER_PX}px!important;background:transparent!important;color:var(--{ink})!important;"
+        f"border:0!important;border-radius:0!important;box-shadow:{line}!important;padding:0!important}}"
+        f"{at} .mantine-Button-label{{font-size:14.5px!important;font-weight:{weight}!important}}"
+        f"{at}:hover{{background:var(--fill)!important}}"
+        f"{at}[data-disabled]{{color:var(--ink3)!important;opacity:.6;background:transparent!important;border:0!important}}"
+        f"div:has(>{at}){{height:0;padding:0!important;margin:0!important}}"
+    )
+
+
+def _mark(snapshot: Snapshot) -> str:
+    return f'<div class="wv-mark">{_MARK}<div><b>Wafer Viewer</b><small>{_what_is_open(snapshot)}</small></div></div>'
+
+
+def _what_is_open(snapshot: Snapshot) -> str:
+    data = snapshot.dataset
+    if data is None:
+        return "New scan" if snapshot.draft.job else "No dataset open"
+    sign = (
+        '<b style="display:inline;font-size:11.5px;color:var(--attention)">SIMULATED</b> · ' if data.simulated else ""
+    )
+    return sign + safe(data.path.name)
+
+
+def _state(snapshot: Snapshot, view: View) -> str:
+    rig = snapshot.rig
+    where = "".join(
+        f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> "
+        for axis, um in (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
+    )
+    switch = icon(viser.Icon.SUN if view.dark else viser.Icon.MOON, 19)
+    name = "Light" if view.dark else "Dark"
+    return (
+        f'<div class="wv-state"><div>{_pill(rig)}<div class="wv-where">{where}{THIN}mm</div></div>'
+        f'<span class="wv-switch" title="{name} page" aria-label="{name} page" {pick("theme")}>{switch}</span></div>'
+    )
+
+
+def _pill(rig: RigStatus) -> str:
+    """REAL in the colour of the state; SIMULATED always amber, unless the rig is at fault."""
+    tone = _TONE[rig.state]
+    colour = "simulated" if rig.simulated and tone != "fault" else tone
+    word = "SIMULATED" if rig.simulated else "REAL"
+    return (
+        f'<span class="wv-pill {colour}" title="{safe(rig.message)}"><i></i><span><em>{word}</em> · '
+        f"{safe(rig.name)} · {safe(rig.state)}</span></span>"
+    )

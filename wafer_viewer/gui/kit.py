@@ -1,0 +1,193 @@
+"""The page's widgets: viser's own, put in rows, sent only when they change, and heard only when a person moved them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Generic, Literal, TypeVar
+
+import viser
+
+from wafer_viewer.gui.guard import Teller, guarded
+from wafer_viewer.gui.style import by_id
+
+T = TypeVar("T")
+Gui = viser.GuiApi
+QUIET_S = 0.7
+"""For so long after a person moved a widget, the session's slightly older value does not move it back."""
+
+
+class Cell:
+    """A piece of HTML on the page."""
+
+    def __init__(self, gui: Gui, content: str = "", padded: bool = True) -> None:
+        self._padded = padded
+        self._content = content
+        self._handle = gui.add_html(self._framed(content))
+
+    def show(self, content: str) -> None:
+        """Put `content` in its place, if it is not what stands there already."""
+        if content != self._content:
+            self._content = content
+            self._handle.content = self._framed(content)
+
+    def _framed(self, content: str) -> str:
+        return f'<div class="wv">{content}</div>' if self._padded and content else content
+
+
+class Field(Generic[T]):
+    """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in."""
+
+    def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Teller, failed: str) -> None:
+        self.handle = handle
+        self._touched_at = 0.0
+        self._on_change = guarded(page, failed)(on_change)
+        handle.on_update(self._update)
+
+    @property
+    def value(self) -> T:
+        """What the widget holds."""
+        return self.handle.value
+
+    def show(self, value: T) -> None:
+        """Show a value, unless a person is just moving the widget."""
+        if time.monotonic() - self._touched_at > QUIET_S and not _alike(value, self.handle.value):
+            self.handle.value = value
+
+    def enable(self, enabled: bool) -> None:
+        """Whether a person may change it."""
+        set_prop(self.handle, "disabled", not enabled)
+
+    def _update(self, event: Any) -> None:
+        if event.client is not None:
+            self._touched_at = time.monotonic()
+            self._on_change(event)
+
+
+def set_prop(handle: Any, name: str, value: Any) -> None:
+    """Set a property of a viser handle, sending it only when it changes."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
+def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
+    """A button with its callback."""
+    handle = gui.add_button(label, icon=icon, disabled=disabled)
+    handle.on_click(on_click)
+    return handle
+
+
+def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32) -> None:
+    """Give the buttons just made, outlined, one row of equal parts."""
+    gap_px = 6
+    width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
+    rules = "".join(
+        f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;width:{width};margin-right:0!important;"
+        f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}" + _outlined(b, height_px)
+        for k, b in enumerate(buttons)
+    )
+    gui.add_html(f"<style>{rules}</style>")
+
+
+def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
+    """Draw a button as an outline: all but the one that leads on."""
+    gui.add_html(f"<style>{_outlined(handle, height_px)}</style>")
+
+
+def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
+    """Draw a button as the filled one that leads on; `sticky`: in sight at the panel's foot however long the panel."""
+    at = by_id(handle._impl.uuid)
+    stick = (
+        f"div:has(>{at}){{position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important}}"
+        if sticky
+        else ""
+    )
+    gui.add_html(
+        f"<style>{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}{stick}</style>"
+    )
+
+
+def duo(gui: Gui) -> None:
+    """The next two widgets share a row."""
+    gui.add_html('<div class="wv-duo"></div>')
+
+
+class Choice:
+    """A button group that shows which one is chosen."""
+
+    def __init__(
+        self, gui: Gui, label: str, options: Sequence[tuple[Any, str]], on_change: Callable[[Any], None]
+    ) -> None:
+        self._keys = [key for key, _ in options]
+        self._titles = [name for _, name in options]
+        self._on_change = on_change
+        self._mark = f"wv-choice-{id(self)}"
+        self._cell = Cell(gui, self._style(0), padded=False)
+        group = gui.add_button_group(label, self._titles)
+        group.on_click(self._click)
+
+    def show(self, key: Any) -> None:
+        """Mark the chosen one; none where `key` is no option."""
+        self._cell.show(self._style(self._keys.index(key) if key in self._keys else -1))
+
+    def _click(self, event: Any) -> None:
+        self._on_change(self._keys[self._titles.index(event.target.value)])
+
+    def _style(self, chosen: int) -> str:
+        group = f"div:has(>.{self._mark})+div"
+        return (
+            f'<div class="{self._mark}"></div><style>{group} button{{height:28px!important;border-color:var(--line)!important;'
+            f"color:var(--ink)!important}}{group} button:nth-child({chosen + 1}){{background:var(--accent)!important;"
+            "color:var(--panel)!important;border-color:var(--accent)!important}</style>"
+        )
+
+
+class Overlay:
+    """A sheet of glass over the scene; negative x, y count from the right and the bottom edge of the scene."""
+
+    def __init__(
+        self, gui: Gui, x_px: int, y_px: int, width_px: int, height_px: int, align: Literal["left", "right"] = "left"
+    ) -> None:
+        self._align = align
+        self._panel = gui.add_panel(visible=False)
+        with self._panel.add_tab("·"):
+            self._cell = Cell(gui, self._framed(""), padded=False)
+        self._place = (x_px, y_px, width_px, height_px)
+        self._move()
+
+    def show(self, content: str, y_px: int | None = None, height_px: int | None = None) -> None:
+        """Show `content`, or nothing when it is empty."""
+        x, y, width, height = self._place
+        place = (x, y if y_px is None else y_px, width, height if height_px is None else height_px)
+        if place != self._place:
+            self._place = place
+            self._move()
+        self._cell.show(self._framed(content))
+        set_prop(self._panel, "visible", bool(content))
+
+    def _move(self) -> None:
+        x, y, width, height = self._place
+        # viser cuts a panel's content at the bottom unless the panel is 18 px higher.
+        self._panel.float(x=x, y=y, width=width, height=height + 18)
+
+    def _framed(self, content: str) -> str:
+        right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
+        return f'<div class="wv-ov" style="{right}">{content}</div>'
+
+
+def _outlined(handle: Any, height_px: int) -> str:
+    at = by_id(handle._impl.uuid)
+    return (
+        f"{at}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
+        f"border:1px solid var(--line)!important;padding:0 6px!important}}{at}:hover{{background:var(--fill)!important}}"
+        f"{at}[data-disabled]{{color:var(--ink3)!important}}"
+    )
+
+
+def _alike(a: Any, b: Any) -> bool:
+    """Whether two values of a widget look the same, numbers up to the noise of computing."""
+    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+        return len(a) == len(b) and all(_alike(p, q) for p, q in zip(a, b, strict=True))
+    if isinstance(a, float) or isinstance(b, float):
+        return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
+    return a == b

@@ -1,0 +1,96 @@
+"""The left panel: where things are on the sample, and below it the list that belongs to the step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import viser
+
+from wafer_viewer.draw.numbers import share
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
+from wafer_viewer.gui.field_map import field_map
+from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.results import ResultList
+from wafer_viewer.gui.style import LEFT_PX
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot, Work
+
+
+class LeftPanel:
+    """Map, then datasets (Plan, Surface), jobs and faults (Acquire), or results (Measure)."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        panel = page.gui.add_panel()
+        with panel.add_tab("Sample"):
+            self._map = Cell(page.gui)
+            self._works = Cell(page.gui)
+            self._build_datasets()
+            self._results = ResultList(page)
+        panel.dock_left()
+        panel.set_width(LEFT_PX)
+        page.on_pick("field", self._go_to_field)
+        page.on_pick("open", lambda path: open_dataset(page, Path(path)))
+        page.on_pick("cancel", page.session.cancel)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        self._map.show(html.head("Map", first=True) + field_map(snapshot, view))
+        self._works.show(_works(snapshot, view))
+        set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
+        opened = snapshot.dataset.path if snapshot.dataset else None
+        self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))
+        self._results.show(snapshot, view)
+
+    def _build_datasets(self) -> None:
+        page = self._page
+        self._datasets = page.gui.add_folder(None, visible=False)
+        with self._datasets:
+            self._list = Cell(page.gui)
+            opener = button(page.gui, "Open…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page))
+            importer = button(page.gui, "Import…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page))
+            in_a_row(page.gui, [opener, importer])
+
+    def _dataset_rows(self, snapshot: Snapshot, opened: Path | None) -> str:
+        if not snapshot.datasets:
+            return (
+                html.empty("No datasets in", f"{_shortened(snapshot.data_folder)} yet.")
+                + '<div style="height:8px"></div>'
+            )
+        return dataset_table(snapshot.datasets, opened, "open") + '<div style="height:6px"></div>'
+
+    def _go_to_field(self, key: str) -> None:
+        """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all."""
+        page, number = self._page, int(key)
+        if page.view.step in ("surface", "measure"):
+            page.change(show=0 if page.view.show == number else number, frame_k=None, slice_z_um=None)
+            return
+        plan = page.session.snapshot.draft.plan
+        if plan is not None and not page.session.snapshot.scanning:
+            field = plan.field(number)
+            page.ask("The stage did not move", page.session.move_to(x_um=field.x_um, y_um=field.y_um))
+
+
+def _works(snapshot: Snapshot, view: View) -> str:
+    """Background work with its progress, each with a way to stop it."""
+    if not snapshot.works:
+        idle = html.empty("Reconstruction and stitching", "will be shown here.")
+        return html.head("Jobs") + idle if view.step == "acquire" else ""
+    return html.head("Jobs", str(len(snapshot.works))) + "".join(_work(work) for work in snapshot.works)
+
+
+def _work(work: Work) -> str:
+    state = "waits" if work.fraction is None else share(work.fraction, 0)
+    stop = f' <span class="wv-link" title="Cancel" {html.pick("cancel", work.id)}>{html.icon(viser.Icon.X, 14)}</span>'
+    line = (
+        f'<div style="display:flex;justify-content:space-between;gap:8px"><b>{html.safe(work.title)}</b>'
+        f'<span style="white-space:nowrap">{state}{stop if work.cancellable else ""}</span></div>'
+    )
+    return f'<div style="margin-bottom:9px">{line}{"" if work.fraction is None else html.bar(work.fraction)}</div>'
+
+
+def _shortened(folder: Path) -> str:
+    """A folder with the home folder as ~."""
+    return f"~/{folder.relative_to(Path.home())}" if folder.is_relative_to(Path.home()) else str(folder)

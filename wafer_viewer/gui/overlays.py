@@ -1,0 +1,167 @@
+"""What lies over the scene on glass: ways to look, tools, legends, the scale bar, the read-out, the first card."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.ticks import length_text, round_length
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Overlay
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.profile_dock import open_in
+from wafer_viewer.gui.style import PROFILE_PX
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.session.questions import ReadOut
+from wafer_viewer.session.state import ScanProgress, Snapshot
+
+EDGE_PX = 14
+BAR_PX = 150
+"""The scale bar is at most this long."""
+WAYS_TO_LOOK = (
+    ("top", "Top", "Look from above · T", viser.Icon.SQUARE),
+    ("front", "Front", "Look from the front · F", viser.Icon.PERSPECTIVE),
+    ("iso", "Iso", "Three-quarter view · I", viser.Icon.CUBE),
+    ("all", "Fit", "Show all · Home", viser.Icon.FOCUS_2),
+)
+TOOLS = (
+    ("profile", "Profile", "Two handles · L", viser.Icon.LINE),
+    ("step", "Step", "Two regions · K", viser.Icon.STAIRS_UP),
+)
+
+
+class Toolbar:
+    """Ways to look; in Measure the tools before them."""
+
+    def __init__(self, page: Page) -> None:
+        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, 520, 42)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the toolbar up to date."""
+        tools = "".join(_tool("tool", *tool, chosen=view.tool == tool[0]) for tool in TOOLS)
+        gap = '<span style="border-left:1px solid var(--line);margin:5px 4px"></span>'
+        looks = "".join(_tool("look", *way, short=view.step == "measure") for way in WAYS_TO_LOOK)
+        parts = f"{tools}{gap}{looks}" if view.step == "measure" else looks
+        self._glass.show(f'<div class="wv-glass wv-tools">{parts}</div>')
+
+
+class Legend:
+    """Top right: what the lines of the plan mean; in Acquire the place of the frame being taken."""
+
+    def __init__(self, page: Page) -> None:
+        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the legend up to date."""
+        content = ""
+        if view.step == "plan" and snapshot.draft.job is not None:
+            content = _plan_legend(snapshot)
+        elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
+            content = _frame_place(snapshot.scan, snapshot)
+        self._glass.show(content and f'<div class="wv-glass wv-legend-card">{content}</div>')
+
+
+class ScaleBar:
+    """Bottom left: a round length at the point looked at, and how many times z is drawn."""
+
+    def __init__(self, page: Page, scene: Any) -> None:
+        self._scene = scene
+        self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the bar up to date."""
+        um_per_pixel = self._scene.um_per_pixel()
+        y_px = -(EDGE_PX + (PROFILE_PX if open_in(view) else 0))
+        self._glass.show(_scale_bar(um_per_pixel, _drawn(snapshot, view)) if um_per_pixel else "", y_px=y_px)
+
+
+class ReadOutBox:
+    """Bottom right: height and confidence where the surface was clicked."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._glass = Overlay(page.gui, -EDGE_PX, -EDGE_PX, 420, 40, align="right")
+        self._text = ""
+        self._of: object = None
+
+    def at(self, x_um: float, y_um: float) -> None:
+        """Read the surface at a place; on a thread that may wait."""
+        view = self._page.view
+        read = self._page.session.read_out(x_um, y_um, view.show)
+        place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
+        self._text = (
+            f'{place}z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;<span class="dim">{_trust(read)}</span>'
+        )
+        self._of = _surface(self._page.session.snapshot, view)
+        self._page.redraw()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show what was read last, as long as the surface is the same."""
+        on_surface = view.step in ("surface", "measure") and self._of == _surface(snapshot, view)
+        y_px = -(EDGE_PX + (PROFILE_PX if open_in(view) else 0))
+        shown = self._text if on_surface else ""
+        self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)
+
+
+def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
+    stamp = snapshot.surface.stamp if snapshot.surface else None
+    return (snapshot.dataset.path if snapshot.dataset else None, view.show, stamp)
+
+
+def _trust(read: ReadOut) -> str:
+    if read.origin != Origin.MEASURED:
+        return html.safe(ORIGIN_TITLES[read.origin])
+    return f"confidence {number(read.confidence, 2)}"
+
+
+def _tool(what: str, key: str, name: str, hint: str, sign: Any, chosen: bool = False, short: bool = False) -> str:
+    words = "" if short else html.safe(name)
+    on = ' class="on"' if chosen else ""
+    return f'<span{on} title="{html.safe(hint)}" aria-label="{name}" {html.pick(what, key)}>{html.icon(sign, 17)}{words}</span>'
+
+
+def _plan_legend(snapshot: Snapshot) -> str:
+    job = snapshot.draft.job
+    parts: list[str] = []
+    if job is not None and job.grid is not None and job.grid.rows * job.grid.cols > 1:
+        shade = html.swatch("color-mix(in srgb,var(--accent) 45%,transparent)", "var(--accent)")
+        parts.append(f"<span>{shade} overlap {number(100 * job.grid.overlap_x_fraction, 0)} %</span>")
+    if snapshot.draft.plan is not None:
+        parts.append('<span><i class="wv-way"></i> way of the stage</span>')
+    return "".join(parts)
+
+
+def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> str:
+    data = snapshot.dataset
+    of = f" of {data.plan.sweep.n_frames}" if data else ""
+    return (
+        f"<span>Field {scan.field.number}</span><span>z <b>{with_unit(scan.z_um, 1, signed=True)}</b></span>"
+        f'<span class="dim">frame {scan.k + 1}{of}</span>'
+    )
+
+
+def _drawn(snapshot: Snapshot, view: View) -> str:
+    """What stands beside the bar."""
+    if view.step == "plan":
+        sample = snapshot.draft.job.sample if snapshot.draft.job else None
+        if sample is None or not sample.width_um:
+            return "stage"
+        name = f"{sample.name} · " if sample.name else ""
+        return f"{name}{number(sample.width_um / 1000, 3)} × {with_unit(sample.height_um / 1000, 3, 'mm')}"
+    if view.look == "plan" and view.step != "acquire":
+        return "seen from above"
+    shape = " (true shape)" if view.exaggeration == 1 else ""
+    light = " · light from the north-west" if view.step == "surface" and view.hillshade else ""
+    return f"z drawn × {view.exaggeration:g}{shape}{light}"
+
+
+def _scale_bar(um_per_pixel: float, beside: str) -> str:
+    length_um = round_length(BAR_PX * um_per_pixel)
+    width_px = length_um / um_per_pixel
+    return (
+        f'<div class="wv-glass wv-scale"><div style="width:{width_px:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
+        f"<span>{html.safe(beside)}</span></div>"
+    )

@@ -1,0 +1,187 @@
+"""One browser's page: its view, its parts, and the thread that draws what the session and the view say."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any, Protocol
+
+import viser
+
+from wafer_viewer.gui import memory
+from wafer_viewer.gui.contents import OnShow
+from wafer_viewer.gui.guard import guarded, tell_failure
+from wafer_viewer.gui.html import icon, note, pick, safe
+from wafer_viewer.gui.style import RGB_OF_TONE
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.paint_request import Scale
+from wafer_viewer.session.state import Fault, Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.session import Session
+
+SETTLE_S = 0.9
+"""After a change the page is drawn once more, when the widgets a person moved are at rest."""
+
+
+class Part(Protocol):
+    """A part of the page: brings itself up to date, sends only what has changed, never waits."""
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show what the session knows, as this browser chose to look at it."""
+        ...
+
+
+class Page:
+    """What the parts of a page share: the session, this browser's view, and ways to tell the operator."""
+
+    def __init__(self, client: viser.ClientHandle, session: Session) -> None:
+        self.client = client
+        self.gui = client.gui
+        self.session = session
+        self.view = memory.recall(client)
+        self.notices: tuple[Fault, ...] = ()
+        self.scale: Scale | None = None
+        self._parts: list[Part] = []
+        self._picks: dict[str, Callable[[str], Any]] = {}
+        self._at_close: list[Callable[[], None]] = []
+        self._told = {fault.id for fault in session.snapshot.faults}
+        self._lock = threading.Lock()
+        self._due = threading.Event()
+        self._closed = False
+        self._leave = session.subscribe(lambda _: self._due.set())
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def begin(self, parts: list[Part]) -> None:
+        """Start drawing; `parts` in the order in which they are drawn."""
+        self._parts = parts
+        self._due.set()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop drawing: the browser has gone."""
+        self._closed = True
+        self._leave()
+        self._due.set()
+        for last in self._at_close:
+            last()
+
+    def on_close(self, last: Callable[[], None]) -> None:
+        """Have something ended with the page."""
+        self._at_close.append(last)
+
+    # --- what this browser chooses
+
+    def change(self, **choices: Any) -> None:
+        """Choose something of the view, remember it, draw it."""
+        with self._lock:
+            before, self.view = self.view, memory.changed(self.view, **choices)
+        memory.keep(self.client, before, self.view)
+        self._due.set()
+
+    def redraw(self) -> None:
+        """Draw what changed beside session and view."""
+        self._due.set()
+
+    def show_scale(self, on_show: OnShow | None) -> None:
+        """Take over what the colours of the scene mean: the colour bar and the range say so."""
+        scale = on_show.scale if on_show is not None else None
+        if scale != self.scale:
+            self.scale = scale
+            self._due.set()
+
+    def on_pick(self, what: str, callback: Callable[[str], Any]) -> None:
+        """Hear of clicks on elements that `html.pick(what, key)` made; the callback gets the key."""
+        self._picks[what] = callback
+
+    def add_picks(self) -> None:
+        """Make the hidden field through which elements of HTML tell that they were chosen."""
+        self.gui.add_html('<div class="wv-picks"></div>')
+        self.gui.add_text("picks", "").on_update(guarded(self, "That click came to nothing")(self._picked))
+
+    # --- what the operator is told
+
+    def ask(self, name: str, verb: Future[Any], then: Callable[[Any], None] | None = None) -> None:
+        """Watch a verb of the session: tell the operator if it fails, else go on with `then`."""
+
+        def finished(done: Future[Any]) -> None:
+            if not done.cancelled() and (fault := done.exception()) is not None:
+                tell_failure(self, name, fault)
+            elif then is not None and not done.cancelled():
+                guarded(self, name)(then)(done.result())
+
+        verb.add_done_callback(finished)
+
+    def tell(self, fault: Fault) -> None:
+        """Show a note on this page until it is dealt with, and a notification now; the same note twice is one."""
+        if any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
+            return
+        self.notices = (*self.notices, fault)
+        self._notify(fault)
+        self._due.set()
+
+    def say(self, title: str, text: str) -> None:
+        """News that needs nobody: a notification that goes by itself."""
+        self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE["good"])
+
+    def dismiss(self, fault_id: str) -> None:
+        """Take a note away, this page's own or one of the session's."""
+        if any(fault_id == n.id for n in self.notices):
+            self.notices = tuple(n for n in self.notices if n.id != fault_id)
+            self._due.set()
+        else:
+            self.ask("The note stays", self.session.dismiss(fault_id))
+
+    def notes(self, snapshot: Snapshot) -> str:
+        """All standing notes, the newest first, as HTML."""
+        told = {(f.title, f.text) for f in snapshot.faults}
+        own = tuple(n for n in self.notices if (n.title, n.text) not in told)
+        return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
+
+    def _notify(self, fault: Fault) -> None:
+        self._told.add(fault.id)
+        self.client.add_notification(
+            fault.title,
+            fault.text,
+            auto_close_seconds=None if fault.needs_person else 8.0,
+            color=RGB_OF_TONE["fault" if fault.needs_person else "attention"],
+        )
+
+    def _picked(self, event: Any) -> None:
+        what, _, rest = event.target.value.partition("|")
+        key = rest.rpartition("|")[0]
+        if event.client is not None and what in self._picks:
+            guarded(self, "That click came to nothing")(self._picks[what])(key)
+
+    # --- drawing
+
+    def _run(self) -> None:
+        while not self._closed:
+            self._due.wait()
+            self._due.clear()
+            self._draw()
+            if not self._due.wait(SETTLE_S):
+                self._draw()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the browser is still there."""
+        return not self._closed
+
+    def _draw(self) -> None:
+        if self._closed:
+            return
+        snapshot, view = self.session.snapshot, self.view
+        for fault in snapshot.faults:
+            if fault.id not in self._told:
+                self._notify(fault)
+        for part in self._parts:
+            guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
+
+
+def _note(fault: Fault) -> str:
+    sign = icon(viser.Icon.ALERT_CIRCLE if fault.needs_person else viser.Icon.ALERT_TRIANGLE, 18)
+    away = f'<span class="wv-link" {pick("dismiss", fault.id)}>dismiss</span>'
+    where = f"{fault.at} · {fault.where} · " if fault.where else f"{fault.at} · "
+    return note("fault" if fault.needs_person else "attention", fault.title, fault.text, safe(where) + away, sign)

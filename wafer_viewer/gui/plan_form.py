@@ -1,0 +1,142 @@
+"""The form of a plan and the job behind it: what each number on the panel means, there and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.spec import replace
+
+FIRST_FRAMES = 31
+"""Frames of the first sweep laid over a sample of which only the size is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanForm:
+    """The numbers and names on the plan's panel, in the units that stand there."""
+
+    name: str = ""
+    lot: str = ""
+    wafer_id: str = ""
+    product: str = ""
+    operator: str = ""
+    size_mm: tuple[float, float] = (0.0, 0.0)
+    columns_rows: tuple[float, float] = (1.0, 1.0)
+    overlap_percent: float = 10.0
+    centre_um: tuple[float, float] = (0.0, 0.0)
+    range_um: tuple[float, float] = (0.0, 0.0)
+    step_um: float = 1.0
+    exposures_us: str = "100"
+
+
+def form_of(job: Job | None) -> PlanForm:
+    """What the panel shows of a job; an empty form without one."""
+    if job is None:
+        return PlanForm()
+    sample, grid, sweep = job.sample, job.grid, job.sweep
+    z0_um = job.z_start_um if grid else min(f.z_start_um for f in job.fields)
+    return PlanForm(
+        name=sample.name,
+        lot=sample.lot,
+        wafer_id=sample.wafer_id,
+        product=sample.product,
+        operator=sample.operator,
+        size_mm=(round(sample.width_um / 1000, 4), round(sample.height_um / 1000, 4)),
+        columns_rows=(float(grid.cols), float(grid.rows)) if grid else (1.0, 1.0),
+        overlap_percent=round(100 * grid.overlap_x_fraction, 2) if grid else 0.0,
+        centre_um=_rounded(grid.center_um) if grid else (0.0, 0.0),
+        range_um=_rounded((z0_um, z0_um + sweep.range_um)),
+        step_um=sweep.z_step_um,
+        exposures_us=", ".join(f"{e:g}" for e in job.exposures_us),
+    )
+
+
+def job_of(form: PlanForm, old: Job | None, limits: RigLimits | None) -> Job:
+    """The job that a filled-in form asks for, keeping of the old one what the form does not show.
+
+    Raises PlanError with the sentence to show when the form makes no job.
+    """
+    if old is None:
+        return _first_job(form, limits)
+    before = form_of(old)
+    return replace(
+        old,
+        sample=_sample(form, old.sample),
+        grid=_grid(form, before, old.grid) if old.grid else None,
+        z_start_um=old.z_start_um if form.range_um[0] == before.range_um[0] else form.range_um[0],
+        sweep=old.sweep if _same_sweep(form, before) else sweep_of(form),
+        exposures_us=_exposures(form.exposures_us),
+    )
+
+
+def sweep_of(form: PlanForm) -> FocusSweep:
+    """The frames from the lowest z upward, as many as fit into the range."""
+    low, high = form.range_um
+    if form.step_um <= 0:
+        raise PlanError(f"The step of the focus sweep is {form.step_um:g} µm: it must be over 0.")
+    if high <= low:
+        raise PlanError(f"The focus sweep goes from {low:g} to {high:g} µm: the second must be higher than the first.")
+    return FocusSweep(z_step_um=form.step_um, n_frames=1 + math.floor((high - low) / form.step_um + 1e-6))
+
+
+def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
+    width_um, height_um = (1000 * side for side in form.size_mm)
+    if limits is None:
+        raise PlanError("The rig has not said yet what it can do: the grid follows when it is ready.")
+    if width_um <= 0 or height_um <= 0:
+        raise PlanError("The sample has no size yet: both sides must be over 0 mm.")
+    step_um = max(0.5, math.floor(limits.depth_of_field_um) / 2)
+    return Job(
+        sample=_sample(form, Sample()),
+        grid=FieldGrid.covering(
+            width_um, height_um, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um
+        ),
+        z_start_um=-step_um * (FIRST_FRAMES - 1) / 2,
+        sweep=FocusSweep(z_step_um=step_um, n_frames=FIRST_FRAMES),
+        exposures_us=_exposures(form.exposures_us),
+    )
+
+
+def _sample(form: PlanForm, old: Sample) -> Sample:
+    return replace(
+        old,
+        name=form.name.strip(),
+        lot=form.lot.strip(),
+        wafer_id=form.wafer_id.strip(),
+        product=form.product.strip(),
+        operator=form.operator.strip(),
+        width_um=1000 * form.size_mm[0],
+        height_um=1000 * form.size_mm[1],
+    )
+
+
+def _grid(form: PlanForm, before: PlanForm, old: FieldGrid) -> FieldGrid:
+    """The grid about the centre in the form: about the old, unrounded one where nobody moved it."""
+    grid = old
+    if form.overlap_percent != before.overlap_percent:
+        overlap = form.overlap_percent / 100
+        grid = replace(grid, overlap_x_fraction=overlap, overlap_y_fraction=overlap)
+    if form.columns_rows != before.columns_rows:
+        cols, rows = (round(n) for n in form.columns_rows)
+        grid = grid.resized(rows=rows, cols=cols)
+    centre = old.center_um if form.centre_um == before.centre_um else form.centre_um
+    return old if grid == old and centre == old.center_um else grid.centred_on(*centre)
+
+
+def _same_sweep(form: PlanForm, before: PlanForm) -> bool:
+    return form.step_um == before.step_um and form.range_um == before.range_um
+
+
+def _exposures(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.replace(";", ",").split(",") if part.strip())
+    except ValueError:
+        raise PlanError(f"The exposures read '{text}': they must be numbers of µs with commas between them.") from None
+
+
+def _rounded(pair: tuple[float, float]) -> tuple[float, float]:
+    return round(pair[0], 2), round(pair[1], 2)

@@ -1,0 +1,216 @@
+"""The panel of the first step: the sample, the grid over it, the sweep, and what every way of scanning it costs."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import size
+from wafer_viewer.gui import html
+from wafer_viewer.gui import plan_words as words
+from wafer_viewer.gui.dialogs import load_plan_dialog
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.plan_form import PlanForm, form_of, job_of
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.state import Draft, Snapshot
+
+COMMIT_S = 0.25
+"""An edit goes to the session when nothing was typed for so long: one number typed is one step of undo."""
+
+
+class PlanPanel:
+    """Sample, field grid, focus sweep, strategy, price, start."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._problem: str | None = None
+        self._shown_job: Any = None
+        self._timer: threading.Timer | None = None
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+        page.on_pick("strategy", self._choose_strategy)
+        page.on_pick("undo", lambda _: page.ask("Nothing was undone", page.session.undo()))
+        page.on_pick("redo", lambda _: page.ask("Nothing was redone", page.session.redo()))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        set_prop(self._folder, "visible", view.step == "plan")
+        if view.step != "plan":
+            return
+        draft = snapshot.draft
+        if draft.job is not self._shown_job:
+            self._shown_job, self._problem = draft.job, None
+        if self._problem is None:
+            self._show_form(form_of(draft.job))
+        self._show_words(snapshot, draft)
+        self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
+        self._sweep_fields.visible = draft.job is not None
+        why = self.why_not(snapshot)
+        set_prop(self._start, "disabled", why is not None)
+        self._why.show(f'<div class="wv-why">Not yet: {html.safe(why)}</div>' if why else "")
+
+    def start(self) -> None:
+        """Start the scan of the plan and look at it."""
+        page = self._page
+        page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
+
+    def why_not(self, snapshot: Snapshot) -> str | None:
+        """Why the scan cannot start now, or None."""
+        draft, rig = snapshot.draft, snapshot.rig
+        if snapshot.scanning:
+            return "a scan is running."
+        if rig.state != "ready":
+            return rig.message or f"the rig is {rig.state}."
+        if self._problem or draft.job is None:
+            return self._problem or "the sample has no size."
+        if draft.problem or draft.plan is None:
+            return draft.problem or "the plan is being priced."
+        if not rig.simulated and not draft.job.sample.name:
+            return "the sample has no name."
+        if draft.free_bytes is not None and draft.plan.bytes_on_disk > draft.free_bytes:
+            return f"the scan needs {size(draft.plan.bytes_on_disk)}, {size(draft.free_bytes)} are free."
+        return None
+
+    # --- building
+
+    def _build(self) -> None:
+        gui = self._page.gui
+        self._title = Cell(gui)
+        self._notes = Cell(gui)
+        self._build_sample()
+        self._build_grid()
+        self._build_sweep()
+        self._strategies = Cell(gui)
+        save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self._save))
+        load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
+        in_a_row(gui, [save, load])
+        self._why = Cell(gui)
+        self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
+        leading(gui, self._start, 46)
+
+    def _build_sample(self) -> None:
+        gui = self._page.gui
+        Cell(gui, html.head("Sample"))
+        self._name = self._field(gui.add_text("Name", ""))
+        duo(gui)
+        self._lot, self._wafer = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Wafer", ""))
+        duo(gui)
+        self._product = self._field(gui.add_text("Product", ""))
+        self._operator = self._field(gui.add_text("Operator", ""))
+        self._size = self._field(gui.add_vector2("Size, mm", (0.0, 0.0), min=(0.0, 0.0), step=0.01))
+
+    def _build_grid(self) -> None:
+        gui = self._page.gui
+        self._grid_head = Cell(gui)
+        self._grid_fields = gui.add_folder(None, visible=False)
+        with self._grid_fields:
+            self._columns_rows = self._field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
+            self._overlap = self._field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
+            self._centre = self._field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
+            cover = button(gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid stays", self._cover))
+            centre = button(gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid stays", self._to_stage))
+            in_a_row(gui, [cover, centre])
+
+    def _build_sweep(self) -> None:
+        gui = self._page.gui
+        self._sweep_head = Cell(gui)
+        self._sweep_fields = gui.add_folder(None, visible=False)
+        with self._sweep_fields:
+            self._range = self._field(gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5))
+            self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
+            self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
+            self._depth = Cell(gui)
+
+    def _field(self, handle: Any) -> Field[Any]:
+        return Field(handle, lambda _: self._edited(), self._page, "The plan stays")
+
+    def _on(self, name: str, verb: Any) -> Any:
+        return guarded(self._page, name)(lambda _: verb())
+
+    # --- the form
+
+    def _show_form(self, form: PlanForm) -> None:
+        self._name.show(form.name)
+        self._lot.show(form.lot)
+        self._wafer.show(form.wafer_id)
+        self._product.show(form.product)
+        self._operator.show(form.operator)
+        self._size.show(form.size_mm)
+        self._columns_rows.show(form.columns_rows)
+        self._overlap.show(form.overlap_percent)
+        self._centre.show(form.centre_um)
+        self._range.show(form.range_um)
+        self._step.show(form.step_um)
+        self._exposures.show(form.exposures_us)
+
+    def _read_form(self) -> PlanForm:
+        return PlanForm(
+            name=self._name.value,
+            lot=self._lot.value,
+            wafer_id=self._wafer.value,
+            product=self._product.value,
+            operator=self._operator.value,
+            size_mm=self._size.value,
+            columns_rows=self._columns_rows.value,
+            overlap_percent=self._overlap.value,
+            centre_um=self._centre.value,
+            range_um=self._range.value,
+            step_um=self._step.value,
+            exposures_us=self._exposures.value,
+        )
+
+    def _edited(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = threading.Timer(COMMIT_S, guarded(self._page, "The plan stays")(self._commit))
+        self._timer.daemon = True
+        self._timer.start()
+
+    def _commit(self) -> None:
+        page, snapshot = self._page, self._page.session.snapshot
+        try:
+            job = job_of(self._read_form(), snapshot.draft.job, snapshot.rig.limits)
+        except PlanError as fault:
+            self._problem = str(fault)
+            page.redraw()
+            return
+        self._problem = None
+        if job == snapshot.draft.job:
+            page.redraw()
+        else:
+            page.ask("The plan stays", page.session.edit_job(job))
+
+    def _choose_strategy(self, name: str) -> None:
+        job = self._page.session.snapshot.draft.job
+        if job is not None:
+            self._page.ask("The strategy stays", self._page.session.edit_job(replace(job, strategy=name)))
+
+    def _cover(self) -> None:
+        self._page.ask("The grid stays", self._page.session.cover_sample())
+
+    def _to_stage(self) -> None:
+        self._page.ask("The grid stays", self._page.session.centre_on_stage())
+
+    def _save(self) -> None:
+        page = self._page
+        page.ask("The plan was not saved", page.session.save_plan(None), lambda path: page.say("Plan saved", str(path)))
+
+    def _show_words(self, snapshot: Snapshot, draft: Draft) -> None:
+        below = (
+            "Lay the fields, choose the depth, take the cheapest way."
+            if draft.job
+            else "Say how large the sample is; the grid follows."
+        )
+        self._title.show(html.title("Plan the scan", below, words.history(draft)))
+        self._notes.show(self._page.notes(snapshot))
+        self._grid_head.show(words.grid(draft))
+        self._sweep_head.show(words.sweep(draft))
+        self._depth.show(words.depth(snapshot, draft))
+        self._strategies.show(words.strategies(snapshot, draft))

@@ -1,0 +1,150 @@
+"""The bottom panel: the profile as a curve in µm, live while its handles move. The scene makes room for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.ticks import round_step
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Cell, set_prop
+from wafer_viewer.gui.measure_panel import MeasurePanel
+from wafer_viewer.gui.measure_words import PROFILE_COLOURS
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.style import PROFILE_PX, palette
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.session.state import Snapshot
+
+MOST_POINTS = 1500
+"""More than the plot has pixels; longer curves are thinned by their extremes."""
+FIRST_WIDTH_PX = 892
+
+
+def open_in(view: View) -> bool:
+    """Whether a curve is shown below the scene."""
+    return view.step == "measure" and view.tool == "profile"
+
+
+class ProfileDock:
+    """Head with the figures, and the plot."""
+
+    def __init__(self, page: Page, measure: MeasurePanel) -> None:
+        self._page, self._measure = page, measure
+        self._drawn: object = None
+        self._panel = page.gui.add_panel(visible=False)
+        with self._panel.add_tab("Profile"):
+            page.gui.add_html('<div class="wv-bottom"></div>')
+            self._head = Cell(page.gui)
+            self._body = page.gui.add_folder(None)
+            self._plot: Any = None
+        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
+        self._width = 0
+        page.client.camera.on_update(lambda camera: self._follow(camera.image_width))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the curve up to date."""
+        set_prop(self._panel, "visible", open_in(view))
+        if not open_in(view):
+            return
+        answer = self._measure.answer
+        profile = answer.finding if isinstance(answer.finding, Profile) else None
+        self._head.show(_head(profile, answer.problem))
+        if answer.curve is not None and (answer.curve, view.dark) != self._drawn:
+            self._drawn = (answer.curve, view.dark)
+            self._draw(answer.curve, view.dark)
+
+    def _draw(self, curve: ProfileCurve, dark: bool) -> None:
+        distance, z = thinned(curve.distance_um, curve.z_um, MOST_POINTS)
+        scales = {"x": {"time": False, "range": _x_range(distance)}, "y": {"range": y_range(z)}}
+        if self._plot is not None and self._plot_dark == dark:
+            self._plot.data = (distance, z)
+            self._plot.scales = scales
+            return
+        if self._plot is not None:
+            self._plot.remove()
+        self._plot_dark = dark
+        with self._body:
+            self._plot = self._page.gui.add_uplot(
+                data=(distance, z),
+                series=({}, {"label": "z", "stroke": PROFILE_COLOURS[0], "width": 1.8, "spanGaps": False}),
+                scales=scales,
+                axes=(_axis("Distance along the profile, µm", 34, dark), _axis("z, µm", 56, dark)),
+                legend={"show": False},
+                height=PROFILE_PX - 72,
+                padding=(8, 18, 0, 0),
+                cursor={"drag": {"x": True, "y": False}},
+            )
+
+    def _follow(self, width_px: int) -> None:
+        """Be as wide as the scene, which follows the regions beside it."""
+        if width_px != self._width:
+            self._width = width_px
+            self._panel.set_width(width_px)
+
+
+def thinned(
+    x: NDArray[np.float64], z: NDArray[np.float64], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A curve with at most `most` points that keeps every peak, valley and gap.
+
+    Each stretch is shown by its lowest and its highest point; one without a measured point stays a gap (NaN).
+    """
+    if len(z) <= most:
+        return x, z
+    stretches = most // 2
+    edges = np.linspace(0, len(z), stretches + 1).astype(int)
+    xs, zs = np.empty(2 * stretches), np.empty(2 * stretches)
+    for k, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        part = z[first:last]
+        picked = (
+            np.sort([np.nanargmin(part), np.nanargmax(part)])
+            if np.isfinite(part).any()
+            else np.array([0, len(part) - 1])
+        )
+        xs[2 * k : 2 * k + 2], zs[2 * k : 2 * k + 2] = x[first + picked], part[picked]
+    return xs, zs
+
+
+def y_range(z: NDArray[np.float64]) -> tuple[float, float]:
+    """Round ends around the heights that stay put while a handle moves a little."""
+    if not np.isfinite(z).any():
+        return -1.0, 1.0
+    low, high = float(np.nanmin(z)), float(np.nanmax(z))
+    step = round_step(max((high - low) / 4, 0.05))
+    return step * np.floor(low / step - 0.15), step * np.ceil(high / step + 0.15)
+
+
+def _x_range(distance: NDArray[np.float64]) -> tuple[float, float]:
+    return (0.0, float(distance[-1])) if len(distance) > 1 else (0.0, 1.0)
+
+
+def _axis(label: str, size_px: int, dark: bool) -> Any:
+    colours, font = palette(dark), "12px Inter, Segoe UI, sans-serif"
+    return {
+        "label": label,
+        "size": size_px,
+        "labelSize": 20,
+        "font": font,
+        "labelFont": font,
+        "stroke": colours["ink2"],
+        "grid": {"stroke": colours["line"], "width": 1},
+        "ticks": {"stroke": colours["line"], "width": 1, "size": 5},
+    }
+
+
+def _head(profile: Profile | None, problem: str) -> str:
+    if profile is None:
+        text = problem or "The curve comes as soon as the line lies on the surface."
+        return f'<div style="display:flex;gap:20px"><b>Profile</b><span class="dim">{html.safe(text)}</span></div>'
+    rise = with_unit(profile.rise.value_um, 2, signed=True)
+    sign = html.chip(f"P{profile.number or ''}", PROFILE_COLOURS[0])
+    return (
+        f'<div style="display:flex;gap:20px;align-items:center;white-space:nowrap;overflow:hidden"><b>Profile</b><span>{sign} &nbsp;'
+        f"Pt <b>{with_unit(profile.pt.value_um, 2)}</b>&ensp;"
+        f'<span class="dim">{with_unit(profile.length_um, 0)} long, {with_unit(profile.line.width_um, 1)} wide</span></span>'
+        f'<span style="margin-left:auto;color:var(--ink2)">Δx <b>{number(profile.length_um, 1)}</b>&ensp;Δz <b>{rise}</b></span></div>'
+    )

@@ -1,0 +1,240 @@
+"""The panel of the third step: how the surface is drawn, what it is like, and how it was reconstructed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.colours import COLOUR_MAPS
+from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import export_dialog
+from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.recipe_section import RecipeSection
+from wafer_viewer.gui.slice_section import SliceSection
+from wafer_viewer.gui.view import ColourBy, View
+from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
+
+LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))
+COLOUR_BY: dict[str, ColourBy] = {
+    "Height": "height",
+    "Confidence": "confidence",
+    "Slope": "slope",
+    "Deviation from plane": "deviation",
+    "Picture in focus": "grey",
+    "Origin": "origin",
+}
+TITLES_OF_COLOUR_BY = {key: name for name, key in COLOUR_BY.items()}
+STITCHED = "Stitched surface"
+FULL_BLEND = 0.4
+"""All-in-focus, when it is switched on."""
+FULL_SHADE = 0.8
+
+
+class SurfacePanel:
+    """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        set_prop(self._folder, "visible", view.step == "surface")
+        if view.step != "surface":
+            return
+        data, info = snapshot.dataset, snapshot.surface
+        self._title.show(html.title("Surface", _below(data, info, view)))
+        self._notes.show(self._page.notes(snapshot))
+        self._show_look(data, view)
+        self._show_colour(info, view)
+        self._show_light(view)
+        self._slice.show(snapshot, view)
+        self._numbers.show(_numbers(data, info))
+        self._recipe.show(snapshot)
+        set_prop(self._measure, "disabled", info is None)
+        set_prop(self._export, "disabled", info is None and view.show == 0)
+
+    def toggle_hillshade(self) -> None:
+        """Light from the north-west on or off."""
+        self._page.change(hillshade=0.0 if self._page.view.hillshade else FULL_SHADE)
+
+    def toggle_all_in_focus(self) -> None:
+        """The all-in-focus picture on or off."""
+        self._page.change(all_in_focus=0.0 if self._page.view.all_in_focus else FULL_BLEND)
+
+    # --- building
+
+    def _build(self) -> None:
+        page, gui = self._page, self._page.gui
+        self._title = Cell(gui)
+        self._notes = Cell(gui)
+        self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
+        self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
+        self._build_colour()
+        self._build_light()
+        self._slice = SliceSection(page)
+        self._numbers = Cell(gui)
+        self._recipe = RecipeSection(page)
+        self._export = button(gui, "Export…", viser.Icon.DOWNLOAD, lambda _: export_dialog(page))
+        in_a_row(gui, [self._export], 34)
+        self._measure = button(gui, "Measure this surface", viser.Icon.RULER_MEASURE, lambda _: self._go_measure())
+        leading(gui, self._measure)
+
+    def _build_colour(self) -> None:
+        page, gui = self._page, self._page.gui
+        Cell(gui, html.head("Colour"))
+        by = gui.add_dropdown("Colour by", tuple(COLOUR_BY))
+        self._by = self._field(by, lambda text: page.change(colour_by=COLOUR_BY[text], range_um=None))
+        names = {name: key for key, name in COLOUR_MAPS.items()}
+        colours = gui.add_dropdown("Colours", tuple(names))
+        self._colours = self._field(colours, lambda text: page.change(colours=names[text]))
+        slider = gui.add_multi_slider("Range", -1.0, 1.0, 0.1, (-1.0, 1.0))
+        self._range = self._field(slider, lambda ends: page.change(range_um=(float(ends[0]), float(ends[1]))))
+        by_hand = gui.add_vector2("By hand", (-1.0, 1.0), step=0.1)
+        self._by_hand = self._field(by_hand, self._set_range)
+        usual = button(gui, "0.5 – 99.5 %", viser.Icon.CHART_HISTOGRAM, lambda _: page.change(range_um=None))
+        whole = button(gui, "Whole range", viser.Icon.ARROWS_MAXIMIZE, lambda _: self._whole_range())
+        in_a_row(gui, [usual, whole])
+
+    def _build_light(self) -> None:
+        page, gui = self._page, self._page.gui
+        Cell(gui, html.head("Light and depth"))
+        self._height = self._field(
+            gui.add_slider("Height, ×", 1.0, 20.0, 0.5, 3.0), lambda times: page.change(exaggeration=float(times))
+        )
+        self._shade = self._field(
+            gui.add_checkbox("Hillshade", True), lambda on: page.change(hillshade=FULL_SHADE if on else 0.0)
+        )
+        self._strength = self._field(
+            gui.add_slider("Strength, %", 0.0, 100.0, 5.0, 80.0), lambda p: page.change(hillshade=p / 100)
+        )
+        self._focus = self._field(
+            gui.add_checkbox("All-in-focus", False), lambda on: page.change(all_in_focus=FULL_BLEND if on else 0.0)
+        )
+        self._blend = self._field(
+            gui.add_slider("Blend, %", 0.0, 100.0, 5.0, 0.0), lambda p: page.change(all_in_focus=p / 100)
+        )
+
+    def _field(self, handle: Any, act: Callable[[Any], Any]) -> Field[Any]:
+        return Field(handle, lambda event: act(event.target.value), self._page, "The look stays")
+
+    # --- choices
+
+    def _choose_shown(self, text: str) -> None:
+        show = 0 if text == STITCHED else int(text.removeprefix("Field "))
+        self._page.change(show=show, frame_k=None, slice_z_um=None)
+
+    def _set_range(self, ends: tuple[float, float]) -> None:
+        low, high = ends
+        if high > low:
+            self._page.change(range_um=(low, high))
+
+    def _whole_range(self) -> None:
+        whole = self._whole(self._page.session.snapshot.surface, self._page.view)
+        if whole is not None and whole[1] > whole[0]:
+            self._page.change(range_um=whole)
+
+    def _go_measure(self) -> None:
+        tool = self._page.view.tool
+        self._page.change(step="measure", tool="profile" if tool == "none" else tool)
+
+    # --- showing
+
+    def _show_look(self, data: OpenDataset | None, view: View) -> None:
+        self._look.show(view.look)
+        fields = [f"Field {number}" for number in sorted(data.stamps)] if data else []
+        options = (STITCHED, *fields)
+        if tuple(self._shown.handle.options) != options:
+            self._shown.handle.options = options
+        shown = f"Field {view.show}" if view.show else STITCHED
+        if shown in options:
+            self._shown.show(shown)
+
+    def _show_colour(self, info: SurfaceInfo | None, view: View) -> None:
+        self._by.show(TITLES_OF_COLOUR_BY[view.colour_by])
+        self._colours.show(COLOUR_MAPS[view.colours])
+        in_colours = view.colour_by not in ("grey", "origin")
+        self._colours.enable(in_colours)
+        whole, scale = self._whole(info, view), self._page.scale
+        ranged = in_colours and whole is not None and scale is not None
+        for widget in (self._range, self._by_hand):
+            widget.enable(ranged)
+        if not ranged or whole is None or scale is None:
+            return
+        low, high = view.range_um or (scale.low, scale.high)
+        step = _slider_step(*whole)
+        set_prop(self._range.handle, "step", step)
+        set_prop(self._range.handle, "min", _down(min(whole[0], low), 10 * step))
+        set_prop(self._range.handle, "max", _up(max(whole[1], high), 10 * step))
+        self._range.show((round(round(low / step) * step, 6), round(round(high / step) * step, 6)))
+        self._by_hand.show((round(low, 2), round(high, 2)))
+
+    def _whole(self, info: SurfaceInfo | None, view: View) -> tuple[float, float] | None:
+        """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
+        scale = self._page.scale
+        if view.colour_by == "height" and view.show == 0 and info is not None:
+            return info.lowest_um, info.highest_um
+        if scale is None:
+            return None
+        spare = (scale.own_high - scale.own_low) / 2
+        return scale.own_low - spare, scale.own_high + spare
+
+    def _show_light(self, view: View) -> None:
+        self._height.show(view.exaggeration)
+        self._height.enable(view.look != "plan")
+        self._shade.show(view.hillshade > 0)
+        self._strength.show(round(100 * view.hillshade, 3))
+        self._strength.enable(view.hillshade > 0)
+        self._focus.show(view.all_in_focus > 0)
+        self._blend.show(round(100 * view.all_in_focus, 3))
+        self._blend.enable(view.all_in_focus > 0)
+
+
+def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
+    if data is None:
+        return "Open a dataset, or scan one."
+    calibrated = "" if data.calibration_problem is None else " · uncalibrated"
+    if info is None:
+        return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
+    size = f"{number(info.cols, 0)} × {number(info.rows, 0)} points"
+    return f"Stitched from {info.n_fields} fields · {size} · {share(info.measured_fraction)} measured{calibrated}"
+
+
+def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:
+    head = html.head("Surface", data.results[0] if data and len(data.results) == 1 else "")
+    if info is None:
+        return head + html.empty("The numbers of the surface come", "when its fields are stitched.")
+    rows = [
+        ("Highest", with_unit(info.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
+        ("Not measured", share(1 - info.measured_fraction - info.filled_fraction)),
+        *((f"– {words}", share(part)) for words, part in info.unmeasured if part > 0),
+        ("Filled", share(info.filled_fraction)),
+    ]
+    if info.overlap_rms_um is not None:
+        rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    problem = data.calibration_problem if data else None
+    why = f'<div class="wv-lab" style="margin-top:5px">uncalibrated: {html.safe(problem)}</div>' if problem else ""
+    return head + html.pairs(rows) + why
+
+
+def _slider_step(low: float, high: float) -> float:
+    """A step that cuts the range into some hundreds of parts."""
+    for step in (0.001, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+        if (high - low) / step <= 600:
+            return step
+    return 5.0
+
+
+def _down(value: float, step: float) -> float:
+    return round((value // step) * step, 6)
+
+
+def _up(value: float, step: float) -> float:
+    return round(-((-value) // step) * step, 6)

@@ -1,0 +1,73 @@
+"""The card of the first start: the three ways in, and the tour for those without a sample."""
+
+from __future__ import annotations
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import import_dialog, open_dialog
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, button, leading, outlined, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
+
+WIDTH_PX, HEIGHT_PX = 380, 318
+
+
+class Welcome:
+    """Shown while there is neither a plan nor a dataset."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._place = (0, 0)
+        gui = page.gui
+        self._panel = gui.add_panel(visible=False)
+        with self._panel.add_tab("Start"):
+            gui.add_html('<div class="wv-card"></div>')
+            Cell(gui, _HEAD)
+            plan = button(
+                gui, "Plan a scan", viser.Icon.LAYOUT_GRID, guarded(page, "There is no plan")(lambda _: self._plan())
+            )
+            leading(gui, plan, 46, sticky=False)
+            outlined(gui, button(gui, "Open a dataset…", viser.Icon.FOLDER_OPEN, lambda _: open_dialog(page)), 42)
+            outlined(gui, button(gui, "Import images…", viser.Icon.PHOTO_PLUS, lambda _: import_dialog(page)), 42)
+            self._tour = Cell(gui)
+        page.on_pick("tour", lambda _: self._take_tour())
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the card or put it away."""
+        first = snapshot.draft.job is None and snapshot.dataset is None and view.step == "plan"
+        set_prop(self._panel, "visible", first)
+        if not first:
+            return
+        self._centre()
+        link = f'<span class="wv-link" {html.pick("tour")}>Take the tour on the virtual rig</span>, 30 s'
+        tour = f"No sample at hand? &ensp;{link}" if snapshot.rig.simulated else ""
+        self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
+
+    def _plan(self) -> None:
+        self._page.ask("There is no plan", self._page.session.cover_sample())
+
+    def _take_tour(self) -> None:
+        """Plan and scan the virtual sample, and watch."""
+        page = self._page
+
+        def scan(_: object) -> None:
+            page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
+
+        page.ask("The tour did not begin", page.session.take_tour(), scan)
+
+    def _centre(self) -> None:
+        camera = self._page.client.camera
+        place = ((camera.image_width - WIDTH_PX) // 2, max(70, (camera.image_height - HEIGHT_PX) // 2))
+        if place != self._place and camera.image_width > 0:
+            self._place = place
+            self._panel.float(x=max(0, place[0]), y=place[1], width=WIDTH_PX)
+
+
+_HEAD = (
+    '<div style="text-align:center;padding:12px 8px 4px"><div style="font-size:24px;font-weight:650">Start with a sample'
+    '</div><div style="color:var(--ink2);font-size:14px;margin:6px 0 12px">Lay a field grid on it and scan, or open<br>'
+    "what was measured before.</div></div>"
+)
