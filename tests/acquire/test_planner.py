@@ -101,6 +101,15 @@ def test_a_strobe_and_few_levels_make_line_passes_win():
     assert plan_scan(WAFER, SWEEP, (100.0,), strobed).strategy == "z_snake"
 
 
+def test_motions_are_passes_and_returns_or_every_step():
+    fields, sweep = GAUGE_BLOCKS[:12], FocusSweep(z_step_um=4.0, n_frames=181)
+    motions = {p.strategy: p.motions for p in price_all(fields, sweep, (100.0,), LIMITS)}
+    assert motions["z_snake"] == 12
+    assert motions["z_up"] == 23
+    assert motions["x_lines"] == 2 * 181
+    assert motions["stop_and_shoot"] == 12 * 181
+
+
 def test_the_operator_may_choose_a_slower_one():
     assert plan_scan(GAUGE_BLOCKS[:7], SWEEP, (100.0,), LIMITS, "z_up").strategy == "z_up"
 

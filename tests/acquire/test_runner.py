@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.acquire.planner import STRATEGIES
+from wafer_viewer.acquire.planner import STRATEGIES, plan_scan
 from wafer_viewer.acquire.runner import run_scan
 from wafer_viewer.model.errors import MissedPulse, RigError
-from wafer_viewer.model.plan import Shot
+from wafer_viewer.model.plan import Field, FocusSweep, Shot
 from wafer_viewer.rigs.virtual.camera import Faults
 from wafer_viewer.rigs.virtual.port import Interference
+from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 
 def all_shots(plan):
@@ -64,6 +65,25 @@ def test_what_got_lost_is_taken_again(strategy, counter, virtual_rig, small_plan
     missed = {event[1] for event in recorder.of_kind("missed")}
     assert missed == {event[1] for event in recorder.of_kind("repaired")}
     assert missed == {[s for leg in plan.legs for s in leg.shots][i - 1] for i in (1, 17, 50, 30, 31)}
+
+
+@pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])
+def test_a_long_way_between_fields_is_no_missed_heartbeat(strategy, virtual_rig, recorder, control):
+    rig = virtual_rig()
+    places = enumerate([-140_000.0, 140_000.0], start=1)
+    fields = tuple(Field(number=i, row=0, col=i, x_um=x, y_um=0.0, z_start_um=0.0) for i, x in places)
+    plan = plan_scan(fields, FocusSweep(z_step_um=1.0, n_frames=5), (100.0,), rig.limits, strategy)
+    assert run_scan(plan, rig, recorder, control()).kept == 10
+
+
+def test_in_real_time_rendering_is_reported_apart(recorder, control):
+    rig = VirtualRig("plane", limits=virtual_limits(48, 64), real_time=True)
+    fields = (Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0),)
+    plan = plan_scan(fields, FocusSweep(z_step_um=1.0, n_frames=12), (100.0,), rig.limits)
+    outcome = run_scan(plan, rig, recorder, control())
+    rig.close()
+    assert outcome.kept == 12
+    assert outcome.prepared_s > outcome.duration_s > 0.5 * plan.predicted_s
 
 
 def test_a_bad_wire_costs_no_frame(virtual_rig, small_plan, recorder, control, place):

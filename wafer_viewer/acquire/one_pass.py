@@ -119,6 +119,7 @@ class _Pass:
         """Halt and settle at every count of the train and take a frame there; returns whether it was stopped."""
         train = self._leg.train
         axis, exposed_s = self._rig.limits.axis(train.axis), self._exposed_s()
+        self._go_to(axis.position_um(train.first_count))
         self._rig.box.arm(train, on_command=True)
         last_s = -1.0
         for i in range(train.n_frames):

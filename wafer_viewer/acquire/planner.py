@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.acquire.checks import check_exposures, check_fields, check_sweep, whole_counts
 from wafer_viewer.acquire.passes import AXES, Pass, Task, line_obstacle, line_passes, shoot_passes, z_passes
-from wafer_viewer.acquire.pricing import predicted_s, travel_um
+from wafer_viewer.acquire.pricing import Travel, motions, predicted_s, travel_of
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Field, FocusSweep, Price, ScanPlan
@@ -91,20 +91,22 @@ def checked_task(
 def _priced(task: Task, name: str) -> tuple[Price, list[Pass]]:
     strategy = STRATEGIES[name]
     obstacle = strategy.obstacle(task)
-    passes = [] if obstacle else list(strategy.passes(task))
-    obstacle = obstacle or _out_of_range(task, passes)
-    if obstacle:
-        return Price(strategy=name, title=strategy.title, ruled_out=obstacle), passes
-    seconds, motions = predicted_s(task, passes), sum(1 if p.speed_um_s else p.n_frames for p in passes)
-    return Price(strategy=name, title=strategy.title, predicted_s=seconds, motions=motions), passes
+    if obstacle is not None:
+        return Price(strategy=name, title=strategy.title, ruled_out=obstacle), []
+    passes = list(strategy.passes(task))
+    travel = travel_of(task.limits, passes)
+    obstacle = _out_of_range(task.limits, travel)
+    if obstacle is not None:
+        return Price(strategy=name, title=strategy.title, ruled_out=obstacle), []
+    seconds, n_motions = predicted_s(task, passes, travel), motions(passes, travel)
+    return Price(strategy=name, title=strategy.title, predicted_s=seconds, motions=n_motions), passes
 
 
-def _out_of_range(task: Task, passes: list[Pass]) -> str | None:
+def _out_of_range(limits: RigLimits, travel: Travel) -> str | None:
     """The run-up and run-out of every pass have to stay within the stage's range."""
-    travel = np.array(travel_um(task.limits, passes))
     for i, name in enumerate(AXES):
-        axis = task.limits.axis(name)
-        low_um, high_um = travel[..., i].min(), travel[..., i].max()
+        axis, at_um = limits.axis(name), np.append(travel.begin_um[:, i], travel.end_um[:, i])
+        low_um, high_um = at_um.min(), at_um.max()
         if low_um < axis.low_um or high_um > axis.high_um:
             return (
                 f"its run-up and run-out need {name} {low_um:.2f} to {high_um:.2f} um, "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +17,35 @@ PASS_OVERHEAD_S = 0.02
 Floats = NDArray[np.float64]
 
 
-def predicted_s(task: Task, passes: Sequence[Pass]) -> float:
+@dataclass(frozen=True, slots=True, eq=False)
+class Travel:
+    """Where the passes begin and end, run-up and run-out included: positions in um, [pass, axis]."""
+
+    begin_um: Floats
+    end_um: Floats
+
+
+def predicted_s(task: Task, passes: Sequence[Pass], travel: Travel) -> float:
     """Seconds from the start of the first pass to the end of the last; the way to the first is not counted."""
-    begin, end = travel_um(task.limits, passes)
-    moves = move_s(task.limits, end[:-1], begin[1:])
+    moves = move_s(task.limits, travel.end_um[:-1], travel.begin_um[1:])
     return float(_pass_s(task, passes).sum() + moves.sum() + PASS_OVERHEAD_S * len(passes))
 
 
-def travel_um(limits: RigLimits, passes: Sequence[Pass]) -> tuple[Floats, Floats]:
-    """Where each pass begins and ends with its run-up and run-out: two arrays [pass, axis]."""
+def motions(passes: Sequence[Pass], travel: Travel) -> int:
+    """How often an axis is set going to take frames: passes and their returns, or every step of stop and shoot."""
+    steps = sum(p.n_frames for p in passes if not p.speed_um_s)
+    return steps or len(passes) + _returns(passes, travel)
+
+
+def travel_of(limits: RigLimits, passes: Sequence[Pass]) -> Travel:
+    """The way of each pass."""
     first = np.array([p.start_um for p in passes])
     last = np.array([p.end_um(limits) for p in passes])
     run_up = np.array([p.direction * run_up_um(limits, p) for p in passes])
-    axis = np.array([AXES.index(p.axis) for p in passes])
-    rows = np.arange(len(passes))
+    rows, axis = _moving_axis(passes)
     first[rows, axis] -= run_up
     last[rows, axis] += run_up
-    return first, last
+    return Travel(first, last)
 
 
 def run_up_um(limits: RigLimits, one: Pass) -> float:
@@ -52,6 +65,19 @@ def travel_s(axis: AxisLimits, distance_um: Floats) -> Floats:
     short = 2 * np.sqrt(distance_um / axis.acceleration_um_s2)
     long = 2 * axis.speed_um_s / axis.acceleration_um_s2 + (distance_um - ramps_um) / axis.speed_um_s
     return np.where(distance_um > 0, np.where(distance_um < ramps_um, short, long) + axis.settle_s, 0.0)
+
+
+def _returns(passes: Sequence[Pass], travel: Travel) -> int:
+    """How often the axis of a pass has to go back over most of its way before the next can begin."""
+    moving = _moving_axis(passes)
+    begin_um, end_um = travel.begin_um[moving], travel.end_um[moving]
+    back_um = np.abs(begin_um[1:] - end_um[:-1])
+    return int(np.count_nonzero(back_um > np.abs(end_um - begin_um)[:-1] / 2))
+
+
+def _moving_axis(passes: Sequence[Pass]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The index that picks, of positions [pass, axis], those of each pass' own axis."""
+    return np.arange(len(passes)), np.array([AXES.index(p.axis) for p in passes])
 
 
 def _pass_s(task: Task, passes: Sequence[Pass]) -> Floats:

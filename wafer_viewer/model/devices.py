@@ -46,7 +46,10 @@ class PulseSummary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraImage:
-    """What a camera hands over: the image, its own trigger counter where it has one, its own clock, the status."""
+    """What a camera hands over: the image, its own trigger counter where it has one, its own clock, the status.
+
+    trigger_count counts edges from 0 at `start`, ignored ones too: a number of frames is no trigger counter.
+    """
 
     image: Image | None
     trigger_count: int | None
