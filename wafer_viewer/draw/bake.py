@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import origin_table, table
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
+from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Origin
 
 Quantity = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
@@ -50,6 +51,11 @@ def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
     """The steepest slope at each pixel; NaN next to a gap."""
     down, right = np.gradient(part.z_um, part.pixel_um)
     return np.degrees(np.arctan(np.hypot(down, right))).astype(np.float32)
+
+
+def eight_bit(image: Image) -> NDArray[np.uint8]:
+    """A frame as the screen can show it."""
+    return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else np.asarray(image, np.uint8)
 
 
 def grey_image(part: HeightMap) -> NDArray[np.float32]:
@@ -92,7 +98,7 @@ def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> N
     if share <= 0:
         return colour
     tint = np.float32(0.35) + np.float32(0.9) * grey_image(part)[..., None] ** np.float32(0.8)
-    return colour * (1 - share + share * tint)
+    return (colour * (1 - share + share * tint)).astype(np.float32)
 
 
 def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDArray[np.float32]:
@@ -101,4 +107,5 @@ def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDAr
         return colour
     factor = 1 + np.float32(0.85 * strength) * (np.minimum(shading.lambert, 1.6) - 1)
     factor *= 1 - np.float32(1.2 * strength) * shading.occlusion
-    return np.clip(colour * factor[..., None] + np.float32(38 * strength) * shading.gloss[..., None], 0, 255)
+    lit = colour * factor[..., None] + np.float32(38 * strength) * shading.gloss[..., None]
+    return np.clip(lit, 0, 255).astype(np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +27,10 @@ class Figure:
 
 
 def shadow(
+    outline_mm: Sequence[tuple[float, float]],
     width_mm: float,
     height_mm: float,
-    pad_mm: float,
+    blur_mm: float,
     *,
     darkness: float,
     shade: Rgb,
@@ -36,12 +38,13 @@ def shadow(
     figures: tuple[Figure, ...] = (),
     long_side_px: int = 1600,
 ) -> Picture:
-    """A soft shadow round a block of width x height mm, figures drawn into it, as rgba.
+    """The soft shadow of an outline in a picture of width x height mm, figures drawn into it, as rgba.
 
-    One picture, because two translucent pictures that overlap in the scene cut boxes out of each other.
+    Places are in mm from the picture's top left corner, y downwards. One picture for both: the figures lie in the
+    plane of the shadow, and two translucent pictures in one plane hide parts of each other.
     """
-    px_per_mm = long_side_px / (max(width_mm, height_mm) + 2 * pad_mm)
-    soft = _soft_box(width_mm, height_mm, pad_mm, px_per_mm) * darkness
+    px_per_mm = long_side_px / max(width_mm, height_mm)
+    soft = _soft(outline_mm, (round(width_mm * px_per_mm), round(height_mm * px_per_mm)), px_per_mm, blur_mm) * darkness
     if not figures:
         return np.dstack([np.full((*soft.shape, 3), shade, np.uint8), (soft * 255).astype(np.uint8)])
     letters = _letters(soft.shape, figures, px_per_mm)
@@ -51,14 +54,18 @@ def shadow(
     return np.dstack([colour.astype(np.uint8), (alpha * 255).astype(np.uint8)])
 
 
-def _soft_box(width_mm: float, height_mm: float, pad_mm: float, px_per_mm: float) -> NDArray[np.float32]:
-    """A blurred rectangle in 0 ... 1: blurred small and enlarged, which is the same and quick."""
-    full = (round((width_mm + 2 * pad_mm) * px_per_mm), round((height_mm + 2 * pad_mm) * px_per_mm))
-    small = Image.new("L", (max(8, full[0] // 8), max(8, full[1] // 8)), 0)
-    pad = pad_mm * px_per_mm / 8
-    ImageDraw.Draw(small).rectangle((pad, pad, small.width - 1 - pad, small.height - 1 - pad), fill=255)
-    blurred = small.filter(ImageFilter.GaussianBlur(pad * 0.33)).resize(full, Image.Resampling.BILINEAR)
-    return np.asarray(blurred, np.float32) / 255
+_SMALLER = 8
+
+
+def _soft(
+    outline_mm: Sequence[tuple[float, float]], size_px: tuple[int, int], px_per_mm: float, blur_mm: float
+) -> NDArray[np.float32]:
+    """A blurred polygon in 0 ... 1: blurred small and enlarged, which looks the same and is quick."""
+    small = Image.new("L", (max(8, size_px[0] // _SMALLER), max(8, size_px[1] // _SMALLER)), 0)
+    scale = px_per_mm / _SMALLER
+    ImageDraw.Draw(small).polygon([(x * scale, y * scale) for x, y in outline_mm], fill=255)
+    blurred = small.filter(ImageFilter.GaussianBlur(blur_mm * scale))
+    return (np.asarray(blurred.resize(size_px, Image.Resampling.BILINEAR)) / 255).astype(np.float32)
 
 
 def _letters(shape: tuple[int, ...], figures: tuple[Figure, ...], px_per_mm: float) -> NDArray[np.float32]:
@@ -68,11 +75,26 @@ def _letters(shape: tuple[int, ...], figures: tuple[Figure, ...], px_per_mm: flo
         face = font(figure.height_mm * px_per_mm * 0.76)
         place = (figure.x_mm * px_per_mm, figure.y_mm * px_per_mm)
         write(pen, place, figure.text, face, 255, align=figure.align)
-    return np.asarray(image, np.float32) / 255
+    return (np.asarray(image) / 255).astype(np.float32)
 
 
 def hatch(rows: int, cols: int, *, dark: bool, pitch_px: int = 26, line_px: int = 5) -> Picture:
     """Diagonal lines, rgb: what is seen through a hole, and the legend's pattern for 'not measured'."""
     lines = np.add.outer(np.arange(rows), np.arange(cols)) % pitch_px < line_px
-    ground, line = ((28, 34, 41), (110, 122, 134)) if dark else ((226, 231, 236), (120, 132, 145))
+    ground, line = ((28, 34, 41), (92, 104, 116)) if dark else ((203, 211, 219), (132, 145, 158))
     return np.where(lines[..., None], np.array(line, np.uint8), np.array(ground, np.uint8))
+
+
+WALL_TONES: dict[bool, tuple[Rgb, Rgb]] = {False: ((116, 130, 144), (92, 105, 118)), True: ((76, 87, 99), (52, 61, 71))}
+"""Top and foot of the walls between the surface and its lowest height, by whether the theme is dark."""
+PLINTH_TONES: dict[bool, tuple[Rgb, Rgb]] = {False: ((92, 105, 118), (70, 82, 94)), True: ((52, 61, 71), (34, 41, 48))}
+"""Top and foot of what lies below that."""
+_SIDE_SHADES = (1.0, 0.94, 1.1, 0.86)
+"""South, north, west, east: the light comes from the north-west and above."""
+
+
+def sides(top: Rgb, foot: Rgb) -> Picture:
+    """The picture of four walls for `mesh.walls`: a column a side, darker towards the foot. Grey: drawing, not data."""
+    down = np.linspace(0, 1, 32)[:, None, None]
+    shades = np.repeat(np.array(_SIDE_SHADES), 8)[None, :, None]
+    return np.clip((np.array(top) * (1 - down) + np.array(foot) * down) * shades, 0, 255).astype(np.uint8)

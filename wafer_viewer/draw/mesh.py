@@ -22,6 +22,9 @@ class Mesh:
     triangles: NDArray[np.uint32]
 
 
+_STEEP = 1.5
+
+
 def picked(n: int, step: int) -> NDArray[np.intp]:
     """Every step-th index of n, and the last."""
     return np.unique(np.append(np.arange(0, n, step), n - 1))
@@ -30,13 +33,17 @@ def picked(n: int, step: int) -> NDArray[np.intp]:
 def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, z0_um: float, step: int) -> Mesh:
     """A surface of heights without gaps, a vertex every `step` pixels; a cell with no pixel `there` is left out.
 
+    So is a steep cell that is only partly there: stretched over a wall, its few pixels would hang there as rags.
+
     x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge.
     """
     rows, cols = picked(len(y_mm), step), picked(len(x_mm), step)
     grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
     height = (z_um[np.ix_(rows, cols)] - np.float32(z0_um)) * np.float32(1e-3)
     v, u = np.meshgrid((rows + 0.5) / len(y_mm), (cols + 0.5) / len(x_mm), indexing="ij")
-    kept = _cells(there, rows, cols)
+    kept = _cells(there, rows, cols, np.logical_or)
+    ragged = kept & ~_cells(there, rows, cols, np.logical_and)
+    kept &= ~(ragged & (_rise(height) > _STEEP * step * abs(float(x_mm[-1] - x_mm[0])) / max(1, len(x_mm) - 1)))
     return Mesh(
         np.stack([grid_x, grid_y, height], axis=-1).reshape(-1, 3).astype(np.float32),
         np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
@@ -44,10 +51,18 @@ def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, 
     )
 
 
-def _cells(there: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Which cells between picked rows and columns hold any pixel that is there."""
-    by_row = np.logical_or.reduceat(there, rows[:-1], axis=0)
-    return np.logical_or.reduceat(by_row, cols[:-1], axis=1)
+def _cells(
+    there: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], how: np.ufunc
+) -> NDArray[np.bool_]:
+    """Whether any (logical_or) or each (logical_and) pixel is there, for each cell between picked rows and columns."""
+    by_row = how.reduceat(there, rows[:-1], axis=0)
+    return how.reduceat(by_row, cols[:-1], axis=1)
+
+
+def _rise(height: Floats) -> Floats:
+    """The largest difference between the four corners of each cell."""
+    corners = np.stack([height[:-1, :-1], height[:-1, 1:], height[1:, :-1], height[1:, 1:]])
+    return np.ptp(corners, axis=0)
 
 
 def quads(rows: int, cols: int) -> NDArray[np.uint32]:

@@ -1,0 +1,104 @@
+"""A session of maps in memory: what the scene asks a session for, without a rig, processes or files."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.painting import paint
+from wafer_viewer.session.state import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
+
+PIXEL_UM = 0.46729
+ROWS, COLS = 540, 720
+
+
+def height_map(z_um: np.ndarray, pixel_um: float = PIXEL_UM, x0_um: float = 0.0, y0_um: float = 0.0, grey=None) -> HeightMap:
+    """A map of heights; NaN has no texture."""
+    z = z_um.astype(np.float32)
+    grey = np.full(z.shape, 128, np.uint8) if grey is None else grey
+    origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
+    confidence = np.where(np.isfinite(z), 0.9, 0.1).astype(np.float32)
+    return HeightMap(
+        z_um=z, z_raw_um=z, confidence=confidence, all_in_focus=grey, origin=origin,
+        pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um,
+    )
+
+
+class MemoryShelf:
+    """Surfaces by running number, 0 the stitched one."""
+
+    def __init__(self, surfaces: dict[int, HeightMap], stacks: dict[int, FieldStack] | None = None) -> None:
+        self.surfaces, self.field_stacks = surfaces, stacks or {}
+
+    def surface(self, source: Source) -> Mosaic:
+        return self.surfaces[source.show]
+
+    def stacks(self, source: Source) -> list[FieldStack]:
+        return [self.field_stacks[source.show]] if source.show else list(self.field_stacks.values())
+
+
+class StandIn:
+    """Answers what SceneView asks; paints on a thread. `asked` lists the requests in order."""
+
+    def __init__(self, shelf: MemoryShelf) -> None:
+        self.shelf = shelf
+        self.latest_frame: LatestFrame | None = None
+        self.asked: list[PaintRequest] = []
+        self._pool = ThreadPoolExecutor(1)
+
+    def paint(self, request: PaintRequest) -> Future[bytes]:
+        self.asked.append(request)
+        return self._pool.submit(paint, self.shelf, request)
+
+    def close(self) -> None:
+        self._pool.shutdown(cancel_futures=True)
+
+
+def grid(rows: int = 3, cols: int = 3, x_um: float = 0.0, y_um: float = 0.0) -> FieldGrid:
+    made = FieldGrid(rows=rows, cols=cols, field_width_um=COLS * PIXEL_UM, field_height_um=ROWS * PIXEL_UM)
+    return made.centred_on(x_um, y_um)
+
+
+def job_and_plan(of: FieldGrid, z_start_um: float = -6.0) -> tuple[Job, ScanPlan]:
+    job = Job(grid=of, sweep=FocusSweep(z_step_um=1.0, n_frames=60), z_start_um=z_start_um)
+    fields = job.all_fields()
+    plan = ScanPlan(
+        fields=fields, sweep=job.sweep, exposures_us=(100.0,), strategy="z_snake", legs=(), predicted_s=42.0,
+        prices=(), rows=ROWS, cols=COLS, pixel_um=PIXEL_UM,
+    )
+    return job, plan
+
+
+def snapshot_of(surface: HeightMap, plan: ScanPlan, job: Job, done: tuple[int, ...] | None = None) -> Snapshot:
+    """A dataset of a plan, some of its fields (all of them without a list) measured, and with all the stitched surface."""
+    numbers = tuple(f.number for f in plan.fields) if done is None else done
+    states = {f.number: FieldState.MEASURED if f.number in numbers else FieldState.TO_COME for f in plan.fields}
+    data = OpenDataset(
+        path=Path("memory.wafer"), name="memory.wafer", taken="", simulated=True, calibration_problem=None,
+        read_only=None, finished=done is None, fields=plan.fields, states=states,
+        stamps=dict.fromkeys(numbers, 1), plan=plan, job=job, results=("default",),
+    )
+    low, high = np.nanpercentile(surface.z_um, [0.5, 99.5])
+    info = SurfaceInfo(
+        result="default", stamp=1, rows=surface.shape[0], cols=surface.shape[1], pixel_um=surface.pixel_um,
+        x0_um=surface.x0_um, y0_um=surface.y0_um, levels=1, n_fields=len(plan.fields), highest_um=float(high),
+        lowest_um=float(low), measured_fraction=1.0, filled_fraction=0.0, unmeasured=(), overlap_rms_um=None,
+        low_um=float(low), high_um=float(high),
+    )
+    return Snapshot(rig=RigStatus(state="ready"), dataset=data, surface=info if done is None else None)
+
+
+def field_surfaces(whole: HeightMap, fields: tuple[Field, ...]) -> dict[int, HeightMap]:
+    """The parts of a surface that fields cover."""
+    parts: dict[int, HeightMap] = {}
+    for f in fields:
+        col = round((f.x_um - (COLS - 1) / 2 * PIXEL_UM - whole.x0_um) / PIXEL_UM)
+        row = round((whole.y0_um - f.y_um - (ROWS - 1) / 2 * PIXEL_UM) / PIXEL_UM)
+        parts[f.number] = whole.crop(slice(max(0, row), row + ROWS), slice(max(0, col), col + COLS))
+    return parts

@@ -1,0 +1,154 @@
+"""Where the camera stands: the four presets, fitted to what is drawn and clear of the glass panels over it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+Preset = Literal["top", "front", "iso", "all"]
+Vector = NDArray[np.float64]
+
+NEAR_MM = 0.005
+FOV_RAD = math.radians(29)
+_TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
+"""Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clear:
+    """Pixels at each edge of the canvas that glass panels cover."""
+
+    left: float = 28
+    top: float = 76
+    right: float = 152
+    bottom: float = 84
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Camera position and the point looked at, in mm."""
+
+    position: Vector
+    look_at: Vector
+
+    @property
+    def direction(self) -> Vector:
+        """Unit vector from the point looked at to the camera."""
+        away = self.position - self.look_at
+        return away / np.linalg.norm(away)
+
+    def is_near(self, other: Pose | None) -> bool:
+        """Whether two poses are the same but for rounding."""
+        if other is None:
+            return False
+        scale = float(np.linalg.norm(other.position - other.look_at))
+        moved = np.linalg.norm(self.position - other.position) + np.linalg.norm(self.look_at - other.look_at)
+        return bool(moved < 0.01 * scale)
+
+
+def direction_of(preset: str) -> Vector:
+    """Unit vector from the sample towards the camera."""
+    turn, down = (math.radians(a) for a in _TURNS[preset])
+    return np.array([math.sin(turn) * math.cos(down), -math.cos(turn) * math.cos(down), math.sin(down)])
+
+
+def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, height_px: int, clear: Clear) -> Pose:
+    """The pose that shows points [n, 3] as large as they fit into the free part of the canvas, and in its middle.
+
+    fov_rad is the vertical field of view. A few rounds of measuring the picture and correcting distance and aim.
+    """
+    focal_px = height_px / 2 / math.tan(fov_rad / 2)
+    free_w = max(80.0, width_px - clear.left - clear.right)
+    free_h = max(80.0, height_px - clear.top - clear.bottom)
+    aim = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
+    distance = 2 * float(np.linalg.norm(np.ptp(corners_mm, axis=0))) + 1e-3
+    right, up = _screen_axes(direction)
+    for _ in range(12):
+        x, y = _project(corners_mm, aim + direction * distance, direction, right, up, focal_px)
+        # Where the middle of the points should be: the middle of the free part, seen from the canvas's middle.
+        shift_x = (x.min() + x.max()) / 2 - (clear.left - clear.right) / 2
+        shift_y = (y.min() + y.max()) / 2 - (clear.bottom - clear.top) / 2
+        aim = aim + (right * shift_x + up * shift_y) * (distance / focal_px)
+        distance *= float(max(np.ptp(x) / free_w, np.ptp(y) / free_h, 1e-3))
+    return Pose(aim + direction * distance, aim)
+
+
+def _screen_axes(direction: Vector) -> tuple[Vector, Vector]:
+    """Right and up on the screen for a camera in this direction, the world's z being up."""
+    right = np.cross([0.0, 0.0, 1.0], direction)
+    right /= np.linalg.norm(right)
+    return right, np.cross(direction, right)
+
+
+def _project(
+    points: Vector, position: Vector, direction: Vector, right: Vector, up: Vector, focal_px: float
+) -> tuple[Vector, Vector]:
+    """Pixels right of and above the canvas's middle."""
+    seen = points - position
+    depth = np.maximum(-(seen @ direction), 1e-6)
+    return focal_px * (seen @ right) / depth, focal_px * (seen @ up) / depth
+
+
+class Eye:
+    """The camera of one browser."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._preset: str = "iso"
+        self._corners: Vector | None = None
+        self._clear = Clear()
+        self._set: Pose | None = None
+        self._size_px = (0, 0)
+
+    @property
+    def pose(self) -> Pose:
+        """Where the camera is now."""
+        camera = self._client.camera
+        return Pose(np.asarray(camera.position, float), np.asarray(camera.look_at, float))
+
+    def um_per_pixel(self) -> float:
+        """How long a pixel is at the point looked at."""
+        camera = self._client.camera
+        distance = float(np.linalg.norm(camera.position - camera.look_at))
+        return 2e3 * distance * math.tan(camera.fov / 2) / max(1, camera.image_height)
+
+    def frame(self, corners_mm: Vector, preset: str, clear: Clear) -> None:
+        """Look at these points from a preset, ``all`` from where the camera is now."""
+        self._corners, self._preset, self._clear = corners_mm, preset, clear
+        self._apply(self.pose.direction if preset == "all" else direction_of(preset))
+
+    def follow(self, corners_mm: Vector, clear: Clear) -> None:
+        """What is drawn has grown or shrunk: take it in again, unless the operator has moved the camera."""
+        if self._corners is not None and np.allclose(corners_mm, self._corners, atol=1e-4) and clear == self._clear:
+            return
+        self._corners, self._clear = corners_mm, clear
+        if self._set is not None and self.pose.is_near(self._set):
+            self._apply(self._set.direction)
+
+    def refit(self) -> None:
+        """After the canvas changed its size: fit again, unless the operator has moved the camera since."""
+        size_px = (self._client.camera.image_width, self._client.camera.image_height)
+        if size_px == self._size_px or self._corners is None:
+            return
+        if self.pose.is_near(self._set):
+            self._apply(self._set.direction if self._set else direction_of(self._preset))
+
+    def _apply(self, direction: Vector) -> None:
+        camera = self._client.camera
+        if self._corners is None:
+            return
+        self._size_px = (camera.image_width, camera.image_height)
+        pose = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
+        self._set = pose
+        with self._client.atomic():
+            camera.up_direction = (0.0, 0.0, 1.0)
+            camera.fov = FOV_RAD
+            camera.near = NEAR_MM
+            camera.position = pose.position
+            camera.look_at = pose.look_at
+        self._client.flush()

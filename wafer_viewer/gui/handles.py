@@ -1,0 +1,156 @@
+"""Handles in the scene that are dragged over the surface, and the lines between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.gui.lie_of_land import Land, Place
+from wafer_viewer.gui.shapes import lines, word
+
+Dragged = Callable[[str, np.ndarray], None]
+"""Called with a handle's name and the scene point under the pointer, in order of events."""
+
+_WHITE: Rgb = (255, 255, 255)
+
+
+class Knob:
+    """A ball to take hold of, in its colour on a white one, of the same size on the screen at any distance."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, colour: Rgb, radius_px: float, dragged: Dragged) -> None:
+        self.radius_px = radius_px
+        self._rim, self._ball = (
+            scene.add_icosphere(f"/tools/{name}/{part}", 1.0, tone, cast_shadow=False, receive_shadow=False)
+            for part, tone in (("rim", _WHITE), ("ball", colour))
+        )
+        for part in (self._rim, self._ball):
+            part.on_drag("left")(_in_order(name, dragged))
+
+    def place(self, at: NDArray[np.float32], mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Stand at a scene point; `towards` the camera, the coloured ball comes out of the white one."""
+        radius = self.radius_px * mm_per_pixel
+        for part, size, out in ((self._rim, 1.24, 0.0), (self._ball, 1.0, 0.62)):
+            part.scale = radius * size
+            part.position = tuple(np.asarray(at, float) + towards * radius * out)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._rim.remove()
+        self._ball.remove()
+
+
+def _in_order(
+    name: str, dragged: Dragged
+) -> Callable[[viser.SceneNodeDragEvent[viser.IcosphereHandle]], Coroutine[Any, Any, None]]:
+    # A coroutine, because viser runs plain functions on many threads and a later event could overtake an earlier one.
+    async def on_drag(event: viser.SceneNodeDragEvent[viser.IcosphereHandle]) -> None:
+        dragged(name, np.asarray(event.end_position, float))
+
+    return on_drag
+
+
+class CasedLine:
+    """A coloured line on a white casing, moved in place so that it never flashes."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, colour: Rgb, width_px: float) -> None:
+        nothing = np.zeros((1, 2, 3), np.float32)
+        self._casing = lines(scene, f"/tools/{name}/casing", nothing, _WHITE, width_px + 3.1)
+        self._line = lines(scene, f"/tools/{name}/line", nothing, colour, width_px)
+
+    def lay(self, segments: NDArray[np.float32], lift_mm: float) -> None:
+        """Lie along these segments, the colour `lift_mm` over the casing: closer together they would flicker."""
+        self._casing.points = segments
+        self._line.points = segments + np.array([0, 0, lift_mm], np.float32)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._casing.remove()
+        self._line.remove()
+
+
+class Sign:
+    """A word on a plate, lying in the plane of the sample."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, text: str, plate: Rgb) -> None:
+        self._node = word(scene, f"/tools/{name}", text, (0.0, 0.0, 0.0), 1.0, _WHITE, plate, (1.0, 0.5))
+
+    def place(self, at: tuple[float, float, float], height_mm: float) -> None:
+        """Its right end stands at this scene point."""
+        self._node.scale = height_mm
+        self._node.position = at
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._node.remove()
+
+
+class ProfileTool:
+    """A line with a handle at each end, draped over the surface."""
+
+    def __init__(self, scene: viser.SceneApi, colour: Rgb, dragged: Dragged) -> None:
+        self.ends: list[Place] = [(0.0, 0.0), (0.0, 0.0)]
+        self._line = CasedLine(scene, "profile", colour, 3.4)
+        self._knobs = [Knob(scene, f"profile/{k}", colour, 8.5, dragged) for k in (0, 1)]
+
+    def drag(self, name: str, to: Place) -> None:
+        """Move one end."""
+        self.ends[int(name[-1])] = to
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Lie on the surface as it is drawn now."""
+        points = land.draped(self.ends[0], self.ends[1], 1.5 * mm_per_pixel)
+        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), 1.8 * mm_per_pixel)
+        for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
+            knob.place(at + np.array([0, 0, 5 * mm_per_pixel], np.float32), mm_per_pixel, towards)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._line, *self._knobs):
+            part.remove()
+
+
+class RegionTool:
+    """A rectangle with a handle at each corner and one in its middle that moves it whole."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, title: str, colour: Rgb, dragged: Dragged) -> None:
+        self.low: Place = (0.0, 0.0)
+        self.high: Place = (1.0, 1.0)
+        self._outline = CasedLine(scene, name, colour, 2.6)
+        self._corners = [Knob(scene, f"{name}/{k}", colour, 5.5, dragged) for k in range(4)]
+        self._middle = Knob(scene, f"{name}/m", colour, 7.5, dragged)
+        self._sign = Sign(scene, f"{name}/sign", title, colour)
+
+    def drag(self, name: str, to: Place, land: Land) -> None:
+        """Move one corner, or with the middle handle the whole; a rectangle never gets smaller than a few pixels."""
+        if name.endswith("m"):
+            half = (self.high[0] - self.low[0]) / 2, (self.high[1] - self.low[1]) / 2
+            x0, y0, x1, y1 = land.bounds_um
+            x, y = min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])
+            self.low, self.high = (x - half[0], y - half[1]), (x + half[0], y + half[1])
+            return
+        k, least = int(name[-1]), 4 * land.on_show.facts.pixel_um
+        (x0, y0), (x1, y1) = self.low, self.high
+        x0, x1 = (min(to[0], x1 - least), x1) if k in (0, 3) else (x0, max(to[0], x0 + least))
+        y0, y1 = (min(to[1], y1 - least), y1) if k in (0, 1) else (y0, max(to[1], y0 + least))
+        self.low, self.high = (x0, y0), (x1, y1)
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Lie just over the surface within it."""
+        (x0, y0), (x1, y1) = self.low, self.high
+        z = land.on_show.scene_z(land.highest_um(x0, y0, x1, y1)) + 2 * mm_per_pixel
+        corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float) * 1e-3
+        points = np.column_stack([corners, np.full(4, z)]).astype(np.float32)
+        self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), 1.6 * mm_per_pixel)
+        for knob, at in zip((*self._corners, self._middle), (*points, points.mean(axis=0)), strict=True):
+            knob.place(at, mm_per_pixel, towards)
+        self._sign.place((x0 * 1e-3 - 12 * mm_per_pixel, (y0 + y1) / 2e3, z), 26 * mm_per_pixel)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._outline, *self._corners, self._middle, self._sign):
+            part.remove()

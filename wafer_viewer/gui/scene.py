@@ -1,0 +1,184 @@
+"""The scene of one browser: draws what the session knows as its view asks for, on a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.acquire_scene import acquire_contents
+from wafer_viewer.gui.book import Book
+from wafer_viewer.gui.camera import Eye
+from wafer_viewer.gui.contents import Contents, OnShow
+from wafer_viewer.gui.plan_scene import plan_contents
+from wafer_viewer.gui.stage import Stage, Superseded
+from wafer_viewer.gui.surface_scene import source_of, surface_contents
+from wafer_viewer.gui.tools import Tools
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.state import Snapshot
+
+_CAMERA_EVERY_S = 0.1
+
+
+class SceneView:
+    """Draws into ``client.scene``. Every method returns at once; the work is done on the scene's own threads.
+
+    on_fault is told what could not be drawn, on the scene's thread.
+    """
+
+    def __init__(
+        self, client: viser.ClientHandle, session: Any, on_fault: Callable[[Exception], None] | None = None
+    ) -> None:
+        self._client, self._session = client, session
+        self._on_fault = on_fault or (lambda fault: None)
+        self._due = threading.Condition()
+        self._wanted: tuple[Snapshot, View] | None = None
+        self._asked: Hashable = None
+        self._closed = False
+        self._stage = Stage(client.scene, session.paint)
+        self._book = Book(session.paint, self._is_stale)
+        self._eye = Eye(client)
+        self._tools = Tools(client, self._eye)
+        self._shown: Contents | None = None
+        self._place: Hashable = None
+        self._preset: str | None = None
+        self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
+        client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
+        threading.Thread(target=self._run, name="scene", daemon=True).start()
+
+    # ---------------------------------------------------------------- what the page calls
+
+    def draw(self, snapshot: Snapshot, view: View) -> None:
+        """Show this from now on; calling it again with the same costs nothing."""
+        essence = self._essence(snapshot, view)
+        with self._due:
+            if essence == self._asked:
+                return
+            self._asked, self._wanted = essence, (snapshot, view)
+            self._due.notify()
+
+    def look_from(self, preset: str) -> None:
+        """Go to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and shows everything."""
+        with self._due:
+            self._preset = preset
+            self._due.notify()
+
+    def um_per_pixel(self) -> float:
+        """How long a pixel is at the point looked at, 0 before there is a camera."""
+        return self._eye.um_per_pixel()
+
+    def on_camera(self, callback: Callable[[], None]) -> None:
+        """Call back when the camera has moved or the canvas has changed its size, at most ten times a second."""
+        last = 0.0
+
+        def moved(_: viser.CameraHandle) -> None:
+            nonlocal last
+            self._eye.refit()
+            now = time.monotonic()
+            if now - last >= _CAMERA_EVERY_S:
+                last = now
+                self._tools.resize()
+                callback()
+
+        self._client.camera.on_update(moved)
+
+    def on_scale(self, callback: Callable[[OnShow | None], None]) -> None:
+        """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
+        self._scale_listener = callback
+
+    def on_pick(self, callback: Callable[[float, float], None]) -> None:
+        """Call back with the stage x, y in um of a click on the surface."""
+        self._tools.on_pick(callback)
+
+    def on_profile(self, callback: Callable[[Region], None]) -> None:
+        """Call back with the profile's line while its handles are dragged, and when one is first laid."""
+        self._tools.on_profile(callback)
+
+    def on_regions(self, callback: Callable[[Region, Region], None]) -> None:
+        """Call back with the upper and the lower region while they are dragged, and when they are first laid."""
+        self._tools.on_regions(callback)
+
+    def close(self) -> None:
+        """Let the threads go; the browser has gone."""
+        with self._due:
+            self._closed = True
+            self._due.notify()
+        self._tools.close()
+
+    # ---------------------------------------------------------------- the scene's thread
+
+    def _essence(self, snapshot: Snapshot, view: View) -> Hashable:
+        """What of all this is seen: snapshots come ten times a second, and most change nothing in the scene."""
+        data, latest = snapshot.dataset, self._session.latest_frame
+        if view.step == "plan":
+            draft = snapshot.draft
+            return view.step, view.dark, draft.job, draft.plan, snapshot.overview, snapshot.rig.limits
+        source = source_of(snapshot, view.show) if view.step != "acquire" else None
+        if source is not None:
+            return view, source
+        progress = None if data is None else (data.path, *data.states.items(), *data.stamps.items())
+        return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
+
+    def _is_stale(self) -> bool:
+        return self._wanted is not None or self._closed
+
+    def _run(self) -> None:
+        pause: float | None = None
+        while True:
+            with self._due:
+                self._due.wait_for(lambda: self._is_stale() or self._preset is not None, pause)
+                if self._closed:
+                    return
+                wanted, self._wanted = self._wanted, None
+                preset, self._preset = self._preset, None
+            self._turn(wanted, preset)
+            pause = self._stage.tidy()
+
+    def _turn(self, wanted: tuple[Snapshot, View] | None, preset: str | None) -> None:
+        try:
+            if wanted is not None:
+                self._draw(*wanted)
+            if preset is not None and self._shown is not None:
+                self._eye.frame(self._shown.corners_mm, preset, self._shown.clear)
+        except Superseded:
+            return
+        except (WaferViewerError, BrokenProcessPool, OSError) as fault:
+            self._on_fault(fault)
+
+    def _draw(self, snapshot: Snapshot, view: View) -> None:
+        contents = self._contents(snapshot, view)
+        if contents.rough and not self._stands(contents):
+            self._place_camera(contents)
+            self._stage.show(contents.rough, contents.stretch, self._is_stale)
+        self._place_camera(contents)
+        self._tell_scale(contents)
+        self._tools.show(view, contents.on_show, self._book)
+        self._stage.show(contents.items, contents.stretch, self._is_stale)
+
+    def _contents(self, snapshot: Snapshot, view: View) -> Contents:
+        if view.step == "plan":
+            return plan_contents(snapshot, view)
+        source = source_of(snapshot, view.show) if view.step != "acquire" else None
+        if source is not None:
+            return surface_contents(self._book, snapshot, view, source)
+        return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
+
+    def _stands(self, contents: Contents) -> bool:
+        """Whether something of the same surface is drawn already: then it stays until the fine tiles are there."""
+        return self._shown is not None and self._shown.place == contents.place
+
+    def _place_camera(self, contents: Contents) -> None:
+        if contents.place != self._place:
+            self._eye.frame(contents.corners_mm, contents.preset, contents.clear)
+        else:
+            self._eye.follow(contents.corners_mm, contents.clear)
+        self._place, self._shown = contents.place, contents
+
+    def _tell_scale(self, contents: Contents) -> None:
+        self._scale_listener(contents.on_show)

@@ -1,0 +1,49 @@
+"""The colours of what is drawn into the scene, in the light and the dark theme."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wafer_viewer.draw.colours import Rgb, rgb
+
+
+@dataclass(frozen=True, slots=True)
+class SceneColours:
+    """ink: figures and edges; accent: fields; casing: under every coloured line, so that it reads on any map."""
+
+    ink: Rgb
+    soft_ink: Rgb
+    accent: Rgb
+    stage_line: Rgb
+    shadow: Rgb
+    shadow_strength: float
+    ground: Rgb
+    casing: Rgb = (255, 255, 255)
+    way: Rgb = (200, 80, 0)
+    profile: Rgb = rgb("E8590C")
+    region: Rgb = rgb("15202B")
+
+
+LIGHT = SceneColours(
+    ink=rgb("445463"),
+    soft_ink=rgb("66768A"),
+    accent=rgb("0B6E99"),
+    stage_line=rgb("CBD4DE"),
+    shadow=(24, 36, 50),
+    shadow_strength=0.5,
+    ground=rgb("E9EEF3"),
+)
+DARK = SceneColours(
+    ink=rgb("B2BECA"),
+    soft_ink=rgb("8796A5"),
+    accent=rgb("58BDE8"),
+    stage_line=rgb("323C47"),
+    shadow=(0, 0, 0),
+    shadow_strength=0.8,
+    ground=rgb("1A2129"),
+)
+
+
+def colours(dark: bool) -> SceneColours:
+    """Those of a theme."""
+    return DARK if dark else LIGHT

@@ -1,0 +1,102 @@
+"""The surface or one field of it as a block, with the picture of one z laid through it where that is chosen."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import viser
+
+from wafer_viewer.gui.book import Book
+from wafer_viewer.gui.camera import Clear
+from wafer_viewer.gui.contents import Contents, OnShow, corners_of
+from wafer_viewer.gui.ground import block_items, figure_height_mm, plinth_mm
+from wafer_viewer.gui.shapes import Box
+from wafer_viewer.gui.stage import Handle, Item
+from wafer_viewer.gui.tiles import FIRST_PIXELS, TEXTURE_PIXELS, add_glb, bounds_mm, look_of, surface_items
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.state import OpenDataset, Snapshot
+
+
+def source_of(snapshot: Snapshot, show: int) -> Source | None:
+    """The surface a view asks for, None when there is none yet."""
+    data = snapshot.dataset
+    if data is None:
+        return None
+    if show:
+        stamp = data.stamps.get(show)
+        return None if stamp is None else Source(data.path, result_of(snapshot), show, stamp)
+    info = snapshot.surface
+    return None if info is None else Source(data.path, info.result, 0, info.stamp)
+
+
+def result_of(snapshot: Snapshot) -> str:
+    """The reconstruction that is looked at."""
+    if snapshot.surface is not None:
+        return snapshot.surface.result
+    data = snapshot.dataset
+    return data.results[0] if data is not None and data.results else "default"
+
+
+def surface_contents(book: Book, snapshot: Snapshot, view: View, source: Source) -> Contents:
+    """The block with its surface. May wait for the painter."""
+    facts, scale = book.facts(source), book.scale(source, view)
+    z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
+    stretch = view.exaggeration
+    on_show = OnShow(source, facts, scale, z0, stretch)
+    box, look = bounds_mm(facts), look_of(view, scale)
+    solid = view.look == "surface"
+    ground = block_items(box, view.dark, plinth=solid)
+    cut = _picture_at_z(snapshot, view, on_show)
+    return Contents(
+        items=(*surface_items(source, facts, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *cut),
+        rough=(*surface_items(source, facts, look, view, z0, FIRST_PIXELS, "surface"), *ground),
+        corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
+        place=("surface", source.dataset, source.show, view.look == "plan"),
+        preset="top" if view.look == "plan" else "iso",
+        stretch=stretch,
+        on_show=on_show,
+        clear=Clear(),
+    )
+
+
+def _top(on_show: OnShow) -> float:
+    return on_show.scene_z(on_show.facts.high_um)
+
+
+def _with_figures(box: Box) -> Box:
+    """The box and the figures at its lower and left edge."""
+    return box[0] - 1.6 * figure_height_mm(box), box[1] - 1.6 * figure_height_mm(box), box[2], box[3]
+
+
+# ---------------------------------------------------------------- the picture of one z
+
+
+def _picture_at_z(snapshot: Snapshot, view: View, on_show: OnShow) -> tuple[Item, ...]:
+    """A frame of the field, or the stitched picture at one z, lying at that z; the surface stands out of it."""
+    data, source = snapshot.dataset, on_show.source
+    if data is None:
+        return ()
+    if view.show and view.frame_k is not None:
+        z_um = frame_z_um(data, view.show, view.frame_k)
+        return (_lying_at(PaintRequest(source, "frame", k=view.frame_k), z_um, view, on_show),)
+    if not view.show and view.slice_z_um is not None:
+        request = PaintRequest(source, "slice", z_um=view.slice_z_um)
+        return (_lying_at(request, view.slice_z_um, view, on_show),)
+    return ()
+
+
+def frame_z_um(data: OpenDataset, number: int, k: int) -> float:
+    """The z of a frame of a field."""
+    return data.plan.sweep.z_um(data.plan.field(number), k)
+
+
+def _lying_at(request: PaintRequest, z_um: float, view: View, on_show: OnShow) -> Item:
+    z_mm = 0.02 * plinth_mm(bounds_mm(on_show.facts)) if view.look == "plan" else on_show.scene_z(z_um)
+    return Item("picture", (request, z_mm), partial(_at_height, z_mm=z_mm), request)
+
+
+def _at_height(scene: viser.SceneApi, name: str, data: bytes, *, z_mm: float) -> Handle:
+    handle = add_glb(scene, name, data)
+    handle.position = (0.0, 0.0, z_mm)
+    return handle

@@ -1,0 +1,120 @@
+"""What the page may ask the painter for, and what comes back where it is not a picture."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.bake import Light, Look
+
+Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice"]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A surface on disk: the stitched one (show 0) or that of a field. `stamp` changes whenever its contents do."""
+
+    dataset: Path
+    result: str
+    show: int
+    stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class PaintRequest:
+    """One thing to be made. Requests that are equal are the same picture: answers are kept by request.
+
+    level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
+    from vertex to vertex; z0_um: the height that lies at 0 in the scene. `k` is for ``frame``, `z_um` for ``slice``,
+    `range_values` for ``scale``: the range to count in, None the quantity's own.
+    """
+
+    source: Source
+    what: Kind
+    level: int = 0
+    rows: tuple[int, int] = (0, 0)
+    cols: tuple[int, int] = (0, 0)
+    step: int = 1
+    look: Look = Look()
+    light: Light = Light()
+    z0_um: float = 0.0
+    dark: bool = False
+    k: int = 0
+    z_um: float = 0.0
+    range_values: tuple[float, float] | None = None
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light."""
+
+    rows: int
+    cols: int
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    first_row: int
+    end_row: int
+    first_col: int
+    end_col: int
+    lowest_um: float
+    highest_um: float
+    low_um: float
+    high_um: float
+    gain: float
+    plane: tuple[float, float, float]
+
+    @property
+    def light(self) -> Light:
+        """The light for all its tiles."""
+        return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane)
+
+
+class Scale(msgspec.Struct, frozen=True):
+    """A quantity over the whole surface, answer to ``scale``: its range and how often each part of it occurs.
+
+    low, high: the range the colours span; own_low, own_high: 0.5 and 99.5 %; p1, p99: 1 and 99 %;
+    counts: in equal bins from low to high; origins: for the quantity ``origin``, the share of each code.
+    """
+
+    quantity: str
+    low: float
+    high: float
+    own_low: float
+    own_high: float
+    p1: float
+    p99: float
+    counts: tuple[float, ...]
+    origins: dict[int, float] = {}
+
+
+class Relief(msgspec.Struct, frozen=True):
+    """A coarse surface for picking and draping, answer to ``relief``.
+
+    z_um: float32 [row, col], gaps at their nearest neighbour's height; there: bool [row, col], False in gaps.
+    """
+
+    rows: int
+    cols: int
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    z_um: bytes
+    there: bytes
+
+
+def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:
+    """Answer to ``points``: a count, then float16 [n, 3] in mm from the window's middle, then uint8 rgb [n, 3]."""
+    return struct.pack("<I", len(places_mm)) + places_mm.astype("<f2").tobytes() + colours.tobytes()
+
+
+def unpack_points(data: bytes) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
+    """Places in mm from the window's middle, float16 [n, 3], and colours, uint8 [n, 3]."""
+    n = struct.unpack_from("<I", data)[0]
+    places = np.frombuffer(data, "<f2", 3 * n, 4).reshape(n, 3)
+    return places, np.frombuffer(data, np.uint8, 3 * n, 4 + 6 * n).reshape(n, 3)
