@@ -1,3 +1,124 @@
-"""Wafer Viewer: shape from focus over whole wafers, from the scan to the measured surface."""
+"""Wafer Viewer: shape from focus over whole wafers, from the scan to the measured surface.
+
+Everything here is loaded when it is first used, so that importing the package costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+import types
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from wafer_viewer.measure.profile import profile
+    from wafer_viewer.measure.step import step_height
+    from wafer_viewer.model.calibration import Calibration
+    from wafer_viewer.model.errors import WaferViewerError
+    from wafer_viewer.model.findings import Length, Profile, ProfileCurve, StepHeight
+    from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+    from wafer_viewer.model.recipe import Recipe
+    from wafer_viewer.model.region import Region
+    from wafer_viewer.model.sample import Sample
+    from wafer_viewer.model.stack import FieldStack
+    from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+    from wafer_viewer.reconstruct.blend import stitch
+    from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.rigs.config import RigConfig
+    from wafer_viewer.session.session import Session
+    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.exporters import export
+    from wafer_viewer.store.importers import import_dataset, open_stack
+    from wafer_viewer.store.npz import read_npz
+
+_HOMES = {
+    "Calibration": "model.calibration",
+    "Dataset": "store.dataset",
+    "Field": "model.plan",
+    "FieldGrid": "model.plan",
+    "FieldStack": "model.stack",
+    "FocusSweep": "model.plan",
+    "HeightMap": "model.surface",
+    "Job": "model.plan",
+    "Length": "model.findings",
+    "Mosaic": "model.surface",
+    "Origin": "model.surface",
+    "Profile": "model.findings",
+    "ProfileCurve": "model.findings",
+    "Recipe": "model.recipe",
+    "Region": "model.region",
+    "RigConfig": "rigs.config",
+    "Sample": "model.sample",
+    "ScanPlan": "model.plan",
+    "Session": "session.session",
+    "StepHeight": "model.findings",
+    "WaferViewerError": "model.errors",
+    "export": "store.exporters",
+    "import_dataset": "store.importers",
+    "open_stack": "store.importers",
+    "profile": "measure.profile",
+    "read_npz": "store.npz",
+    "reconstruct": "reconstruct.field",
+    "step_height": "measure.step",
+    "stitch": "reconstruct.blend",
+}
+"""Where each public name lives."""
+
+__all__ = [
+    "Calibration",
+    "Dataset",
+    "Field",
+    "FieldGrid",
+    "FieldStack",
+    "FocusSweep",
+    "HeightMap",
+    "Job",
+    "Length",
+    "Mosaic",
+    "Origin",
+    "Profile",
+    "ProfileCurve",
+    "Recipe",
+    "Region",
+    "RigConfig",
+    "Sample",
+    "ScanPlan",
+    "Session",
+    "StepHeight",
+    "WaferViewerError",
+    "__version__",
+    "export",
+    "import_dataset",
+    "open_stack",
+    "profile",
+    "read_npz",
+    "reconstruct",
+    "step_height",
+    "stitch",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'wafer_viewer' has no attribute {name!r}")
+    import importlib
+
+    found = getattr(importlib.import_module(f"wafer_viewer.{_HOMES[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+class _Api(types.ModuleType):
+    """`reconstruct` is both a function of the API and a room of the house: here the function keeps the name."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _HOMES and isinstance(value, types.ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Api

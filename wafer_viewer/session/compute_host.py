@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from typing import Any
 
-import dask
+import dask.config
 from distributed import CancelledError, Client, Event, Future, LocalCluster, Security
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
@@ -20,7 +20,7 @@ from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
 from wafer_viewer.session.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Progressed, Run
 from wafer_viewer.session.tasks import PROGRESS_TOPIC, run_watched, stop_sign, warm_up
 
-NICENESS = 10
+NICENESS = 5
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
 _SETTINGS = {

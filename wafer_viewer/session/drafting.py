@@ -153,16 +153,21 @@ def free_bytes(folder: Path) -> int | None:
         return None
 
 
+def plan_of(job: Job, limits: RigLimits) -> ScanPlan:
+    """Lay out a job on a rig. Raises PlanError when the rig cannot do it."""
+    from wafer_viewer.acquire.planner import plan_scan
+
+    return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy)
+
+
 def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, str | None]:
     """The plan of a job, or why there is none."""
     if job is None:
         return None, None
     if limits is None:
         return None, RIG_STARTS
-    from wafer_viewer.acquire.planner import plan_scan
-
     try:
-        return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy), None
+        return plan_of(job, limits), None
     except WaferViewerError as fault:
         return None, str(fault)
 

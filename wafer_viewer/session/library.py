@@ -194,7 +194,7 @@ def _states(dataset: Dataset, result: Result) -> dict[int, FieldState]:
     measured = result.surfaces_done(dataset.fields)
     complete = dataset.complete_fields()
     empty = {shot.field for shot in dataset.missed()}
-    known = {n: FieldState.TO_REPEAT for n in empty}
-    known |= {n: FieldState.TAKEN for n in complete}
-    known |= {n: FieldState.MEASURED for n in measured}
+    known = dict.fromkeys(empty, FieldState.TO_REPEAT)
+    known |= dict.fromkeys(complete, FieldState.TAKEN)
+    known |= dict.fromkeys(measured, FieldState.MEASURED)
     return {f.number: known.get(f.number, FieldState.TO_COME) for f in dataset.fields}

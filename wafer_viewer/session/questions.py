@@ -54,7 +54,7 @@ class Questions:
         """A section along a line."""
         from wafer_viewer.measure.profile import profile
 
-        return profile(self.surface_source(show), line)
+        return profile(self.surface_source(show), line, calibration_valid=self._calibrated())
 
     def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
         """The height of one region over another; 'uncalibrated' where the dataset's calibration does not hold."""

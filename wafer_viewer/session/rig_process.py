@@ -13,11 +13,10 @@ from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, Scan, ScanEnded, Stop
-from wafer_viewer.session.scan_watch import ScanWatch, Steering
+from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, Scan, Stop
+from wafer_viewer.session.scan_watch import Steering
+from wafer_viewer.session.scanning import take, writer_of
 from wafer_viewer.session.tour import tour_of
-from wafer_viewer.store.files import writing
-from wafer_viewer.store.writer import DatasetWriter
 
 
 def run_rig(pipe: Connection, config: RigConfig) -> None:
@@ -92,39 +91,8 @@ class Operator:
 
     def _scan(self, ask: Ask, scan: Scan) -> None:
         self._steering.reset()
-        with self._writer(scan) as writer:
+        with writer_of(scan, self._rig) as writer:
             self._end.answer(ask)
-            ended = self._take(scan, writer)
+            ended = take(scan, self._rig, writer, self._end.tell, self._steering)
         self._end.tell(At(self._rig.stage.position()))
         self._end.tell(ended)
-
-    def _take(self, scan: Scan, writer: DatasetWriter) -> ScanEnded:
-        """Run the scan; whatever ends it before its time becomes a sentence, for its dataset can be gone on with."""
-        from wafer_viewer.acquire.runner import run_scan
-
-        watch = ScanWatch(writer, scan.plan, self._end, self._steering)
-        try:
-            with writing(scan.path):
-                outcome = run_scan(scan.plan, self._rig, watch, watch, skip=writer.kept)
-                if not outcome.stopped:
-                    writer.finish()
-        except WaferViewerError as fault:
-            return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))
-        finally:
-            watch.finish()
-        return ScanEnded(scan.path, outcome.stopped, len(outcome.missing), error=None)
-
-    def _writer(self, scan: Scan) -> DatasetWriter:
-        if scan.goes_on:
-            return DatasetWriter.resume(scan.path)
-        rig = self._rig
-        return DatasetWriter.create(
-            scan.path,
-            scan.plan,
-            scan.job,
-            calibration=rig.calibration,
-            setup=rig.setup,
-            rig=rig.name,
-            simulated=rig.simulated,
-            bits=rig.limits.camera.bits,
-        )

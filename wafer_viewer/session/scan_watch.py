@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from wafer_viewer.model.devices import Position, PulseSummary
 from wafer_viewer.model.plan import Leg, ScanPlan, Shot
 from wafer_viewer.model.stack import Frame, Image
-from wafer_viewer.session.link import ChildEnd
 from wafer_viewer.session.messages import FieldComplete, Paused, ScanFault, Taken
 from wafer_viewer.session.state import LatestFrame, ScanProgress
 from wafer_viewer.store.writer import DatasetWriter
@@ -87,9 +88,9 @@ class Stopwatch:
 class ScanWatch:
     """The sink and the control of a scan in one, as the runner sees them."""
 
-    def __init__(self, writer: DatasetWriter, plan: ScanPlan, end: ChildEnd, steering: Steering) -> None:
-        self._writer, self._plan, self._end, self._steering = writer, plan, end, steering
-        writer.on_field_complete = lambda number: end.tell(FieldComplete(number))
+    def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
+        self._writer, self._plan, self._tell, self._steering = writer, plan, tell, steering
+        writer.on_field_complete = lambda number: tell(FieldComplete(number))
         self._fields = {f.number: f for f in plan.fields}
         self._order = {number: i for i, number in enumerate(order_of_fields(plan), 1)}
         self._kept_before = len(writer.kept)
@@ -131,7 +132,7 @@ class ScanWatch:
     def fault(self, what: str) -> None:
         """Something a person should know."""
         self._writer.fault(what)
-        self._end.tell(ScanFault(what))
+        self._tell(ScanFault(what))
 
     def should_stop(self) -> bool:
         """Whether the scan is to end."""
@@ -144,10 +145,10 @@ class ScanWatch:
     def wait_while_paused(self) -> None:
         """Halt, saying so, until the pause is over or the scan is to stop."""
         self._watch.halt()
-        self._end.tell(Paused(True))
+        self._tell(Paused(True))
         self._steering.wait_while_paused()
         self._watch.go_on()
-        self._end.tell(Paused(False))
+        self._tell(Paused(False))
 
     def progress(self, plan: ScanPlan, frame: Frame) -> None:
         """A frame was kept; `frame` has told of it."""
@@ -160,7 +161,7 @@ class ScanWatch:
     def _report(self, frame: Frame, *, finished: bool = False) -> None:
         self._reported_at = time.monotonic()
         position = Position(frame.x_um, frame.y_um, frame.z_um)
-        self._end.tell(Taken(self._progress(frame, finished), position, self._latest(frame)))
+        self._tell(Taken(self._progress(frame, finished), position, self._latest(frame)))
 
     def _progress(self, frame: Frame, finished: bool) -> ScanProgress:
         return ScanProgress(

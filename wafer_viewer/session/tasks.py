@@ -36,7 +36,7 @@ def reconstruct_field(
     field_number: int,
     result: str,
     recipe: Recipe,
-    threads: int = 1,
+    threads: int | None = 1,
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
@@ -115,7 +115,7 @@ def export_surface(
 
     data = Dataset.open(dataset)
     kept = data.result(result)
-    export(kept.mosaic().window() if field_number is None else kept.surface(data.field(field_number)), out)
+    export(kept.mosaic() if field_number is None else kept.surface(data.field(field_number)), out)
     return out
 
 
@@ -180,7 +180,7 @@ def _listener(work: str) -> ShouldStop:
         nonlocal asked_at, stop
         if not stop and time.monotonic() - asked_at >= ASK_EVERY_S:
             asked_at = time.monotonic()
-            stop = Event(stop_sign(work)).is_set()
+            stop = bool(Event(stop_sign(work)).is_set())
         return stop
 
     return should_stop

@@ -1,0 +1,114 @@
+"""The command line: finds the command, reads its flags, and tells what went wrong in one sentence, status 2."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Sequence
+
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+
+PROGRAM = "wafer-viewer"
+REFUSED, INTERRUPTED = 2, 130
+COMMANDS: dict[str, str] = {
+    "serve": "open the viewer in the browser",
+    "plan": "price every way to scan a plan; nothing moves",
+    "scan": "scan without the browser, or go on with an unfinished scan",
+    "import": "make a dataset of images taken elsewhere",
+    "reconstruct": "make a surface of a focus stack or a dataset, as a file",
+    "stitch": "make the stitched surface of a dataset",
+    "measure step": "the height of one region over another",
+    "measure profile": "a section along a line",
+    "check": "test every checksum of a dataset and name missing frames",
+    "convert": "write a surface in another format",
+    "doctor": "what this machine has and lacks, and the line that mends it",
+}
+FUNCTIONS = {"import": "import_"}
+"""The functions of `commands` that are not called as their command is, with underscores for spaces."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        return run(list(sys.argv[1:] if argv is None else argv)) or 0
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: stopped.", file=sys.stderr)
+        return INTERRUPTED
+    except WaferViewerError as fault:
+        return _refuse(str(fault))
+    except BrokenPipeError:
+        sys.stderr.close()
+        return REFUSED
+    except OSError as fault:
+        return _refuse(f"{fault.filename or PROGRAM}: {fault.strerror or fault}.")
+
+
+def run(argv: list[str]) -> int | None:
+    """Find the command and run it. Raises WaferViewerError for whatever a person can mend."""
+    if not argv:
+        argv = ["serve"]
+    if argv[0] in ("-h", "--help", "help"):
+        print(_overview())
+        return None
+    if argv[0] == "--version":
+        from wafer_viewer import __version__
+
+        print(f"{PROGRAM} {__version__}")
+        return None
+    name, rest = _command(argv)
+    return _call(name, rest)
+
+
+def _command(argv: list[str]) -> tuple[str, list[str]]:
+    """The command's name and its arguments; flags alone are those of `serve`."""
+    if argv[0].startswith("-"):
+        return "serve", argv
+    for words in (2, 1):
+        if (name := " ".join(argv[:words])) in COMMANDS:
+            return name, argv[words:]
+    group = [name for name in COMMANDS if name.startswith(f"{argv[0]} ")]
+    if group:
+        raise PlanError(f"'{argv[0]}' needs to be told what: {', '.join(group)}.")
+    raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(COMMANDS)}.")
+
+
+def _call(name: str, rest: list[str]) -> int | None:
+    """Read the flags of a command through its signature, and call it."""
+    import tyro
+
+    from wafer_viewer import commands
+    from wafer_viewer.flags import for_people, recipe_file
+
+    function: Callable[..., int | None] = getattr(commands, FUNCTIONS.get(name, name.replace(" ", "_")))
+    recipe, rest = recipe_file(rest)
+    if recipe is not None:
+        function = functools.partial(function, recipe=recipe)
+    prog = f"{PROGRAM} {name}"
+    with for_people(rest, prog):
+        return tyro.cli(function, prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {what}" for name, what in COMMANDS.items()]
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} [COMMAND] [OPTIONS]",
+            "",
+            "Takes focus stacks of wafers, makes surfaces of them, shows and measures them.",
+            "Without a command it opens the viewer on the virtual rig.",
+            "",
+            *lines,
+            "",
+            f"{PROGRAM} COMMAND --help says more about one of them.",
+        ]
+    )
+
+
+def _refuse(sentence: str) -> int:
+    print(f"{PROGRAM}: {' '.join(sentence.split())}", file=sys.stderr)
+    return REFUSED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,89 @@
+"""What commands print: answers on standard output, progress on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+
+from wafer_viewer.model.plan import ScanPlan
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.doctor import Check
+    from wafer_viewer.store.dataset import CheckReport, Dataset
+
+NAMED = 20
+"""Missing or damaged frames that are named one by one."""
+
+
+def print_json(facts: Any) -> None:
+    """One JSON text on standard output."""
+    print(msgspec.json.format(msgspec.json.encode(facts), indent=2).decode())
+
+
+def print_plan(plan: ScanPlan) -> None:
+    """The strategies with their prices, the chosen one marked, and what the scan takes."""
+    table = Table("", "Strategy", "Time, s", "Motions", "", box=None, pad_edge=False)
+    for price in plan.prices:
+        chosen = "*" if price.strategy == plan.strategy else ""
+        seconds = "" if price.predicted_s is None else f"{price.predicted_s:.1f}"
+        table.add_row(chosen, price.title, seconds, str(price.motions or ""), price.ruled_out or "")
+    Console(soft_wrap=True).print(table)
+    print(
+        f"{len(plan.fields)} fields, {plan.sweep.n_frames} frames each, {plan.n_frames} in all; "
+        f"{plan.predicted_s:.1f} s, {plan.bytes_on_disk / 1e9:.2f} GB on disk"
+    )
+
+
+def plan_facts(plan: ScanPlan) -> dict[str, Any]:
+    """A priced plan without its legs."""
+    return {
+        "strategy": plan.strategy,
+        "predicted_s": plan.predicted_s,
+        "n_fields": len(plan.fields),
+        "n_frames": plan.n_frames,
+        "bytes_on_disk": plan.bytes_on_disk,
+        "prices": msgspec.to_builtins(plan.prices),
+    }
+
+
+def print_check(data: Dataset, report: CheckReport) -> None:
+    """How many pages are good, and which are not."""
+    print(f"{data.path}: {report.n_good} frames good, {len(report.missing)} missing, {len(report.damaged)} damaged")
+    for what, shots in (("missing", report.missing), ("damaged", report.damaged)):
+        for shot in shots[:NAMED]:
+            print(f"  {what}: field {shot.field}, frame {shot.k}, exposure {shot.exposure}")
+        if len(shots) > NAMED:
+            print(f"  {what}: and {len(shots) - NAMED} more")
+    for fault in report.faults:
+        print(f"  {fault}")
+
+
+def print_checks(checks: Iterable[Check]) -> int:
+    """One line for each thing looked at, and the line that mends it; 1 when there is something to mend."""
+    status = 0
+    for check in checks:
+        print(f"{'ok  ' if check.well else 'LACK'} {check.what}: {check.found}", flush=True)
+        if not check.well:
+            print(f"     mend: {check.mend}")
+            status = 1
+    return status
+
+
+@contextmanager
+def progress(what: str) -> Generator[Callable[[float], None]]:
+    """A bar on standard error for work that takes long, where a person looks at it; yields what moves it, 0 to 1."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda fraction: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:3.0f} %"))
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda fraction: bar.update(task, completed=fraction)

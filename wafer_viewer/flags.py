@@ -1,0 +1,105 @@
+"""Between the flags' parser and people: help without frames, and every refusal as one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import NoReturn
+
+from tyro import _errors as parse_errors
+
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.spec import decode
+
+_SAYS_NOTHING = re.compile(r"\s*\(default: (None|False|)\)")
+
+
+def recipe_file(argv: list[str]) -> tuple[Recipe | None, list[str]]:
+    """Take ``--recipe FILE.toml`` out of the arguments and read it; single settings, ``--recipe.window 9``, stay."""
+    for i, word in enumerate(argv):
+        if word == "--recipe":
+            if i + 1 == len(argv):
+                raise PlanError("--recipe needs a file: give a RECIPE.toml, or single settings as --recipe.window 9.")
+            return _read_recipe(Path(argv[i + 1])), argv[:i] + argv[i + 2 :]
+        if word.startswith("--recipe="):
+            return _read_recipe(Path(word.removeprefix("--recipe="))), argv[:i] + argv[i + 1 :]
+    return None, argv
+
+
+def _read_recipe(path: Path) -> Recipe:
+    try:
+        return decode(path.read_bytes(), Recipe, path.name)
+    except OSError as fault:
+        raise PlanError(f"{path} cannot be read: {(fault.strerror or str(fault)).lower()}: check the path.") from fault
+
+
+@contextlib.contextmanager
+def for_people(argv: Sequence[str], prog: str) -> Generator[None]:
+    """While a command's flags are read: help comes out plain, a refusal is raised as a PlanError."""
+    with _plain_help(argv), parse_errors.on_parse_error(lambda event: _refuse(event, prog)):
+        yield
+
+
+@contextlib.contextmanager
+def _plain_help(argv: Sequence[str]) -> Generator[None]:
+    if not {"-h", "--help"} & set(argv):
+        yield
+        return
+    framed = io.StringIO()  # has no encoding, so that the rules come out as hyphens
+    try:
+        with contextlib.redirect_stdout(framed):
+            yield
+    finally:
+        print(unframed(framed.getvalue()))
+
+
+def unframed(text: str) -> str:
+    """Help text with plain headings instead of rules, and without defaults that say nothing."""
+    lines: list[str] = []
+    for line in (_SAYS_NOTHING.sub("", framed).rstrip() for framed in text.splitlines()):
+        if line and not line.strip(" -"):
+            if lines[-1][:2].strip():  # a title stands one column in, an explanation two
+                lines[-1] = f"{lines[-1].strip()}:"
+        elif line or (lines and lines[-1]):
+            lines.append(line)
+    return "\n".join(lines).rstrip()
+
+
+def _refuse(event: parse_errors.ParseErrorEvent, prog: str) -> NoReturn:
+    raise PlanError(f"{_what(event)}; {prog} --help says what there is.")
+
+
+def _what(event: parse_errors.ParseErrorEvent) -> str:
+    match event:
+        case parse_errors.MissingArgs():
+            names = [arg.arg.display_name() for arg in event.missing_arguments]
+            unknown = f"; {_unknown(event.unrecognized_tokens)}" if event.unrecognized_tokens else ""
+            return f"Missing: {', '.join(names)}{unknown}"
+        case parse_errors.UnrecognizedArgs():
+            return _unknown(event.tokens)
+        case parse_errors.InvalidChoice():
+            return f"{event.argument.display_name()} is {event.value!r}: it must be one of {', '.join(event.choices)}"
+        case parse_errors.BadValue():
+            return f"{event.argument.display_name()} lacks a value"
+        case parse_errors.InstantiationFailure(argument=argument) if argument is not None:
+            return f"{argument.display_name()} cannot be that: {_first_reason(event.message)}"
+        case parse_errors.InstantiationFailure():
+            return _first_reason(event.message)
+        case _:
+            return "The command cannot be read"
+
+
+def _unknown(tokens: Sequence[str]) -> str:
+    return f"Not known here: {' '.join(tokens)}"
+
+
+def _first_reason(message: str) -> str:
+    """The gist of a conversion that failed: which words are not of the kind that is asked for."""
+    words = re.search(r"arguments \[(.*?)\]|from \[(.*?)\]|: '(.*?)'", message)
+    given = next((g for g in words.groups() if g is not None), "") if words else ""
+    kind = "whole number" if "int()" in message else "number"
+    return f"{given.replace(',', '')} is no {kind}" if given else message.splitlines()[0]

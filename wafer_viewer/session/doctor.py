@@ -1,0 +1,97 @@
+"""What this machine has and lacks for each part of the program, and the line that mends it."""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.rigs.config import RigConfig, open_rig
+
+PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "trimesh", "serial")
+OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}
+"""What `import open3d` needs on Linux, by library and by Debian's package."""
+ROOM_BYTES = 5e9
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing looked at; `mend` is what to do where it is not well, empty where it is."""
+
+    what: str
+    found: str
+    mend: str = ""
+
+    @property
+    def well(self) -> bool:
+        """Whether there is nothing to do."""
+        return not self.mend
+
+
+def examine(config: RigConfig, data_folder: Path) -> Iterator[Check]:
+    """Look at everything, one after the other."""
+    yield Check("Python", sys.version.split()[0])
+    yield from (_package(name) for name in PACKAGES)
+    yield _open3d()
+    yield _processors()
+    yield _disk(data_folder)
+    yield _cache()
+    yield _rig(config)
+
+
+def _package(name: str) -> Check:
+    try:
+        found = importlib.import_module(name)
+    except ImportError as fault:
+        return Check(name, f"cannot be imported: {fault}", "pip install --force-reinstall wafer-viewer")
+    return Check(name, str(getattr(found, "__version__", "there")))
+
+
+def _open3d() -> Check:
+    lacking = [p for library, p in OPEN3D_LIBRARIES.items() if ctypes.util.find_library(library) is None]
+    if sys.platform == "linux" and lacking:
+        return Check("open3d", f"lacks {', '.join(lacking)}", f"sudo apt-get install {' '.join(lacking)}")
+    return _package("open3d")
+
+
+def _processors() -> Check:
+    return Check("Processors", f"{os.cpu_count()}")
+
+
+def _disk(folder: Path) -> Check:
+    place = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    free = shutil.disk_usage(place).free
+    found = f"{free / 1e9:.0f} GB free at {place}"
+    if not os.access(place, os.W_OK):
+        return Check("Data folder", f"{place} cannot be written", "choose another with --data DIR")
+    return Check(
+        "Data folder", found, "" if free > ROOM_BYTES else "free some space, or choose another with --data DIR"
+    )
+
+
+def _cache() -> Check:
+    from wafer_viewer.numerics.jit import cache_folder
+
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (probe := folder / ".probe").touch()
+        probe.unlink()
+    except OSError as fault:
+        return Check("Kernel cache", f"{folder}: {fault.strerror}", "set WAFER_VIEWER_CACHE to a folder of yours")
+    return Check("Kernel cache", str(folder))
+
+
+def _rig(config: RigConfig) -> Check:
+    try:
+        rig = open_rig(config)
+    except WaferViewerError as fault:
+        return Check(f"Rig '{config.name}'", str(fault), "check its cables and its RIG.toml")
+    rig.close()
+    return Check(f"Rig '{config.name}'", "SIMULATED, answers" if rig.simulated else "answers")

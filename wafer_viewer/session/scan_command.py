@@ -1,0 +1,64 @@
+"""A scan without a browser: begun anew or gone on with, stopped by Ctrl-C with the rig at rest."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.plan import Job
+from wafer_viewer.session.drafting import plan_of
+from wafer_viewer.session.messages import Scan, Taken
+from wafer_viewer.session.scan_watch import Steering
+from wafer_viewer.session.scanning import take, writer_of
+from wafer_viewer.store.dataset import Dataset
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How it went: in words for people, and whether it was stopped or failed."""
+
+    words: str
+    stopped: bool
+    error: str | None
+
+
+def scan_to(path: Path, job: Job, rig: Rig, tell: Callable[[float], None]) -> Ended:
+    """Take a job into a dataset. Raises DatasetError when it cannot be written, PlanError when it is of another job."""
+    scan = _goes_on(path, job) if path.exists() else Scan(path, plan_of(job, rig.limits), job)
+    steering = Steering()
+
+    def report(event: Any) -> None:
+        if isinstance(event, Taken):
+            tell(event.progress.frames_done / event.progress.frames_total)
+
+    with writer_of(scan, rig) as writer, _interrupt_stops(steering):
+        ended = take(scan, rig, writer, report, steering)
+        kept = len(writer.kept)
+    words = f"{kept} of {scan.plan.n_frames} frames kept"
+    more = "; the same command goes on with it" if ended.stopped else ""
+    return Ended(f"{words}{more}", ended.stopped, ended.error)
+
+
+def _goes_on(path: Path, job: Job) -> Scan:
+    data = Dataset.open(path)
+    if data.scan.job != job:
+        raise PlanError(f"{path} was begun with another plan: choose another name, or give the plan it was begun with.")
+    if not data.missing():
+        raise DatasetError(f"{path} has all its frames: choose another name.")
+    return Scan(path, data.scan.plan, job, goes_on=True)
+
+
+@contextmanager
+def _interrupt_stops(steering: Steering) -> Generator[None]:
+    """Ctrl-C stops the scan instead of the program, which ends once the rig is at rest."""
+    before = signal.signal(signal.SIGINT, lambda *_: steering.stop())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

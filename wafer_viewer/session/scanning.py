@@ -1,0 +1,45 @@
+"""A scan from its beginning to its end, in whichever process has the rig: frames go to a dataset, reports to `tell`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.messages import Scan, ScanEnded
+from wafer_viewer.session.scan_watch import ScanWatch, Steering
+from wafer_viewer.store.files import writing
+from wafer_viewer.store.writer import DatasetWriter
+
+
+def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
+    """A new dataset, or the one that is gone on with. Raises DatasetError when it cannot be written."""
+    if scan.goes_on:
+        return DatasetWriter.resume(scan.path)
+    return DatasetWriter.create(
+        scan.path,
+        scan.plan,
+        scan.job,
+        calibration=rig.calibration,
+        setup=rig.setup,
+        rig=rig.name,
+        simulated=rig.simulated,
+        bits=rig.limits.camera.bits,
+    )
+
+
+def take(scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None], steering: Steering) -> ScanEnded:
+    """Run a scan; whatever ends it before its time becomes a sentence, for its dataset can be gone on with."""
+    watch = ScanWatch(writer, scan.plan, tell, steering)
+    try:
+        with writing(scan.path):
+            outcome = run_scan(scan.plan, rig, watch, watch, skip=writer.kept)
+            if not outcome.stopped:
+                writer.finish()
+    except WaferViewerError as fault:
+        return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))
+    finally:
+        watch.finish()
+    return ScanEnded(scan.path, outcome.stopped, len(outcome.missing), error=None)
