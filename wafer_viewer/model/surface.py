@@ -113,8 +113,13 @@ class HeightMap:
         rows, cols = self.shape
         return self.x0_um, self.y0_um - (rows - 1) * self.pixel_um, self.x0_um + (cols - 1) * self.pixel_um, self.y0_um
 
-    def to_measure(self) -> NDArray[np.float32]:
-        """The heights that measurements use: gated and unsmoothed, unless the recipe says otherwise."""
+    def to_measure(self, count_filled: bool = False) -> NDArray[np.float32]:
+        """The heights that measurements use: gated and unsmoothed, unless the recipe says otherwise.
+
+        count_filled: the cleaned heights with their filled pixels instead.
+        """
+        if count_filled:
+            return self.z_um
         smoothed = self.provenance.recipe.measure_on == "smoothed"
         return np.where(self.measured, self.z_um, np.float32(np.nan)) if smoothed else self.z_raw_um
 
