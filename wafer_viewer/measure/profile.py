@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,7 +39,7 @@ def profile(
 
     def length(value_um: float) -> Length:
         budget = (
-            Contribution(name="repeatability of two points", u_um=noise_um * np.sqrt(2)),
+            Contribution(name="repeatability of two points", u_um=noise_um * math.sqrt(2)),
             Contribution(name="z scale", u_um=abs(value_um) * scale),
         )
         return length_of(value_um, budget, provenance, calibration_valid)

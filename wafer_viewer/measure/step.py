@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,7 +126,7 @@ def _budget(
         Contribution(name="noise and flatness of the regions", u_um=_noise_um(high, low, fit)),
         Contribution(name="bias of the focus peak", u_um=_peak_bias_um(high, low, provenance.z_step_um)),
         Contribution(name="z scale", u_um=abs(height_um) * u_scale),
-        Contribution(name="relative tilt of the faces", u_um=abs(float(tilt @ lever)) / np.sqrt(3)),
+        Contribution(name="relative tilt of the faces", u_um=abs(float(tilt @ lever)) / math.sqrt(3)),
     )
 
 
