@@ -1,0 +1,203 @@
+from __future__ import annotations
+
+import itertools
+import json
+import pickle
+
+import numpy as np
+import pytest
+import zarr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tests.store.samples import assert_same_surface, make_surface
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.store import mosaic as module
+from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, shards, write_mosaic, write_shard
+from wafer_viewer.store.pyramid import halve
+
+
+SIZES = module.CHUNK, module.SHARD
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_shards():
+    """Shards of 64 pixels, so that a small surface has many of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "SHARD", 64)
+        patch.setattr(module, "CHUNK", 16)
+        patch.setattr(module, "COARSEST_PX", 40)
+        yield
+
+
+@pytest.fixture(scope="module")
+def surface():
+    return make_surface(rows=150, cols=201, pixel_um=0.5, x0_um=-30.0, y0_um=80.0, simulated=True)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, surface, small_shards):
+    return write_mosaic(tmp_path_factory.mktemp("mosaic") / "m.zarr", surface)
+
+
+def test_what_was_written_is_what_is_read(stored, surface):
+    assert_same_surface(stored.window(), surface)
+    assert (stored.shape, stored.pixel_um, stored.x0_um, stored.y0_um) == ((150, 201), 0.5, -30.0, 80.0)
+    assert stored.provenance.simulated
+    assert stored.levels == 4
+
+
+def test_a_window_is_cut_as_from_a_map_in_memory(stored, surface):
+    region = Region.rectangle(-10.2, 20.0, 33.0, 61.7)
+    assert_same_surface(stored.window(region), surface.window(region))
+    with pytest.raises(MeasureError, match="lies outside"):
+        stored.window(Region.rectangle(500, 500, 501, 501))
+    with pytest.raises(DatasetError, match="has levels 0 to 3 and no level 4"):
+        stored.window(None, 4)
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_a_pixel_of_a_level_is_the_mean_of_what_it_stands_for(stored, surface, level):
+    n = 2**level
+    coarse = stored.window(level=level)
+    assert coarse.pixel_um == n * 0.5
+    rows, cols = 150 // n * n, 201 // n * n
+    blocks = surface.all_in_focus[:rows, :cols].reshape(rows // n, n, cols // n, n).astype(float).mean(axis=(1, 3))
+    assert np.abs(coarse.all_in_focus[: rows // n, : cols // n] - blocks).max() <= 0.5 * level + 1e-6
+    assert coarse.x_um[0] == pytest.approx(surface.x_um[:n].mean())
+    assert coarse.y_um[0] == pytest.approx(surface.y_um[:n].mean())
+
+
+def test_the_span_of_a_coarse_pixel_holds_every_height_below_it(stored, surface):
+    low, high = stored.span(None, 2)
+    padded = np.pad(surface.z_um, ((0, 2), (0, 3)), constant_values=np.nan)
+    blocks = padded.reshape(38, 4, 51, 4)
+    np.testing.assert_array_equal(low, np.fmin.reduce(blocks, axis=(1, 3)))
+    np.testing.assert_array_equal(high, np.fmax.reduce(blocks, axis=(1, 3)))
+    assert_array_equal_pair(stored.span(None, 0), surface.z_um)
+
+
+def assert_array_equal_pair(pair, expected):
+    for part in pair:
+        np.testing.assert_array_equal(part, expected)
+
+
+LAYER_SHAPE = (5, 7)
+HEIGHTS = arrays(np.float32, LAYER_SHAPE, elements=st.floats(-100, 100, width=32))
+ORIGINS = arrays(np.uint8, LAYER_SHAPE, elements=st.sampled_from([o.value for o in Origin]))
+
+
+@given(heights=HEIGHTS, origins=ORIGINS)
+@settings(max_examples=60, deadline=None)
+def test_halving_invents_nothing(heights, origins):
+    z = np.where(origins >= 10, np.nan, heights).astype(np.float32)
+    raw = np.where(origins != 0, np.nan, heights).astype(np.float32)
+    grey = np.full(LAYER_SHAPE, 7, np.uint8)
+    layers = {"z_um": z, "z_raw_um": raw, "confidence": np.ones_like(z), "all_in_focus": grey, "origin": origins}
+    half = halve(layers)
+    for row, col in itertools.product(range(3), range(4)):
+        block = np.s_[2 * row : 2 * row + 2, 2 * col : 2 * col + 2]
+        best = origins[block].min()
+        assert half["origin"][row, col] == best
+        if best >= 10:
+            assert np.isnan(half["z_um"][row, col])
+            assert np.isnan(half["z_min_um"][row, col])
+            continue
+        expected = z[block][origins[block] == best].astype(float).mean()
+        assert half["z_um"][row, col] == pytest.approx(expected, abs=1e-4)
+        assert half["z_min_um"][row, col] == np.nanmin(z[block])
+        assert np.isnan(half["z_raw_um"][row, col]) == (best != 0)
+
+
+def test_other_programs_find_a_pyramid_in_each_layer(stored):
+    root = zarr.open_group(stored.path, mode="r", zarr_format=3)
+    for name in ("z_um", "z_min_um", "z_max_um", "confidence", "all_in_focus", "origin", "z_raw_um"):
+        ome = root[name].attrs["ome"]
+        assert ome["version"] == "0.5"
+        scales = [d["coordinateTransformations"][0]["scale"] for d in ome["multiscales"][0]["datasets"]]
+        paths = [d["path"] for d in ome["multiscales"][0]["datasets"]]
+        assert scales == [[0.5 * 2 ** int(p)] * 2 for p in paths]
+        assert [a["unit"] for a in ome["multiscales"][0]["axes"]] == ["micrometer"] * 2
+        assert all(root[name][p].shards == (64, 64) and root[name][p].chunks == (16, 16) for p in paths)
+
+
+def test_the_real_sizes_are_those_of_the_format():
+    assert SIZES == (256, 2048)
+
+
+def test_shards_can_be_written_in_any_order_within_a_level(tmp_path, surface, stored):
+    path = tmp_path / "n.zarr"
+    lay_out(path, surface)
+    work = shards(surface.shape)
+    assert len({(s.level, s.row, s.col) for s in work}) == len(work)
+    for _, of_level in itertools.groupby(work, lambda s: s.level):
+        for shard in reversed(list(of_level)):
+            write_shard(path, surface, shard)
+    for level in range(4):
+        assert_same_surface(ZarrMosaic.open(path).window(level=level), stored.window(level=level))
+
+
+def test_a_mosaic_goes_to_another_process_by_its_path(stored, surface):
+    copy = pickle.loads(pickle.dumps(stored))
+    assert_same_surface(copy.window(), surface)
+
+
+def test_a_new_mosaic_takes_the_place_of_the_old_one(tmp_path):
+    other = make_surface(rows=20, cols=30, seed=9)
+    for source in (make_surface(), other):
+        write_mosaic(tmp_path / "m.zarr", source)
+    assert_same_surface(ZarrMosaic.open(tmp_path / "m.zarr").window(), other)
+    assert [p.name for p in tmp_path.iterdir()] == ["m.zarr"]
+
+
+def test_stopped_work_leaves_the_place_as_it_was(tmp_path, surface):
+    fractions = []
+    with pytest.raises(DatasetError, match="Writing the mosaic was stopped at 3 of"):
+        write_mosaic(tmp_path / "m.zarr", surface, fractions.append, lambda: len(fractions) == 3)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_tiny_surface_has_two_levels(tmp_path):
+    tiny = make_surface(rows=1, cols=3)
+    stored = write_mosaic(tmp_path / "m.zarr", tiny)
+    assert stored.levels == 2
+    assert stored.window(level=1).shape == (1, 2)
+
+
+def test_sixteen_bit_grey_is_kept(tmp_path):
+    surface = make_surface(grey=np.uint16)
+    assert_same_surface(write_mosaic(tmp_path / "m.zarr", surface).window(), surface)
+
+
+def test_memory_is_that_of_shards_not_of_the_surface(tmp_path, surface):
+    class Watched:
+        """A source that notes the largest window it is asked for."""
+
+        largest = 0
+
+        def __getattr__(self, name):
+            return getattr(surface, name)
+
+        @property
+        def provenance(self):
+            return surface.provenance
+
+        def window(self, region=None, level=0) -> HeightMap:
+            part = surface.window(region, level)
+            self.largest = max(self.largest, part.z_um.size)
+            return part
+
+    source = Watched()
+    write_mosaic(tmp_path / "m.zarr", source)
+    assert source.largest == 64 * 64
+
+
+def test_a_folder_that_is_no_mosaic(tmp_path):
+    with pytest.raises(DatasetError, match="is no mosaic of Wafer Viewer"):
+        ZarrMosaic.open(tmp_path)
+    (tmp_path / "wafer_viewer.json").write_text(json.dumps({"pixel_um": 1.0}))
+    with pytest.raises(DatasetError, match=r"wafer_viewer\.json: "):
+        ZarrMosaic.open(tmp_path)
