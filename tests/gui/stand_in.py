@@ -18,15 +18,23 @@ PIXEL_UM = 0.46729
 ROWS, COLS = 540, 720
 
 
-def height_map(z_um: np.ndarray, pixel_um: float = PIXEL_UM, x0_um: float = 0.0, y0_um: float = 0.0, grey=None) -> HeightMap:
+def height_map(
+    z_um: np.ndarray, pixel_um: float = PIXEL_UM, x0_um: float = 0.0, y0_um: float = 0.0, grey=None
+) -> HeightMap:
     """A map of heights; NaN has no texture."""
     z = z_um.astype(np.float32)
     grey = np.full(z.shape, 128, np.uint8) if grey is None else grey
     origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
     confidence = np.where(np.isfinite(z), 0.9, 0.1).astype(np.float32)
     return HeightMap(
-        z_um=z, z_raw_um=z, confidence=confidence, all_in_focus=grey, origin=origin,
-        pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um,
+        z_um=z,
+        z_raw_um=z,
+        confidence=confidence,
+        all_in_focus=grey,
+        origin=origin,
+        pixel_um=pixel_um,
+        x0_um=x0_um,
+        y0_um=y0_um,
     )
 
 
@@ -69,27 +77,58 @@ def job_and_plan(of: FieldGrid, z_start_um: float = -6.0) -> tuple[Job, ScanPlan
     job = Job(grid=of, sweep=FocusSweep(z_step_um=1.0, n_frames=60), z_start_um=z_start_um)
     fields = job.all_fields()
     plan = ScanPlan(
-        fields=fields, sweep=job.sweep, exposures_us=(100.0,), strategy="z_snake", legs=(), predicted_s=42.0,
-        prices=(), rows=ROWS, cols=COLS, pixel_um=PIXEL_UM,
+        fields=fields,
+        sweep=job.sweep,
+        exposures_us=(100.0,),
+        strategy="z_snake",
+        legs=(),
+        predicted_s=42.0,
+        prices=(),
+        rows=ROWS,
+        cols=COLS,
+        pixel_um=PIXEL_UM,
     )
     return job, plan
 
 
 def snapshot_of(surface: HeightMap, plan: ScanPlan, job: Job, done: tuple[int, ...] | None = None) -> Snapshot:
-    """A dataset of a plan, some of its fields (all of them without a list) measured, and with all the stitched surface."""
+    """A dataset of a plan with some of its fields measured; without a list all of them, and stitched."""
     numbers = tuple(f.number for f in plan.fields) if done is None else done
     states = {f.number: FieldState.MEASURED if f.number in numbers else FieldState.TO_COME for f in plan.fields}
     data = OpenDataset(
-        path=Path("memory.wafer"), name="memory.wafer", taken="", simulated=True, calibration_problem=None,
-        read_only=None, finished=done is None, fields=plan.fields, states=states,
-        stamps=dict.fromkeys(numbers, 1), plan=plan, job=job, results=("default",),
+        path=Path("memory.wafer"),
+        name="memory.wafer",
+        taken="",
+        simulated=True,
+        calibration_problem=None,
+        read_only=None,
+        finished=done is None,
+        fields=plan.fields,
+        states=states,
+        stamps=dict.fromkeys(numbers, 1),
+        plan=plan,
+        job=job,
+        results=("default",),
     )
     low, high = np.nanpercentile(surface.z_um, [0.5, 99.5])
     info = SurfaceInfo(
-        result="default", stamp=1, rows=surface.shape[0], cols=surface.shape[1], pixel_um=surface.pixel_um,
-        x0_um=surface.x0_um, y0_um=surface.y0_um, levels=1, n_fields=len(plan.fields), highest_um=float(high),
-        lowest_um=float(low), measured_fraction=1.0, filled_fraction=0.0, unmeasured=(), overlap_rms_um=None,
-        low_um=float(low), high_um=float(high),
+        result="default",
+        stamp=1,
+        rows=surface.shape[0],
+        cols=surface.shape[1],
+        pixel_um=surface.pixel_um,
+        x0_um=surface.x0_um,
+        y0_um=surface.y0_um,
+        levels=1,
+        n_fields=len(plan.fields),
+        highest_um=float(high),
+        lowest_um=float(low),
+        measured_fraction=1.0,
+        filled_fraction=0.0,
+        unmeasured=(),
+        overlap_rms_um=None,
+        low_um=float(low),
+        high_um=float(high),
     )
     return Snapshot(rig=RigStatus(state="ready"), dataset=data, surface=info if done is None else None)
 

@@ -3,42 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import origin_table, table
+from wafer_viewer.draw.look import Light, Look, Plane, Quantity
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
-from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Origin
 
-Quantity = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
-Plane = tuple[float, float, float]
 Picture = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1)."""
-
-    colour_by: Quantity = "height"
-    colours: str = "mako"
-    low: float = 0.0
-    high: float = 1.0
-    hillshade: float = 0.8
-    all_in_focus: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Light:
-    """What the light takes from the whole surface, so that its tiles are lit alike: see `shade`."""
-
-    gain: float = 1.0
-    span_um: float = 1.0
-    plane: Plane = (0.0, 0.0, 0.0)
-    """z = a x + b y + c through the surface, x and y in um: what `deviation` is measured from."""
 
 
 def plane_um(part: HeightMap, plane: Plane) -> NDArray[np.float32]:
@@ -53,26 +27,21 @@ def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
     return np.degrees(np.arctan(np.hypot(down, right))).astype(np.float32)
 
 
-def eight_bit(image: Image) -> NDArray[np.uint8]:
-    """A frame as the screen can show it."""
-    return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else np.asarray(image, np.uint8)
-
-
 def grey_image(part: HeightMap) -> NDArray[np.float32]:
     """The all-in-focus image in 0 ... 1."""
     image = part.all_in_focus
     return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
 
 
-QUANTITIES: dict[Quantity, tuple[str, str, Callable[[HeightMap, Plane], NDArray[np.float32]]]] = {
-    "height": ("Height", "µm", lambda part, plane: part.z_um),
-    "confidence": ("Confidence", "", lambda part, plane: np.where(np.isfinite(part.z_um), part.confidence, np.nan)),
-    "slope": ("Slope", "°", lambda part, plane: slope_degrees(part)),
-    "deviation": ("Deviation from plane", "µm", lambda part, plane: part.z_um - plane_um(part, plane)),
-    "grey": ("Grey", "", lambda part, plane: grey_image(part)),
-    "origin": ("Origin", "", lambda part, plane: part.origin.astype(np.float32)),
+VALUES: dict[Quantity, Callable[[HeightMap, Plane], NDArray[np.float32]]] = {
+    "height": lambda part, plane: part.z_um,
+    "confidence": lambda part, plane: np.where(np.isfinite(part.z_um), part.confidence, np.nan),
+    "slope": lambda part, plane: slope_degrees(part),
+    "deviation": lambda part, plane: part.z_um - plane_um(part, plane),
+    "grey": lambda part, plane: grey_image(part),
+    "origin": lambda part, plane: part.origin.astype(np.float32),
 }
-"""Title, unit, and values of each quantity a surface can be coloured by."""
+"""What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
 
 
 def bake(part: HeightMap, look: Look, light: Light) -> Picture:
@@ -88,7 +57,7 @@ def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
     """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
-    values = QUANTITIES[look.colour_by][2](part, light.plane)
+    values = VALUES[look.colour_by](part, light.plane)
     place = (without_gaps(values) - look.low) / max(look.high - look.low, 1e-12)
     return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
 

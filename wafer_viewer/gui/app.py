@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from wafer_viewer.gui.access import AccessGuard
+from wafer_viewer.gui.access import open_server
 from wafer_viewer.gui.build import build_page
 from wafer_viewer.gui.guard import log
 from wafer_viewer.gui.page import Page
@@ -66,18 +66,14 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     Raises WaferViewerError when the port is in use.
     """
     keep_log()
-    server = viser.ViserServer(host=host, port=_free(host, port), verbose=False)
-    guard = AccessGuard.install(server, host, server.get_port())
+    server, guard = open_server(host, _free(host, port))
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     pages: dict[int, Page] = {}
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        try:
-            pages[client.client_id] = build_page(client, session)
-        except Exception:  # a browser that goes while its page is made
-            log.exception("A page could not be made.")
+        pages[client.client_id] = build_page(client, session)
 
     @server.on_client_disconnect
     def _(client: viser.ClientHandle) -> None:

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from wafer_viewer.draw.bake import Look
+from wafer_viewer.draw.look import Look
 from wafer_viewer.gui.stage import Paint, wait
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.bake import QUANTITIES
 from wafer_viewer.draw.colour_bar import colour_bar_html, origin_legend_html
+from wafer_viewer.draw.look import QUANTITIES
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
@@ -41,7 +41,7 @@ class ColourLegend:
 
 
 def _bar(scale: Scale, view: View, bar_px: int) -> str:
-    title, unit, _ = QUANTITIES[view.colour_by]
+    title, unit = QUANTITIES[view.colour_by]
     colours = "grey" if view.colour_by == "grey" else view.colours
     return colour_bar_html(
         title.removesuffix(" from plane"),

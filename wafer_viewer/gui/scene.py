@@ -14,6 +14,7 @@ from wafer_viewer.gui.acquire_scene import acquire_contents
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import Contents, OnShow
+from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
 from wafer_viewer.gui.stage import Stage, Superseded
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
@@ -48,8 +49,11 @@ class SceneView:
         self._shown: Contents | None = None
         self._place: Hashable = None
         self._preset: str | None = None
+        self._camera_listener: Callable[[], object] = lambda: None
+        self._moves = Latest("camera")
         self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
         client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
+        client.camera.on_update(lambda _: self._moves.ask(self._camera_moved))
         threading.Thread(target=self._run, name="scene", daemon=True).start()
 
     # ---------------------------------------------------------------- what the page calls
@@ -73,20 +77,9 @@ class SceneView:
         """How long a pixel is at the point looked at, 0 before there is a camera."""
         return self._eye.um_per_pixel()
 
-    def on_camera(self, callback: Callable[[], None]) -> None:
+    def on_camera(self, callback: Callable[[], object]) -> None:
         """Call back when the camera has moved or the canvas has changed its size, at most ten times a second."""
-        last = 0.0
-
-        def moved(_: viser.CameraHandle) -> None:
-            nonlocal last
-            self._eye.refit()
-            now = time.monotonic()
-            if now - last >= _CAMERA_EVERY_S:
-                last = now
-                self._tools.resize()
-                callback()
-
-        self._client.camera.on_update(moved)
+        self._camera_listener = callback
 
     def on_scale(self, callback: Callable[[OnShow | None], None]) -> None:
         """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
@@ -110,6 +103,7 @@ class SceneView:
             self._closed = True
             self._due.notify()
         self._tools.close()
+        self._moves.close()
 
     # ---------------------------------------------------------------- the scene's thread
 
@@ -127,6 +121,13 @@ class SceneView:
 
     def _is_stale(self) -> bool:
         return self._wanted is not None or self._closed
+
+    def _camera_moved(self) -> None:
+        """On a thread of its own, which pauses after each: the last move of many is never left out."""
+        self._eye.refit()
+        self._tools.resize()
+        self._camera_listener()
+        time.sleep(_CAMERA_EVERY_S)
 
     def _run(self) -> None:
         pause: float | None = None

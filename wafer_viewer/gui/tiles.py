@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import viser
 
-from wafer_viewer.draw.bake import Look
+from wafer_viewer.draw.look import Look
 from wafer_viewer.gui.stage import Handle, Item
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source, unpack_points
@@ -69,7 +69,8 @@ def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
 
 def look_of(view: View, scale: Scale) -> Look:
     """What the operator chose, with the range the colours span."""
-    return Look(view.colour_by, view.colours, scale.low, scale.high, view.hillshade, view.all_in_focus)
+    colours = "grey" if view.colour_by == "grey" else view.colours
+    return Look(view.colour_by, colours, scale.low, scale.high, view.hillshade, view.all_in_focus)
 
 
 def surface_items(

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.bake import Light, Look
+from wafer_viewer.draw.look import Light, Look
 
 Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice"]
 

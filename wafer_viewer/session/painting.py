@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw import mesh
-from wafer_viewer.draw.bake import QUANTITIES, Picture, bake, eight_bit
+from wafer_viewer.draw.bake import VALUES, Picture, bake
 from wafer_viewer.draw.glb import painted
 from wafer_viewer.draw.ground import WALL_TONES, sides
+from wafer_viewer.draw.look import eight_bit
 from wafer_viewer.draw.reduce import reduced
 from wafer_viewer.draw.shade import light_gain, without_gaps
 from wafer_viewer.model.region import Region
@@ -120,7 +121,7 @@ def _scale(shelf: Shelf, request: PaintRequest) -> bytes:
     surface = shelf.surface(request.source)
     coarse = at_level(surface, coarse_level(surface))
     quantity = request.look.colour_by
-    values = QUANTITIES[quantity][2](coarse, request.light.plane)
+    values = VALUES[quantity](coarse, request.light.plane)
     values = values[np.isfinite(values)]
     if values.size == 0:
         values = np.zeros(1, np.float32)

@@ -1,0 +1,145 @@
+"""The guard of the page, asked over the wire as browsers and others would."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import socket
+import threading
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+import pytest
+import viser
+import websockets.sync.client
+from websockets.exceptions import InvalidStatus
+
+from wafer_viewer.gui.access import AccessGuard, open_server
+
+Server = tuple[viser.ViserServer, AccessGuard]
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    opened, guard = open_server("127.0.0.1", 0)
+    yield opened, guard
+    opened.stop()
+
+
+def get(server: Server, path: str = "/", **headers: str) -> http.client.HTTPResponse:
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", server[0].get_port(), timeout=5)) as wire:
+        wire.request("GET", path, headers=headers)
+        answer = wire.getresponse()
+        answer.read()
+        return answer
+
+
+def token_path(server: Server) -> str:
+    parts = urlsplit(server[1].address)
+    return f"{parts.path}?{parts.query}"
+
+
+def cookie(server: Server) -> str:
+    given = get(server, token_path(server)).getheader("Set-Cookie")
+    assert given is not None
+    return given.split(";")[0]
+
+
+def socket_status(server: Server, **headers: str) -> int:
+    """101 when the socket opens, else the status it was refused with."""
+    port = server[0].get_port()
+    origin = headers.pop("Origin", None)
+    try:
+        with websockets.sync.client.connect(
+            f"ws://127.0.0.1:{port}",
+            origin=origin,  # pyright: ignore[reportArgumentType]
+            additional_headers=headers,
+            subprotocols=[f"viser-v{viser.__version__}"],  # pyright: ignore[reportArgumentType]
+        ):
+            return 101
+    except InvalidStatus as refused:
+        return refused.response.status_code
+
+
+def test_the_printed_address_opens_the_page_and_leaves_a_cookie_scripts_cannot_read(server: Server) -> None:
+    answer = get(server, token_path(server))
+    assert answer.status == 200
+    assert answer.getheader("Content-Type", "").startswith("text/html")
+    given = answer.getheader("Set-Cookie", "")
+    assert "HttpOnly" in given
+    assert "SameSite=Strict" in given
+
+
+def test_the_cookie_alone_opens_the_page_afterwards(server: Server) -> None:
+    assert get(server, "/", Cookie=cookie(server)).status == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/assets/x.js", "/?token=a&token=b"])
+def test_without_the_token_nothing_is_served(server: Server, path: str) -> None:
+    answer = get(server, path)
+    assert answer.status == 401
+    assert answer.getheader("Set-Cookie") is None
+
+
+def test_a_cookie_of_another_viewer_is_none(server: Server) -> None:
+    other = f"wafer_viewer_1={cookie(server).split('=')[1]}"
+    assert get(server, "/", Cookie=other).status == 401
+
+
+@pytest.mark.parametrize(
+    "name", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "localhost.evil:{port}"]
+)
+def test_a_foreign_host_is_refused_even_with_the_token(server: Server, name: str) -> None:
+    host = name.format(port=server[0].get_port())
+    assert get(server, token_path(server), Host=host).status == 403
+
+
+def test_localhost_is_this_server_too(server: Server) -> None:
+    assert get(server, token_path(server), Host=f"localhost:{server[0].get_port()}").status == 200
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"])
+def test_a_foreign_origin_is_refused_even_with_the_cookie(server: Server, origin: str) -> None:
+    foreign = origin.format(port=server[0].get_port())
+    assert get(server, "/", Cookie=cookie(server), Origin=foreign).status == 403
+    assert socket_status(server, Cookie=cookie(server), Origin=foreign) == 403
+
+
+def test_the_socket_opens_for_the_page_only(server: Server) -> None:
+    own = f"http://127.0.0.1:{server[0].get_port()}"
+    assert socket_status(server, Cookie=cookie(server), Origin=own) == 101
+    assert socket_status(server, Cookie=cookie(server)) == 403
+    assert socket_status(server, Origin=own) == 401
+
+
+def test_two_hosts_in_one_request_are_a_bad_request(server: Server) -> None:
+    port = server[0].get_port()
+    with contextlib.closing(socket.create_connection(("127.0.0.1", port), 5)) as wire:
+        wire.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nHost: evil.example\r\n\r\n".encode())
+        assert wire.recv(64).startswith(b"HTTP/1.1 400")
+
+
+def test_every_answer_keeps_the_page_to_itself(server: Server) -> None:
+    for answer in (get(server, token_path(server)), get(server)):
+        policy = answer.getheader("Content-Security-Policy", "")
+        assert "frame-ancestors 'none'" in policy
+        assert "default-src 'self'" in policy
+        assert answer.getheader("X-Content-Type-Options") == "nosniff"
+        assert answer.getheader("Referrer-Policy") == "no-referrer"
+
+
+def test_no_share_tunnel_can_be_opened(server: Server) -> None:
+    before = threading.active_count()
+    assert server[0].request_share_url() is None
+    assert threading.active_count() == before
+
+
+def test_a_server_opened_meanwhile_by_others_is_left_alone() -> None:
+    import websockets.asyncio.server as plain
+
+    before = plain.serve
+    opened, _ = open_server("127.0.0.1", 0)
+    try:
+        assert plain.serve is before
+    finally:
+        opened.stop()

@@ -1,0 +1,51 @@
+"""How a surface is to look: what the page chooses, light enough to be imported where nothing is painted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+
+Quantity = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
+Plane = tuple[float, float, float]
+
+QUANTITIES: dict[Quantity, tuple[str, str]] = {
+    "height": ("Height", "µm"),
+    "confidence": ("Confidence", ""),
+    "slope": ("Slope", "°"),
+    "deviation": ("Deviation from plane", "µm"),
+    "grey": ("Grey", ""),
+    "origin": ("Origin", ""),
+}
+"""Title and unit of each quantity a surface can be coloured by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1)."""
+
+    colour_by: Quantity = "height"
+    colours: str = "mako"
+    low: float = 0.0
+    high: float = 1.0
+    hillshade: float = 0.8
+    all_in_focus: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """What the light takes from the whole surface, so that its tiles are lit alike: see `shade`."""
+
+    gain: float = 1.0
+    span_um: float = 1.0
+    plane: Plane = (0.0, 0.0, 0.0)
+    """z = a x + b y + c through the surface, x and y in um: what `deviation` is measured from."""
+
+
+def eight_bit(image: Image) -> NDArray[np.uint8]:
+    """A frame as the screen can show it."""
+    return (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else np.asarray(image, np.uint8)

@@ -1,0 +1,165 @@
+"""Who may open the page: only who was given its address, and no other web page behind their back.
+
+viser answers every request and takes any Origin. Here each request is checked before viser sees it:
+its Host must be this server (a rebound name is not), its Origin this page (a foreign page's script is not), and it
+must bring the token, once in the printed address and from then on in a cookie that scripts cannot read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import http
+import http.cookies
+import io
+import secrets
+import threading
+from collections.abc import Callable, Generator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import viser
+import websockets.asyncio.server as websocket_server
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers, MultipleValuesError
+from websockets.http11 import Request, Response
+
+Answer = Callable[[ServerConnection, Request], Response | None]
+
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_EVERYWHERE = ("0.0.0.0", "::", "")
+_TOKEN_BYTES = 24
+_HTTP_PORT = 80
+_POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host} data: blob:; "
+    "worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+"""What viser's page needs and no more: it evaluates code, decodes textures from blobs and works in blob workers."""
+_NO_TOKEN = (
+    "This page opens with the address that the program printed when it started: it ends in ?token=... "
+    "Copy the whole of it from the terminal.\n"
+)
+_patching = threading.Lock()
+
+
+class AccessGuard:
+    """The checks of one server, and the address that passes them."""
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._token = secrets.token_urlsafe(_TOKEN_BYTES)
+        self._port = 0
+
+    @property
+    def address(self) -> str:
+        """The address to be printed."""
+        host = "127.0.0.1" if self._host in _EVERYWHERE else self._host
+        return f"http://{host}:{self._port}/?token={self._token}"
+
+    def refusal(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The answer to a request that may not pass, None to one that may."""
+        try:
+            host, origin = request.headers["Host"], request.headers.get("Origin")
+            is_socket = "Upgrade" in request.headers
+        except (KeyError, MultipleValuesError):
+            return _text(http.HTTPStatus.BAD_REQUEST, "A request names one Host.\n")
+        if host.lower() not in self._names(connection):
+            return _text(http.HTTPStatus.FORBIDDEN, "This server does not go by that name.\n")
+        if (origin is None and is_socket) or (origin is not None and origin.lower() != f"http://{host.lower()}"):
+            return _text(http.HTTPStatus.FORBIDDEN, "Another page may not use this one.\n")
+        if not (self._has_cookie(request) or self._has_token(request)):
+            return _text(http.HTTPStatus.UNAUTHORIZED, _NO_TOKEN)
+        return None
+
+    def around(self, answer: Answer | None) -> Answer:
+        """viser's own answers behind the checks, with the cookie and the headers that keep the page to itself."""
+
+        def guarded(connection: ServerConnection, request: Request) -> Response | None:
+            response = self.refusal(connection, request)
+            if response is None and answer is not None:
+                response = answer(connection, request)
+                if response is not None and self._has_token(request):
+                    response.headers["Set-Cookie"] = self._cookie()
+            if response is not None:
+                _harden(response.headers, request.headers.get_all("Host"))
+            return response
+
+        return guarded
+
+    def bound_to(self, port: int) -> None:
+        """Learn the port once it is known."""
+        self._port = port
+
+    def _names(self, connection: ServerConnection) -> set[str]:
+        """What this server is called: loopback, the host it was started on, the address this request came to."""
+        local = connection.local_address
+        port = int(local[1]) if local else self._port
+        names = {*_LOOPBACK, self._host.lower(), str(local[0]).lower() if local else ""} - set(_EVERYWHERE)
+        return {f"{name}:{port}" for name in names} | (names if port == _HTTP_PORT else set())
+
+    def _cookie_name(self) -> str:
+        # Cookies do not know ports: two viewers on one machine would overwrite each other's.
+        return f"wafer_viewer_{self._port}"
+
+    def _cookie(self) -> str:
+        return f"{self._cookie_name()}={self._token}; Path=/; HttpOnly; SameSite=Strict"
+
+    def _has_cookie(self, request: Request) -> bool:
+        for header in request.headers.get_all("Cookie"):
+            with contextlib.suppress(http.cookies.CookieError):
+                morsel = http.cookies.SimpleCookie(header).get(self._cookie_name())
+                if morsel is not None and self._is_token(morsel.value):
+                    return True
+        return False
+
+    def _has_token(self, request: Request) -> bool:
+        given = parse_qs(urlsplit(request.path).query).get("token", [])
+        return len(given) == 1 and self._is_token(given[0])
+
+    def _is_token(self, given: str) -> bool:
+        return hmac.compare_digest(given.encode(), self._token.encode())
+
+
+def open_server(host: str, port: int) -> tuple[viser.ViserServer, AccessGuard]:
+    """A viser server that is guarded from its first request on, and cannot be shared through a tunnel."""
+    guard = AccessGuard(host)
+    with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
+        server = viser.ViserServer(host=host, port=port, verbose=False)
+    guard.bound_to(server.get_port())
+    server.request_share_url = _no_tunnel
+    return server, guard
+
+
+@contextlib.contextmanager
+def _guarding(guard: AccessGuard) -> Generator[None]:
+    """Put the guard in front of the websocket server that viser opens meanwhile: it offers no way to hand one in."""
+    plain = websocket_server.serve
+
+    def serve(*args: Any, process_request: Answer | None = None, **kwargs: Any) -> Any:
+        return plain(*args, process_request=guard.around(process_request), **kwargs)
+
+    with _patching:
+        websocket_server.serve = serve
+        try:
+            yield
+        finally:
+            websocket_server.serve = plain
+
+
+def _no_tunnel(verbose: bool = True) -> None:
+    """Hiding viser's share button does not keep a page from asking: there is no share address, for no one."""
+
+
+def _text(status: http.HTTPStatus, text: str) -> Response:
+    body = text.encode()
+    headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _harden(headers: Headers, hosts: list[str]) -> None:
+    headers["Content-Security-Policy"] = _POLICY.format(host=hosts[0] if len(hosts) == 1 else "")
+    headers["X-Content-Type-Options"] = "nosniff"
+    headers["Referrer-Policy"] = "no-referrer"
+    headers["Cross-Origin-Opener-Policy"] = "same-origin"
+    headers["Cross-Origin-Resource-Policy"] = "same-origin"
