@@ -19,7 +19,6 @@ from wafer_viewer.store import mosaic as module
 from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, shards, write_mosaic, write_shard
 from wafer_viewer.store.pyramid import halve
 
-
 SIZES = module.CHUNK, module.SHARD
 
 
@@ -38,9 +37,29 @@ def surface():
     return make_surface(rows=150, cols=201, pixel_um=0.5, x0_um=-30.0, y0_um=80.0, simulated=True)
 
 
+class Source:
+    """A mosaic that notes the largest window it is asked for."""
+
+    def __init__(self, surface: HeightMap):
+        self.surface, self.largest = surface, 0
+
+    def __getattr__(self, name):
+        return getattr(self.surface, name)
+
+    def window(self, region=None, level=0):
+        part = self.surface.window(region, level)
+        self.largest = max(self.largest, part.z_um.size)
+        return part
+
+
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory, surface, small_shards):
-    return write_mosaic(tmp_path_factory.mktemp("mosaic") / "m.zarr", surface)
+def source(surface):
+    return Source(surface)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory, source, small_shards):
+    return write_mosaic(tmp_path_factory.mktemp("mosaic") / "m.zarr", source)
 
 
 def test_what_was_written_is_what_is_read(stored, surface):
@@ -172,26 +191,7 @@ def test_sixteen_bit_grey_is_kept(tmp_path):
     assert_same_surface(write_mosaic(tmp_path / "m.zarr", surface).window(), surface)
 
 
-def test_memory_is_that_of_shards_not_of_the_surface(tmp_path, surface):
-    class Watched:
-        """A source that notes the largest window it is asked for."""
-
-        largest = 0
-
-        def __getattr__(self, name):
-            return getattr(surface, name)
-
-        @property
-        def provenance(self):
-            return surface.provenance
-
-        def window(self, region=None, level=0) -> HeightMap:
-            part = surface.window(region, level)
-            self.largest = max(self.largest, part.z_um.size)
-            return part
-
-    source = Watched()
-    write_mosaic(tmp_path / "m.zarr", source)
+def test_memory_is_that_of_shards_not_of_the_surface(stored, source):
     assert source.largest == 64 * 64
 
 

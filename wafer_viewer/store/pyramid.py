@@ -12,7 +12,7 @@ from wafer_viewer.model.surface import Origin
 Layers = dict[str, NDArray[Any]]
 """Arrays [row, col] of one window of a level by name."""
 Children = list[NDArray[Any]]
-"""Four arrays [row, col]: the upper left, upper right, lower left and lower right pixel under each pixel of the half."""
+"""Four arrays [row, col]: upper left, upper right, lower left and lower right pixel under each pixel of the half."""
 _BEYOND = 255
 """An origin that loses against every other: past an odd edge."""
 
