@@ -7,6 +7,7 @@ annotation, with a sentence that names field, value and limit.
 from __future__ import annotations
 
 import math
+import numbers
 import tomllib
 import types
 import typing
@@ -96,10 +97,10 @@ def decode(text: str | bytes, kind: type[S], name: str, form: Form = "toml") -> 
 def encode(spec: Spec, form: Form = "toml") -> str:
     """Write a spec as TOML or JSON text; what is None is left out of TOML."""
     if form == "json":
-        return msgspec.json.format(msgspec.json.encode(spec), indent=2).decode()
+        return msgspec.json.format(msgspec.json.encode(spec, enc_hook=_plain_number), indent=2).decode()
     import tomli_w
 
-    return tomli_w.dumps(_without_none(msgspec.to_builtins(spec)))
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(spec, enc_hook=_plain_number)))
 
 
 def limit_of(kind: type[Spec], name: str) -> Within | None:
@@ -107,6 +108,13 @@ def limit_of(kind: type[Spec], name: str) -> Within | None:
     hint = typing.get_type_hints(kind, include_extras=True)[name]
     found = [m for m in _metadata(hint) if isinstance(m, Within)]
     return found[0] if found else None
+
+
+def _plain_number(value: Any) -> Any:
+    """numpy's numbers pass for Python's in a spec; a file gets Python's."""
+    if isinstance(value, numbers.Number) and hasattr(value, "item"):
+        return typing.cast(Any, value).item()
+    raise NotImplementedError(f"{type(value).__name__} cannot be written to a file")
 
 
 def _plain(message: str) -> str:
