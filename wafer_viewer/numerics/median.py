@@ -39,7 +39,8 @@ def far_from_median(padded: Float32s, limit: Real) -> Bools:
     """Which measured pixels are further than `limit` from the median of their 5 x 5 window, of the map before padding.
 
     A value is within `limit` of the median exactly when at least half of the window is above value - limit and at
-    least half is below value + limit: counting runs as vectors, sorting does not.
+    least half is below value + limit: counting runs as vectors, sorting does not. In a window of an even number any
+    value between the two in the middle is a median.
     """
     n_rows, n_cols = padded.shape[0] - 4, padded.shape[1] - 4
     far = np.zeros((n_rows, n_cols), np.bool_)

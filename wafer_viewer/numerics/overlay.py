@@ -146,9 +146,11 @@ def _weigh(
 
 @kernel
 def _add(values: Float32s, new: Float32s, kept: Float32s, total: Float32s) -> None:
+    """NaN counts only where it is taken and stays: neither a weight of nothing nor a replaced sum brings it in."""
     for x in range(total.size):
+        old = total[x] if kept[x] > 0 else np.float32(0)
         v = values[x] if new[x] > 0 else np.float32(0)
-        total[x] = kept[x] * total[x] + new[x] * v
+        total[x] = old + new[x] * v
 
 
 @kernel

@@ -215,8 +215,13 @@ def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
         _box(rows.squares, window, rows.doubled, rows.redoubled, rows.square_sums)
         _deviations(rows.sums, rows.square_sums, 1.0 / (window * window), rows.value)
     else:
-        for x in range(rows.value.size):
-            rows.value[x] = np.float32(rows.sums[x])
+        _as_float(rows.sums, rows.value)
+
+
+@kernel
+def _as_float(sums: Wholes, value: Float32s) -> None:
+    for x in range(value.size):
+        value[x] = np.float32(sums[x])
 
 
 @kernel

@@ -217,8 +217,9 @@ def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: R
 @kernel
 def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
-    if top - left >= top - right:
-        slope = (top - left) / (z - below)
-        return z if slope <= 0 else 0.5 * (z + above) + (right - top) / (2 * slope)
-    slope = (top - right) / (above - z)
-    return 0.5 * (below + z) - (left - top) / (2 * slope)
+    rise, drop = (top - left) / (z - below), (top - right) / (above - z)
+    if max(rise, drop) <= 0:
+        return z
+    if rise >= drop:
+        return 0.5 * (z + above) - (top - right) / (2 * rise)
+    return 0.5 * (below + z) + (top - left) / (2 * drop)

@@ -1,0 +1,93 @@
+"""No height without evidence: what was not seen has a reason instead."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
+from wafer_viewer.reconstruct.noise import noise_scores
+from wafer_viewer.reconstruct.search import Search
+
+MakeStack = Callable[..., FieldStack]
+
+
+def _share(origin: NDArray, *codes: Origin) -> float:
+    return float(np.isin(origin, codes).mean())
+
+
+@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("n_frames", [10, 40])
+@pytest.mark.parametrize("noise_counts", [0.5, 3.0])
+def test_pure_noise_is_not_measured(make_stack: MakeStack, measure: str, n_frames: int, noise_counts: float) -> None:
+    stack = make_stack(np.zeros((96, 128)), np.arange(n_frames) * 4.0, contrast=0.0, noise_counts=noise_counts, seed=5)
+    height = reconstruct(stack, Recipe(focus_measure=measure))
+    assert np.isfinite(height.z_raw_um).mean() < 0.01
+    assert _share(height.origin, Origin.NO_TEXTURE, Origin.AMBIGUOUS, Origin.END_OF_RANGE, Origin.OUTLIER) > 0.97
+
+
+@pytest.mark.parametrize("grey", [0, 90])
+def test_a_constant_stack_is_unmeasured_throughout(plane_stack: FieldStack, grey: int) -> None:
+    height = reconstruct(dataclasses.replace(plane_stack, images=np.full_like(plane_stack.images, grey)))
+    assert np.isnan(height.z_um).all()
+    assert np.isnan(height.z_raw_um).all()
+    assert (height.origin == Origin.NO_TEXTURE).all()
+    assert not height.confidence.any()
+
+
+def test_a_white_stack_is_too_bright(plane_stack: FieldStack) -> None:
+    height = reconstruct(dataclasses.replace(plane_stack, images=np.full_like(plane_stack.images, 255)))
+    assert (height.origin == Origin.CLIPPED).all()
+
+
+def test_a_band_without_texture_is_left_out_and_its_surroundings_are_not(make_stack: MakeStack) -> None:
+    contrast = np.ones((96, 128))
+    contrast[:, 50:80] = 0
+    height = reconstruct(make_stack(np.full((96, 128), 40.0), np.arange(0.0, 84.0, 4.0), contrast=contrast))
+    assert np.isnan(height.z_raw_um[:, 60:70]).mean() > 0.99
+    assert np.isfinite(height.z_raw_um[:, :40]).mean() > 0.97
+
+
+def test_a_surface_outside_of_the_sweep_has_no_height(make_stack: MakeStack) -> None:
+    height = reconstruct(make_stack(np.full((96, 128), 85.0), np.arange(0.0, 84.0, 4.0)))
+    assert _share(height.origin, Origin.END_OF_RANGE) > 0.95
+
+
+def test_two_equal_peaks_are_ambiguous(make_stack: MakeStack) -> None:
+    z_um = np.arange(0.0, 124.0, 4.0)
+    low, high = make_stack(np.full((96, 128), 30.0), z_um), make_stack(np.full((96, 128), 90.0), z_um)
+    mixed = (low.images.astype(float) + high.images) / 2
+    height = reconstruct(dataclasses.replace(low, images=mixed.astype(np.uint8)))
+    assert _share(height.origin, Origin.AMBIGUOUS) > 0.5
+
+
+def test_ten_frames_are_enough(make_stack: MakeStack) -> None:
+    rows, cols = np.indices((96, 128))
+    truth = 14 + 0.04 * cols + 0.03 * rows
+    height = reconstruct(make_stack(truth, np.arange(10) * 4.0))
+    assert height.measured.mean() > 0.9
+    assert np.nanmedian(np.abs(height.z_raw_um - truth)) < 0.4
+
+
+def test_a_gate_of_zero_lets_everything_but_ends_through(plane_stack: FieldStack) -> None:
+    flat = dataclasses.replace(
+        plane_stack, images=np.random.default_rng(1).integers(90, 96, plane_stack.images.shape, np.uint8)
+    )
+    origin = reconstruct(flat, Recipe(min_confidence=0.0, window=9)).origin
+    assert _share(origin, Origin.MEASURED, Origin.FILLED, Origin.OUTLIER, Origin.END_OF_RANGE) == 1
+
+
+def test_noise_reaches_further_in_longer_stacks_and_smaller_windows() -> None:
+    def lead(window: int, n_frames: int) -> float:
+        return noise_scores(Search("tenengrad", window, "tent", 2), n_frames).lead
+
+    assert lead(9, 60) > lead(17, 60)
+    assert 0 < lead(9, 100) < 1

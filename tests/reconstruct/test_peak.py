@@ -1,0 +1,76 @@
+"""Peaks are placed between the frames, and the scores say how much they stand out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.reconstruct.peak import PEAKS, confidence_of, lead_of
+from wafer_viewer.reconstruct.peak import _place as place
+from wafer_viewer.reconstruct.prepare import prepare
+from wafer_viewer.reconstruct.search import Search, search_field
+
+_INNER = slice(12, -12), slice(12, -12)
+
+
+def _rmse(stack: FieldStack, truth: NDArray, estimator: str) -> float:
+    z_um = search_field(prepare(stack), Search("tenengrad", 9, estimator, 4)).z_um
+    return float(np.sqrt(np.mean((z_um - truth)[_INNER] ** 2)))
+
+
+def test_a_tilted_plane_is_found_to_a_fraction_of_a_step(plane_stack: FieldStack, plane_um: NDArray) -> None:
+    errors = {name: _rmse(plane_stack, plane_um, name) for name in PEAKS}
+    assert errors["tent"] < 0.35
+    assert errors["gaussian"] < 0.6
+    assert 1.0 < errors["argmax"] < 1.4
+    assert errors["tent"] < errors["gaussian"]
+
+
+def test_a_missing_frame_costs_little(
+    make_stack: Callable[..., FieldStack], plane_stack: FieldStack, plane_um: NDArray
+) -> None:
+    present = np.ones(21, bool)
+    present[[7, 10, 11, 14]] = False
+    holed = make_stack(plane_um, plane_stack.z_um, present=present)
+    assert _rmse(holed, plane_um, "tent") < 1.5
+
+
+@settings(max_examples=100, deadline=None)
+@given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), slope=st.floats(0.1, 3))
+def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: float, slope: float) -> None:
+    z_um = np.array([-below, 0.0, above])
+    peak = at * (below if at < 0 else above)
+    left, top, right = 9 - slope * np.abs(z_um - peak)
+    assert place(PEAKS["tent"].code, z_um, 1, 2, left, top, right) == pytest.approx(peak, abs=1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(at=st.floats(-0.49, 0.49), below=st.floats(0.5, 4), above=st.floats(0.5, 4), bend=st.floats(0.1, 3))
+def test_a_parabola_is_found_exactly_at_any_spacing(at: float, below: float, above: float, bend: float) -> None:
+    z_um = np.array([-below, 0.0, above])
+    peak = at * min(below, above)
+    left, top, right = 9 - bend * (z_um - peak) ** 2
+    assert place(PEAKS["gaussian"].code, z_um, 1, 2, left, top, right) == pytest.approx(peak, abs=1e-9)
+
+
+@pytest.mark.parametrize("estimator", PEAKS)
+def test_a_flat_curve_stays_at_its_frame(estimator: str) -> None:
+    assert place(PEAKS[estimator].code, np.array([0.0, 4.0, 8.0]), 1, 2, 5.0, 5.0, 5.0) == 4.0
+
+
+def test_the_all_in_focus_image_takes_each_pixel_from_its_frame(plane_stack: FieldStack) -> None:
+    peaks = search_field(prepare(plane_stack), Search("tenengrad", 9, "argmax", 4))
+    k = np.searchsorted(plane_stack.z_um, peaks.z_um)
+    rows, cols = np.indices(k.shape)
+    np.testing.assert_array_equal(peaks.all_in_focus, plane_stack.images[k, rows, cols])
+
+
+def test_confidence_is_what_the_rival_lacks() -> None:
+    assert confidence_of(1.0) == 0.5
+    assert lead_of(confidence_of(2.5)) == pytest.approx(2.5)
