@@ -1,0 +1,86 @@
+"""Parts of a surface, for the page: tiles in three shapes, and the walls round it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw import mesh
+from wafer_viewer.draw.bake import Picture, bake
+from wafer_viewer.draw.glb import painted
+from wafer_viewer.draw.ground import WALL_TONES, sides
+from wafer_viewer.draw.shade import without_gaps
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.paint_request import PaintRequest, pack_points
+from wafer_viewer.session.shelf import Shelf, at_level
+
+_MARGIN_PX = 14
+"""Read round a tile, so that light and hollows go on across its edge."""
+
+
+def _baked(shelf: Shelf, request: PaintRequest) -> tuple[HeightMap, NDArray[np.float32], Picture]:
+    """The window of a request: its map, its heights without gaps, its picture."""
+    surface = shelf.surface(request.source)
+    (r0, r1), (c0, c1) = request.rows, request.cols
+    margin = tuple(slice(max(0, a - _MARGIN_PX), b + _MARGIN_PX) for a, b in (request.rows, request.cols))
+    around = at_level(surface, request.level, (margin[0], margin[1]))
+    inner = slice(r0 - margin[0].start, r1 - margin[0].start), slice(c0 - margin[1].start, c1 - margin[1].start)
+    picture = bake(around, request.look, request.light)[inner]
+    return around.crop(*inner), without_gaps(around.z_um)[inner], picture
+
+
+def tile(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A window of the surface as GLB."""
+    part, heights, picture = _baked(shelf, request)
+    return _draped(part, heights, picture, request)
+
+
+def flat(shelf: Shelf, request: PaintRequest) -> bytes:
+    """The same picture lying flat at 0."""
+    part, heights, picture = _baked(shelf, request)
+    return _draped(part, np.full_like(heights, request.z0_um), picture, request)
+
+
+def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, request: PaintRequest) -> bytes:
+    there = picture[..., 3] > 0
+    if not there.any():
+        return b""
+    x_mm, y_mm = (part.x_um * 1e-3).astype(np.float32), (part.y_um * 1e-3).astype(np.float32)
+    return painted(mesh.surface(heights, there, x_mm, y_mm, request.z0_um, request.step), picture)
+
+
+def points(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A point for each measured pixel: see `pack_points`."""
+    part, heights, picture = _baked(shelf, request)
+    rows, cols = np.nonzero(np.isfinite(part.z_um))
+    xyz = np.stack([
+        (part.x_um - part.x_um.mean())[cols], (part.y_um - part.y_um.mean())[rows], heights[rows, cols] - request.z0_um
+    ], axis=1)  # fmt: skip
+    colours = picture[rows, cols, :3]
+    return pack_points((xyz * 1e-3).astype(np.float16), colours)
+
+
+def walls(shelf: Shelf, request: PaintRequest) -> bytes:
+    """From the four edges of a window down to `z0_um`; grey, because a wall is drawing, not data."""
+    surface = shelf.surface(request.source)
+    (r0, r1), (c0, c1) = request.rows, request.cols
+    lines = (
+        (slice(r1 - 1, r1), slice(c0, c1)), (slice(r0, r0 + 1), slice(c0, c1)),
+        (slice(r0, r1), slice(c0, c0 + 1)), (slice(r0, r1), slice(c1 - 1, c1)),
+    )  # fmt: skip
+    edges = [_edge(at_level(surface, request.level, line), request) for line in lines]
+    walls = mesh.walls(edges, 0.0)
+    return painted(walls, sides(*WALL_TONES[request.dark])) if walls.triangles.size else b""
+
+
+def _edge(
+    line: HeightMap, request: PaintRequest
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """A line of pixels as x, y, z in mm; small gaps are bridged, large ones have no wall."""
+    z = line.z_um.ravel()
+    near = np.convolve(np.isfinite(z), np.ones(9), "same") > 0
+    z = np.where(near, without_gaps(z[None])[0], np.nan) if near.any() else z
+    x, y = np.broadcast_arrays(line.x_um[None, :], line.y_um[:, None])
+    places = mesh.picked(z.size, request.step)
+    x_mm, y_mm, z_mm = x.ravel() * 1e-3, y.ravel() * 1e-3, (z - request.z0_um) * 1e-3
+    return x_mm[places].astype(np.float32), y_mm[places].astype(np.float32), z_mm[places].astype(np.float32)

@@ -1,0 +1,94 @@
+"""A surface as a whole, for the page: its facts, the range of a quantity with its histogram, heights for picking."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.bake import VALUES
+from wafer_viewer.draw.shade import light_gain, without_gaps
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
+from wafer_viewer.session.shelf import Shelf, at_level, coarse, coarse_level
+
+_BINS = 60
+
+
+def facts(shelf: Shelf, request: PaintRequest) -> bytes:
+    """`Facts` as JSON."""
+    surface = shelf.surface(request.source)
+    level = coarse_level(surface)
+    part = at_level(surface, level)
+    there = np.isfinite(part.z_um)
+    heights = part.z_um[there] if there.any() else np.zeros(1, np.float32)
+    low, high = (float(v) for v in np.percentile(heights, [0.5, 99.5]))
+    rows, cols = (_extent(np.asarray(there.any(axis=1 - axis)), surface.shape[axis], 2**level) for axis in (0, 1))
+    facts = Facts(
+        *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
+        float(heights.min()), float(heights.max()), low, high,
+        light_gain(part.z_um, part.pixel_um), _plane(part),
+    )  # fmt: skip
+    return msgspec.json.encode(facts)
+
+
+def _extent(there: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
+    """[first, end) of what is there, in pixels of level 0."""
+    hits = np.flatnonzero(there)
+    return (0, n) if hits.size == 0 else (int(hits[0]) * scale, min(n, (int(hits[-1]) + 1) * scale))
+
+
+def _plane(part: HeightMap) -> tuple[float, float, float]:
+    """The least-squares plane through the middle heights: half of the points, those nearest to a first plane."""
+    rows, cols = np.nonzero(np.isfinite(part.z_um))
+    if rows.size < 3:
+        return 0.0, 0.0, 0.0
+    z = part.z_um[rows, cols].astype(float)
+    design = np.stack([part.x_um[cols], part.y_um[rows], np.ones(rows.size)], axis=1)
+    plane = np.linalg.lstsq(design, z, rcond=None)[0]
+    for _ in range(2):
+        distance = np.abs(z - design @ plane)
+        kept = distance <= np.median(distance)
+        plane = np.linalg.lstsq(design[kept], z[kept], rcond=None)[0]
+    return float(plane[0]), float(plane[1]), float(plane[2])
+
+
+def scale(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A `Scale` as JSON."""
+    part = coarse(shelf, request.source)
+    quantity = request.look.colour_by
+    values = VALUES[quantity](part, request.light.plane)
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        values = np.zeros(1, np.float32)
+    own_low, p1, p99, own_high = (float(v) for v in np.percentile(values, [0.5, 1, 99, 99.5]))
+    low, high = request.range_values or _usual_range(quantity, own_low, own_high)
+    counts = np.histogram(values, _BINS, (low, max(high, low + 1e-9)))[0]
+    shares = _origin_shares(part) if quantity == "origin" else {}
+    counted = tuple(float(c) for c in counts)
+    return msgspec.json.encode(Scale(quantity, low, high, own_low, own_high, p1, p99, counted, shares))
+
+
+def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
+    """Shares run from 0 to 1, slopes from 0, a deviation is symmetric; else 0.5 to 99.5 %, at least 0.2 apart."""
+    if quantity in ("confidence", "grey"):
+        return 0.0, 1.0
+    if quantity == "slope":
+        return 0.0, max(high, 1.0)
+    if quantity == "deviation":
+        most = max(abs(low), abs(high), 0.1)
+        return -most, most
+    middle, half = (low + high) / 2, max((high - low) / 2, 0.1)
+    return middle - half, middle + half
+
+
+def _origin_shares(part: HeightMap) -> dict[int, float]:
+    counts = np.bincount(part.origin.ravel(), minlength=1)
+    return {code: float(n / part.origin.size) for code, n in enumerate(counts) if n}
+
+
+def relief(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A `Relief` as msgpack."""
+    part = coarse(shelf, request.source)
+    heights, there = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
+    return msgspec.msgpack.encode(Relief(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))

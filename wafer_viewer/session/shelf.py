@@ -1,0 +1,63 @@
+"""Where the painter finds surfaces and frames, and how it reads any level of one."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from wafer_viewer.draw.reduce import reduced
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.session.paint_request import Source
+
+Window = tuple[slice, slice]
+
+COARSE_PIXELS = 400_000
+"""What facts, ranges and reliefs are taken from: enough for any of them, and read in a moment."""
+
+
+class Shelf(Protocol):
+    """Where surfaces and frames are found; the painter's is the store, tests have maps in memory."""
+
+    def surface(self, source: Source) -> Mosaic:
+        """The surface."""
+        ...
+
+    def stacks(self, source: Source) -> list[FieldStack]:
+        """The focus stack of the source's field, or those of all fields for the stitched surface."""
+        ...
+
+
+def coarse_level(surface: Mosaic) -> int:
+    """The finest level of at most `COARSE_PIXELS`."""
+    rows, cols = surface.shape
+    level = 0
+    while (rows >> level) * (cols >> level) > COARSE_PIXELS:
+        level += 1
+    return level
+
+
+def at_level(surface: Mosaic, level: int, window: Window | None = None) -> HeightMap:
+    """A window of a level's lattice; levels that the surface does not keep are made from the coarsest it has."""
+    kept = min(level, surface.levels - 1)
+    factor = 2 ** (level - kept)
+    if window is None:
+        return reduced(surface.window(None, kept), factor)
+    rows, cols = (slice(w.start * factor, w.stop * factor) for w in window)
+    return reduced(surface.window(_region(surface, kept, rows, cols), kept), factor)
+
+
+def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
+    """The rectangle through the centres of the outermost pixels of a window."""
+    scale = 2**level
+    pixel, shift = surface.pixel_um * scale, (scale - 1) / 2 * surface.pixel_um
+    x0, y0 = surface.x0_um + shift, surface.y0_um - shift
+    return Region.rectangle(
+        x0 + cols.start * pixel, y0 - (rows.stop - 1) * pixel, x0 + (cols.stop - 1) * pixel, y0 - rows.start * pixel
+    )
+
+
+def coarse(shelf: Shelf, source: Source) -> HeightMap:
+    """All of a surface at its coarse level."""
+    surface = shelf.surface(source)
+    return at_level(surface, coarse_level(surface))
