@@ -173,7 +173,7 @@ def scanning() -> Snapshot:
     fault = Fault(
         id="f1",
         title="Frame 173 did not arrive",
-        text="Field 3, z = +31.0 µm: the pulse was sent, no frame came. Field 3 is taken again at the end. Nothing to do.",
+        text="Field 3, z = +31.0 µm: no frame came. It is taken again at the end. Nothing to do.",
         at="09:41:24",
         where="field 3",
         needs_person=False,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from wafer_viewer.draw.look import eight_bit
 from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import stop_dialog
@@ -15,6 +17,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.stack import Image
 from wafer_viewer.session.state import LatestFrame, OpenDataset, ScanProgress, Snapshot
 
 FRAME_EVERY_S = 0.18
@@ -79,7 +82,7 @@ class AcquirePanel:
         leading(gui, self._go_on)
         leading(gui, self._look)
 
-    def _continue(self) -> object:
+    def _continue(self) -> Callable[..., None]:
         page = self._page
         return guarded(page, "The scan did not go on")(
             lambda _: page.ask("The scan did not go on", page.session.continue_scan())
@@ -111,12 +114,11 @@ class AcquirePanel:
             self._image.image = picture(frame.image)
 
 
-def picture(image: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
+def picture(image: Image) -> NDArray[np.uint8]:
     """A frame small enough to be sent often: uint8 [row, col, 3], at most `FRAME_WIDTH_PX` wide; 16 bit is cut to 8."""
     every = max(1, -(-image.shape[1] // FRAME_WIDTH_PX))
     small = image[::every, ::every]
-    grey = (small >> 8).astype(np.uint8) if small.dtype == np.uint16 else small
-    return np.repeat(grey[..., None], 3, axis=2)
+    return np.repeat(eight_bit(small)[..., None], 3, axis=2)
 
 
 def _title(snapshot: Snapshot) -> tuple[str, str]:
@@ -124,13 +126,13 @@ def _title(snapshot: Snapshot) -> tuple[str, str]:
     if snapshot.scanning and scan is not None:
         n = len(data.fields) if data else 0
         words = {"paused": "Paused at", "stopping": "Stopping at"}.get(snapshot.rig.state, "Taking")
-        return f"{words} field {scan.field.number}, the {_ordinal(scan.order)} of {n}", _how(scan)
+        return f"{words} field {scan.field.number}, the {_ordinal(scan.order)} of {n}", _how(scan, data)
     if snapshot.scanning:
         return "The scan begins", "The stage goes to the first field."
     if data is not None and not data.finished:
         return "The scan is unfinished", _missing(data)
     if scan is not None:
-        return "The scan is done", _waits(snapshot) or _how(scan)
+        return "The scan is done", _waits(snapshot) or _how(scan, data)
     return "No scan yet", "Start one in Plan."
 
 
@@ -138,8 +140,9 @@ def _ordinal(n: int) -> str:
     return f"{n}{'th' if n % 100 in (11, 12, 13) else _ORDINALS.get(n % 10, 'th')}"
 
 
-def _how(scan: ScanProgress) -> str:
-    return f"{scan.strategy} · started {scan.started}" + (
+def _how(scan: ScanProgress, data: OpenDataset | None) -> str:
+    titles = {price.strategy: price.title for price in data.plan.prices} if data else {}
+    return f"{titles.get(scan.strategy, scan.strategy)} · started {scan.started}" + (
         f" · took {duration(scan.seconds_gone)}" if scan.finished else ""
     )
 

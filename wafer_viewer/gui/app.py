@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import logging
 import logging.handlers
 import os
@@ -39,7 +40,7 @@ def serve(
     session: Session,
     host: str = "127.0.0.1",
     port: int = 8080,
-    announce: Callable[[str], None] = print,
+    announce: Callable[[str], None] = functools.partial(print, flush=True),
     open_browser: bool = False,
 ) -> None:
     """Show the session to browsers until ctrl-C; `announce` gets the line with the address.

@@ -88,7 +88,18 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     surface, measure = SurfacePanel(page), MeasurePanel(page)
     read_out = ReadOutBox(page)
     parts = [
-        *(PossibleStep(page), frame, header, plan, acquire, surface, measure, LeftPanel(page), Toolbar(page), Legend(page)),
+        *(
+            PossibleStep(page),
+            frame,
+            header,
+            plan,
+            acquire,
+            surface,
+            measure,
+            LeftPanel(page),
+            Toolbar(page),
+            Legend(page),
+        ),
         *(ColourLegend(page), ScaleBar(page, scene), read_out, ProfileDock(page, measure), Welcome(page)),
         Drawing(scene),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +99,24 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
         marks = f'<small style="color:var(--attention)">{" · ".join(signs)}</small>' if signs else ""
         name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.name)}</span>{marks}'
         look = "sel" if entry.path == opened else ""
-        return html.row([name, html.safe(entry.taken)], " n", html.pick(what, entry.path), look)
+        return html.row(
+            [name, html.safe(when(entry.taken, datetime.now().astimezone()))], " n", html.pick(what, entry.path), look
+        )
 
     return html.table(["Name", "Taken"], [line(entry) for entry in entries], " n")
+
+
+def when(taken: str, now: datetime) -> str:
+    """A time of ISO 8601 as people say it: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; other text as it is."""
+    try:
+        at = datetime.fromisoformat(taken).astimezone(now.tzinfo)
+    except ValueError:
+        return taken
+    if at.date() == now.date():
+        return f"today {at:%H:%M}"
+    if at.date() == (now - timedelta(days=1)).date():
+        return f"yesterday {at:%H:%M}"
+    return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
 
 
 def import_dialog(page: Page) -> None:

@@ -56,8 +56,8 @@ def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
         page.tell(_note(*_headline(name, str(fault))))
         return
     log.error("%s", name, exc_info=fault)
-    text = f"An error this program did not foresee: {fault or type(fault).__name__}. The session goes on; details are in the log."
-    page.tell(_note(name, text))
+    what = f"An error this program did not foresee: {fault or type(fault).__name__}."
+    page.tell(_note(name, f"{what} The session goes on; details are in the log."))
 
 
 def _look_at(page: Teller, name: str, done: Future[Any]) -> None:

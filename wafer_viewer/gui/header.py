@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import get_args
+from typing import Any, get_args
 
 import viser
 
@@ -65,7 +65,9 @@ class Header:
     """Mark, dataset, steps, rig. The steps are real buttons that style places over the header's bar."""
 
     def __init__(self, gui: Gui, go_to: Callable[[Step], None]) -> None:
-        self._steps = {step: button(gui, TITLES[step], None, lambda _, s=step: go_to(s)) for step in STEPS}
+        self._steps: dict[Step, Any] = {
+            step: button(gui, TITLES[step], None, lambda _, s=step: go_to(s)) for step in STEPS
+        }
         self._bar = Cell(gui, padded=False)
         self._style = Cell(gui, padded=False)
 
@@ -86,8 +88,8 @@ class Header:
         return f"<style>{rules}@media(max-width:{NARROW_WINDOW_PX}px){{{narrow}}}</style>"
 
 
-def _step_rules(handle: object, place: int, current: bool) -> str:
-    at = by_id(handle._impl.uuid)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+def _step_rules(handle: Any, place: int, current: bool) -> str:
+    at = by_id(handle._impl.uuid)
     ink, line, weight = ("accent", "inset 0 -3px 0 var(--accent)", 650) if current else ("ink2", "none", 500)
     return (
         f"{at}{{position:fixed;z-index:3;left:{LEFT_PX + place * STEP_PX}px;top:0;width:{STEP_PX}px!important;"
@@ -101,17 +103,13 @@ def _step_rules(handle: object, place: int, current: bool) -> str:
 
 
 def _mark(snapshot: Snapshot) -> str:
-    return f'<div class="wv-mark">{_MARK}<div><b>Wafer Viewer</b><small>{_what_is_open(snapshot)}</small></div></div>'
-
-
-def _what_is_open(snapshot: Snapshot) -> str:
     data = snapshot.dataset
     if data is None:
-        return "New scan" if snapshot.draft.job else "No dataset open"
-    sign = (
-        '<b style="display:inline;font-size:11.5px;color:var(--attention)">SIMULATED</b> · ' if data.simulated else ""
-    )
-    return sign + safe(data.path.name)
+        sign, name = "", "New scan" if snapshot.draft.job else "No dataset open"
+    else:
+        sign, name = '<em class="wv-sim">SIMULATED</em>' if data.simulated else "", data.path.stem
+    words = f'<b>Wafer Viewer{sign}</b><small title="{safe(name)}">{safe(name)}</small>'
+    return f'<div class="wv-mark">{_MARK}<div>{words}</div></div>'
 
 
 def _state(snapshot: Snapshot, view: View) -> str:

@@ -25,7 +25,7 @@ def icon(name: Any, size_px: int = 16) -> str:
 
 
 def pick_script(what: str) -> str:
-    """The handler that tells the page, through its one hidden text field, that the element with ``data-k`` was chosen."""
+    """The handler that tells the page, through its one hidden text field, which element with ``data-k`` was chosen."""
     return (
         "event.stopPropagation();const i=document.querySelector('div:has(>.wv-picks)+div input');"
         "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set"
@@ -89,7 +89,8 @@ def figure(label: str, value: str, unit: str = "", size_px: int = 30, tone: Tone
 
 def columns(items: Sequence[str], widths: str = "") -> str:
     """Pieces side by side."""
-    return f'<div class="wv-cols" style="grid-template-columns:{widths or f"repeat({len(items)},1fr)"}">{"".join(items)}</div>'
+    widths = widths or f"repeat({len(items)},1fr)"
+    return f'<div class="wv-cols" style="grid-template-columns:{widths}">{"".join(items)}</div>'
 
 
 def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> str:
@@ -101,7 +102,8 @@ def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> st
 
 def swatch(fill: str, edge: str, dashed: bool = False) -> str:
     """The little square of a legend."""
-    return f'<i class="wv-sw" style="background:{fill};border-color:{edge};border-style:{"dashed" if dashed else "solid"}"></i>'
+    line = "dashed" if dashed else "solid"
+    return f'<i class="wv-sw" style="background:{fill};border:1.5px {line} {edge}"></i>'
 
 
 def legend(items: Iterable[tuple[str, str]]) -> str:
@@ -109,8 +111,10 @@ def legend(items: Iterable[tuple[str, str]]) -> str:
     return f'<div class="wv-legend">{"".join(f"<span>{sign} {safe(word)}</span>" for sign, word in items)}</div>'
 
 
-def chip(text: str, colour: str) -> str:
-    """The sign of a result, white on its colour."""
+def chip(text: str, colour: str = "") -> str:
+    """The sign of a result, white on its colour; without one in the colours of text."""
+    if not colour:
+        return f'<span class="wv-chip ink">{safe(text)}</span>'
     return f'<span class="wv-chip" style="background:{colour}">{safe(text)}</span>'
 
 

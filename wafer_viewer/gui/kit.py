@@ -97,14 +97,11 @@ def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
 def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
     """Draw a button as the filled one that leads on; `sticky`: in sight at the panel's foot however long the panel."""
     at = by_id(handle._impl.uuid)
-    stick = (
-        f"div:has(>{at}){{position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important}}"
-        if sticky
-        else ""
-    )
-    gui.add_html(
-        f"<style>{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}{stick}</style>"
-    )
+    rules = f"{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}"
+    if sticky:
+        foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
+        rules += f"div:has(>{at}){{{foot}}}"
+    gui.add_html(f"<style>{rules}</style>")
 
 
 def duo(gui: Gui) -> None:
@@ -134,12 +131,11 @@ class Choice:
         self._on_change(self._keys[self._titles.index(event.target.value)])
 
     def _style(self, chosen: int) -> str:
-        group = f"div:has(>.{self._mark})+div"
-        return (
-            f'<div class="{self._mark}"></div><style>{group} button{{height:28px!important;border-color:var(--line)!important;'
-            f"color:var(--ink)!important}}{group} button:nth-child({chosen + 1}){{background:var(--accent)!important;"
-            "color:var(--panel)!important;border-color:var(--accent)!important}</style>"
-        )
+        group = f"div:has(>.{self._mark})+div button"
+        rest = "height:28px!important;border-color:var(--line)!important;color:var(--ink)!important"
+        this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
+        rules = f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}"
+        return f'<div class="{self._mark}"></div><style>{rules}</style>'
 
 
 class Overlay:
@@ -179,15 +175,15 @@ def _outlined(handle: Any, height_px: int) -> str:
     at = by_id(handle._impl.uuid)
     return (
         f"{at}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
-        f"border:1px solid var(--line)!important;padding:0 6px!important}}{at}:hover{{background:var(--fill)!important}}"
-        f"{at}[data-disabled]{{color:var(--ink3)!important}}"
+        f"border:1px solid var(--line)!important;padding:0 6px!important}}"
+        f"{at}:hover{{background:var(--fill)!important}}{at}[data-disabled]{{color:var(--ink3)!important}}"
     )
 
 
 def _alike(a: Any, b: Any) -> bool:
     """Whether two values of a widget look the same, numbers up to the noise of computing."""
-    if isinstance(a, tuple | list) and isinstance(b, tuple | list):
+    if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(_alike(p, q) for p, q in zip(a, b, strict=True))
-    if isinstance(a, float) or isinstance(b, float):
+    if isinstance(a, int | float) and isinstance(b, int | float):
         return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
     return a == b

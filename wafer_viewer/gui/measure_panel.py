@@ -10,7 +10,7 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui import measure_words as words
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, Choice, button, leading, set_prop
+from wafer_viewer.gui.kit import Cell, Choice, Field, button, leading, set_prop
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import Tool, View
@@ -60,6 +60,8 @@ class MeasurePanel:
         self._notes.show(self._page.notes(snapshot))
         self._tool.show(view.tool)
         set_prop(self._name, "visible", chosen is None and finding is not None)
+        set_prop(self._width.handle, "visible", view.tool == "profile" and chosen is None)
+        self._width.show(view.profile.width_um if view.profile else 0.0)
         if finding is None:
             waits = self.answer.problem or "The answer comes as soon as the handles lie on the surface."
             self._answer.show(html.empty(waits))
@@ -89,6 +91,8 @@ class MeasurePanel:
         self._title = Cell(gui)
         self._notes = Cell(gui)
         self._tool = Choice(gui, "Tool", TOOLS, self.use)
+        width = gui.add_number("Width, µm", 0.0, min=0.0, step=0.5, visible=False)
+        self._width: Field[float] = Field(width, self._widen, self._page, "The width stays")
         self._answer = Cell(gui)
         self._name = gui.add_text("Name", "", visible=False)
         self._source = Cell(gui)
@@ -97,6 +101,12 @@ class MeasurePanel:
             gui, "Keep result", viser.Icon.CHECK, guarded(self._page, "The result was not kept")(self._keep_it)
         )
         leading(gui, self._keep)
+
+    def _widen(self, event: Any) -> None:
+        """Average over a strip of that width across the line."""
+        line = self._page.view.profile
+        if line is not None:
+            self._page.change(profile=replace(line, width_um=float(event.target.value)))
 
     def _measure_if_moved(self, snapshot: Snapshot, view: View) -> None:
         stamp = snapshot.surface.stamp if snapshot.surface else None
@@ -108,7 +118,7 @@ class MeasurePanel:
         if not places or any(place is None for place in places) or stamp is None:
             self.answer = Answer()
             return
-        self._worker.ask(lambda: self._measure(view))
+        self._worker.ask(lambda: guarded(self._page, "The measurement stopped")(self._measure)(view))
 
     def _measure(self, view: View) -> None:
         try:

@@ -77,16 +77,14 @@ def source(finding: AnyFinding) -> str:
                 _region("Upper region", finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
                 _region("Lower region", finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
             ]
-            below = [
-                ("Relative tilt", with_unit(finding.relative_tilt_mrad, 2, "mrad")),
-                ("Height of", finding.definition),
-            ]
-            body = html.table(["Region", "Mean", "Sq", "Points"], rows, " nnn") + html.pairs(below)
+            tilt = html.pairs([("Relative tilt", with_unit(finding.relative_tilt_mrad, 2, "mrad"))])
+            table = html.table(["Region", "Mean", "Sq", "Points"], rows, " nnn")
+            body = table + tilt + _small([f"Height: {finding.definition}."])
         case Profile():
             body = html.pairs(
                 [
                     ("Length", with_unit(finding.length_um, 1)),
-                    ("Averaged over", with_unit(finding.line.width_um, 1)),
+                    ("Averaged over", averaging(finding)),
                     ("Rise, first to last point", with_unit(finding.rise.value_um, 2, signed=True)),
                     ("Angle", with_unit(_angle(finding), 2, "°", signed=True)),
                     ("Measured", share(finding.measured_fraction)),
@@ -97,13 +95,18 @@ def source(finding: AnyFinding) -> str:
     return html.head("Where it comes from", "µm") + body + _measured_on(finding)
 
 
+def averaging(profile: Profile) -> str:
+    """How wide a strip across the line is averaged over."""
+    return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
+
+
 def budget(length: Length) -> str:
     """Every contribution, then the combined and the expanded uncertainty."""
     if not length.budget or length.expanded_um is None:
         why = "A calibration of the rig gives it one." if length.status == "uncalibrated" else ""
         word = NO_U.get(length.status, "U not evaluated")
         return html.head("Uncertainty") + html.empty(f"{word[0].upper()}{word[1:]}.", why)
-    rows = [html.row([html.safe(c.name), number(c.u_um, 3)], " n") for c in length.budget]
+    rows = [html.row([html.safe(c.name[:1].upper() + c.name[1:]), number(c.u_um, 3)], " n") for c in length.budget]
     combined = math.sqrt(sum(c.u_um**2 for c in length.budget))
     total = f"{number(combined, 3)} · {number(length.expanded_um, 3)}"
     rows.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
@@ -123,4 +126,8 @@ def _measured_on(finding: AnyFinding) -> str:
     if finding.simulated:
         lines.append("SIMULATED: not a measurement of a real sample.")
     lines.extend(finding.notes)
+    return _small(lines)
+
+
+def _small(lines: list[str]) -> str:
     return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(line)}</div>' for line in lines)

@@ -19,6 +19,7 @@ from wafer_viewer.session.questions import ReadOut
 from wafer_viewer.session.state import ScanProgress, Snapshot
 
 EDGE_PX = 14
+SHORT_NAME = 24
 BAR_PX = 150
 """The scale bar is at most this long."""
 WAYS_TO_LOOK = (
@@ -92,9 +93,8 @@ class ReadOutBox:
         view = self._page.view
         read = self._page.session.read_out(x_um, y_um, view.show)
         place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
-        self._text = (
-            f'{place}z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;<span class="dim">{_trust(read)}</span>'
-        )
+        height = f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;"
+        self._text = f'{place}{height}<span class="dim">{_trust(read)}</span>'
         self._of = _surface(self._page.session.snapshot, view)
         self._page.redraw()
 
@@ -120,7 +120,8 @@ def _trust(read: ReadOut) -> str:
 def _tool(what: str, key: str, name: str, hint: str, sign: Any, chosen: bool = False, short: bool = False) -> str:
     words = "" if short else html.safe(name)
     on = ' class="on"' if chosen else ""
-    return f'<span{on} title="{html.safe(hint)}" aria-label="{name}" {html.pick(what, key)}>{html.icon(sign, 17)}{words}</span>'
+    told = f'title="{html.safe(hint)}" aria-label="{name}"'
+    return f"<span{on} {told} {html.pick(what, key)}>{html.icon(sign, 17)}{words}</span>"
 
 
 def _plan_legend(snapshot: Snapshot) -> str:
@@ -149,7 +150,7 @@ def _drawn(snapshot: Snapshot, view: View) -> str:
         sample = snapshot.draft.job.sample if snapshot.draft.job else None
         if sample is None or not sample.width_um:
             return "stage"
-        name = f"{sample.name} · " if sample.name else ""
+        name = f"{sample.name} · " if 0 < len(sample.name) <= SHORT_NAME else ""
         return f"{name}{number(sample.width_um / 1000, 3)} × {with_unit(sample.height_um / 1000, 3, 'mm')}"
     if view.look == "plan" and view.step != "acquire":
         return "seen from above"
@@ -160,8 +161,5 @@ def _drawn(snapshot: Snapshot, view: View) -> str:
 
 def _scale_bar(um_per_pixel: float, beside: str) -> str:
     length_um = round_length(BAR_PX * um_per_pixel)
-    width_px = length_um / um_per_pixel
-    return (
-        f'<div class="wv-glass wv-scale"><div style="width:{width_px:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
-        f"<span>{html.safe(beside)}</span></div>"
-    )
+    ruler = f'<div style="width:{length_um / um_per_pixel:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
+    return f'<div class="wv-glass wv-scale">{ruler}<span>{html.safe(beside)}</span></div>'

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -43,8 +43,8 @@ class Page:
         self.view = memory.recall(client)
         self.notices: tuple[Fault, ...] = ()
         self.scale: Scale | None = None
-        self._parts: list[Part] = []
-        self._picks: dict[str, Callable[[str], Any]] = {}
+        self._parts: Sequence[Part] = ()
+        self._picks: dict[str, Callable[[Any], Any]] = {}
         self._at_close: list[Callable[[], None]] = []
         self._told = {fault.id for fault in session.snapshot.faults}
         self._lock = threading.Lock()
@@ -53,7 +53,7 @@ class Page:
         self._leave = session.subscribe(lambda _: self._due.set())
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
-    def begin(self, parts: list[Part]) -> None:
+    def begin(self, parts: Sequence[Part]) -> None:
         """Start drawing; `parts` in the order in which they are drawn."""
         self._parts = parts
         self._due.set()
@@ -91,7 +91,7 @@ class Page:
             self.scale = scale
             self._due.set()
 
-    def on_pick(self, what: str, callback: Callable[[str], Any]) -> None:
+    def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:
         """Hear of clicks on elements that `html.pick(what, key)` made; the callback gets the key."""
         self._picks[what] = callback
 

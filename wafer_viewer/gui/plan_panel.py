@@ -54,7 +54,7 @@ class PlanPanel:
         self._sweep_fields.visible = draft.job is not None
         why = self.why_not(snapshot)
         set_prop(self._start, "disabled", why is not None)
-        self._why.show(f'<div class="wv-why">Not yet: {html.safe(why)}</div>' if why else "")
+        self._foot.show(words.foot(draft, why))
 
     def start(self) -> None:
         """Start the scan of the plan and look at it."""
@@ -91,7 +91,7 @@ class PlanPanel:
         save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self._save))
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
-        self._why = Cell(gui)
+        self._foot = Cell(gui)
         self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
         leading(gui, self._start, 46)
 

@@ -57,12 +57,9 @@ def depth(snapshot: Snapshot, draft: Draft) -> str:
     half_um, step_um = limits.depth_of_field_um / 2, draft.job.sweep.z_step_um
     if step_um <= half_um + 1e-9:
         return ""
-    return html.note(
-        "attention",
-        "The step is coarse",
-        f"{with_unit(step_um, 2)} is over half the depth of field, {with_unit(half_um, 1)}: heights become less certain.",
-        sign=html.icon(viser.Icon.ALERT_TRIANGLE, 18),
-    )
+    fact = f"{with_unit(step_um, 2)} is over half the depth of field, {with_unit(half_um, 1)}"
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
+    return html.note("attention", "The step is coarse", f"{fact}: heights become less certain.", sign=sign)
 
 
 def strategies(snapshot: Snapshot, draft: Draft) -> str:
@@ -90,6 +87,17 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
         + html.columns(figures)
         + _GAP
     )
+
+
+def foot(draft: Draft, why_not: str | None) -> str:
+    """The line over the button: why it cannot be pressed; in a low window what the scan costs, else out of sight."""
+    if why_not is not None:
+        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(why_not)}</div>'
+    if draft.plan is None:
+        return ""
+    free = f", {size(draft.free_bytes)} free" if draft.free_bytes is not None else ""
+    cost = f"<b>{duration(draft.plan.predicted_s)}</b> · {size(draft.plan.bytes_on_disk)} on disk{free}"
+    return f'<div class="wv-why wv-at-foot wv-low-only">{cost}</div>'
 
 
 def _by_price(prices: tuple[Price, ...]) -> list[Price]:

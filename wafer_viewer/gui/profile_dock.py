@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from wafer_viewer.draw.ticks import round_step
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell, set_prop
 from wafer_viewer.gui.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure_words import PROFILE_COLOURS
+from wafer_viewer.gui.measure_words import PROFILE_COLOURS, averaging
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import PROFILE_PX, palette
 from wafer_viewer.gui.view import View
@@ -22,6 +23,7 @@ from wafer_viewer.session.state import Snapshot
 MOST_POINTS = 1500
 """More than the plot has pixels; longer curves are thinned by their extremes."""
 FIRST_WIDTH_PX = 892
+PLOT_MARGIN_PX = 48
 
 
 def open_in(view: View) -> bool:
@@ -59,7 +61,7 @@ class ProfileDock:
 
     def _draw(self, curve: ProfileCurve, dark: bool) -> None:
         distance, z = thinned(curve.distance_um, curve.z_um, MOST_POINTS)
-        scales = {"x": {"time": False, "range": _x_range(distance)}, "y": {"range": y_range(z)}}
+        scales: Any = {"x": {"time": False, "range": _x_range(distance)}, "y": {"range": y_range(z)}}
         if self._plot is not None and self._plot_dark == dark:
             self._plot.data = (distance, z)
             self._plot.scales = scales
@@ -74,7 +76,7 @@ class ProfileDock:
                 scales=scales,
                 axes=(_axis("Distance along the profile, µm", 34, dark), _axis("z, µm", 56, dark)),
                 legend={"show": False},
-                height=PROFILE_PX - 72,
+                height=PROFILE_PX - PLOT_MARGIN_PX,
                 padding=(8, 18, 0, 0),
                 cursor={"drag": {"x": True, "y": False}},
             )
@@ -98,7 +100,7 @@ def thinned(
     stretches = most // 2
     edges = np.linspace(0, len(z), stretches + 1).astype(int)
     xs, zs = np.empty(2 * stretches), np.empty(2 * stretches)
-    for k, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (first, last) in enumerate(itertools.pairwise(edges)):
         part = z[first:last]
         picked = (
             np.sort([np.nanargmin(part), np.nanargmax(part)])
@@ -139,12 +141,9 @@ def _axis(label: str, size_px: int, dark: bool) -> Any:
 def _head(profile: Profile | None, problem: str) -> str:
     if profile is None:
         text = problem or "The curve comes as soon as the line lies on the surface."
-        return f'<div style="display:flex;gap:20px"><b>Profile</b><span class="dim">{html.safe(text)}</span></div>'
-    rise = with_unit(profile.rise.value_um, 2, signed=True)
+        return f'<div class="wv-dock"><b>Profile</b><span class="dim">{html.safe(text)}</span></div>'
     sign = html.chip(f"P{profile.number or ''}", PROFILE_COLOURS[0])
-    return (
-        f'<div style="display:flex;gap:20px;align-items:center;white-space:nowrap;overflow:hidden"><b>Profile</b><span>{sign} &nbsp;'
-        f"Pt <b>{with_unit(profile.pt.value_um, 2)}</b>&ensp;"
-        f'<span class="dim">{with_unit(profile.length_um, 0)} long, {with_unit(profile.line.width_um, 1)} wide</span></span>'
-        f'<span style="margin-left:auto;color:var(--ink2)">Δx <b>{number(profile.length_um, 1)}</b>&ensp;Δz <b>{rise}</b></span></div>'
-    )
+    line = f"{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide"
+    pt = f'<span>{sign}&ensp;Pt <b>{with_unit(profile.pt.value_um, 2)}</b>&ensp;<span class="dim">{line}</span></span>'
+    rise = f"Δx <b>{number(profile.length_um, 1)}</b>&ensp;Δz <b>{with_unit(profile.rise.value_um, 2, signed=True)}</b>"
+    return f'<div class="wv-dock"><b>Profile</b>{pt}<span class="wv-end">{rise}</span></div>'

@@ -93,7 +93,11 @@ def _rows(snapshot: Snapshot, view: View) -> str:
         return html.empty("What you keep is listed here.") + '<div style="height:8px"></div>'
     rows = [
         html.row(
-            [html.chip(letter(f), sign_colour(f)), f'<span class="wv-cut" title="{html.safe(f.name)}">{html.safe(f.name)}</span>', length_text(f)],
+            [
+                html.chip(letter(f), sign_colour(f)),
+                f'<span class="wv-cut" title="{html.safe(f.name)}">{html.safe(f.name)}</span>',
+                length_text(f),
+            ],
             "  n",
             html.pick("finding", f.number),
             "sel" if f.number == view.selected else "",

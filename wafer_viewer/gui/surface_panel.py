@@ -108,18 +108,10 @@ class SurfacePanel:
         self._height = self._field(
             gui.add_slider("Height, ×", 1.0, 20.0, 0.5, 3.0), lambda times: page.change(exaggeration=float(times))
         )
-        self._shade = self._field(
-            gui.add_checkbox("Hillshade", True), lambda on: page.change(hillshade=FULL_SHADE if on else 0.0)
-        )
-        self._strength = self._field(
-            gui.add_slider("Strength, %", 0.0, 100.0, 5.0, 80.0), lambda p: page.change(hillshade=p / 100)
-        )
-        self._focus = self._field(
-            gui.add_checkbox("All-in-focus", False), lambda on: page.change(all_in_focus=FULL_BLEND if on else 0.0)
-        )
-        self._blend = self._field(
-            gui.add_slider("Blend, %", 0.0, 100.0, 5.0, 0.0), lambda p: page.change(all_in_focus=p / 100)
-        )
+        shade = gui.add_slider("Hillshade, %", 0.0, 100.0, 5.0, 80.0)
+        self._shade = self._field(shade, lambda percent: page.change(hillshade=percent / 100))
+        focus = gui.add_slider("All-in-focus, %", 0.0, 100.0, 5.0, 0.0)
+        self._focus = self._field(focus, lambda percent: page.change(all_in_focus=percent / 100))
 
     def _field(self, handle: Any, act: Callable[[Any], Any]) -> Field[Any]:
         return Field(handle, lambda event: act(event.target.value), self._page, "The look stays")
@@ -188,12 +180,8 @@ class SurfacePanel:
     def _show_light(self, view: View) -> None:
         self._height.show(view.exaggeration)
         self._height.enable(view.look != "plan")
-        self._shade.show(view.hillshade > 0)
-        self._strength.show(round(100 * view.hillshade, 3))
-        self._strength.enable(view.hillshade > 0)
-        self._focus.show(view.all_in_focus > 0)
-        self._blend.show(round(100 * view.all_in_focus, 3))
-        self._blend.enable(view.all_in_focus > 0)
+        self._shade.show(round(100 * view.hillshade, 3))
+        self._focus.show(round(100 * view.all_in_focus, 3))
 
 
 def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
@@ -203,7 +191,7 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> st
     if info is None:
         return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
     size = f"{number(info.cols, 0)} × {number(info.rows, 0)} points"
-    return f"Stitched from {info.n_fields} fields · {size} · {share(info.measured_fraction)} measured{calibrated}"
+    return f"{info.n_fields} fields · {size} · {share(info.measured_fraction)} measured{calibrated}"
 
 
 def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:

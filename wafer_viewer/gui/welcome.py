@@ -67,7 +67,6 @@ class Welcome:
 
 
 _HEAD = (
-    '<div style="text-align:center;padding:12px 8px 4px"><div style="font-size:24px;font-weight:650">Start with a sample'
-    '</div><div style="color:var(--ink2);font-size:14px;margin:6px 0 12px">Lay a field grid on it and scan, or open<br>'
-    "what was measured before.</div></div>"
+    '<div class="wv-hello"><b>Start with a sample</b>'
+    "<span>Lay a field grid on it and scan, or open<br>what was measured before.</span></div>"
 )
