@@ -68,6 +68,12 @@ class FakeSession:
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
         return SimpleNamespace(z_um=21.86, confidence=0.94, origin=0)
 
+    def paint(self, request: Any) -> Future[bytes]:
+        """Nothing is on disk, so nothing can be painted: the scene stays as it is."""
+        nothing: Future[bytes] = Future()
+        nothing.cancel()
+        return nothing
+
     def __getattr__(self, name: str) -> Callable[..., Future[Any]]:
         if name.startswith("_"):
             raise AttributeError(name)
@@ -183,6 +189,23 @@ def scanning() -> Snapshot:
     return dataclasses.replace(
         planned(), rig=dataclasses.replace(RIG, state="scanning"), dataset=data, scan=scan, works=works, faults=(fault,)
     )
+
+
+def unfinished() -> Snapshot:
+    now = scanning()
+    return dataclasses.replace(now, rig=RIG, scan=None, works=(), faults=())
+
+
+def at_fault() -> Snapshot:
+    fault = Fault(
+        id="f2",
+        title="Import stopped at stack_041.tif",
+        text="It is 1440 x 1072 px, the 40 before it are 1440 x 1080 px. Nothing was written. "
+        "Take the file out or import it as a stack of its own.",
+        at="09:44:12",
+        source="import",
+    )
+    return dataclasses.replace(empty(), faults=(fault,))
 
 
 def a_frame(snapshot: Snapshot) -> LatestFrame:

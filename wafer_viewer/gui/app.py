@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
+import io
 import logging
 import logging.handlers
 import os
@@ -85,7 +87,8 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     def stop() -> None:
         while pages:
             pages.popitem()[1].close()
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):  # viser would say so in its own words
+            server.stop()
 
     return Running(guard.address, stop)
 

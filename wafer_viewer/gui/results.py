@@ -95,7 +95,7 @@ def _rows(snapshot: Snapshot, view: View) -> str:
         html.row(
             [
                 html.chip(letter(f), sign_colour(f)),
-                f'<span class="wv-cut" title="{html.safe(f.name)}">{html.safe(f.name)}</span>',
+                f'<span class="wv-cut wv-short" title="{html.safe(f.name)}">{html.safe(f.name)}</span>',
                 length_text(f),
             ],
             "  n",

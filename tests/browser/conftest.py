@@ -1,0 +1,63 @@
+"""One browser for the whole run, a fresh context for every test; pages of a session that stands still or a true one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from tests.browser.fake_session import FakeSession
+from tests.browser.screens import FLAGS, dismiss_viser_warning
+from wafer_viewer.gui.app import start
+
+PATIENCE_MS = 60_000
+"""A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
+WINDOW = {"width": 1366, "height": 768}
+CHROMIUM = next((p for p in ("chromium", "chromium-browser", "google-chrome") if shutil.which(p)), None)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine: apt-get install chromium")
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=shutil.which(CHROMIUM), args=FLAGS)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def look_at(browser: Browser) -> Iterator[Callable[[str], Page]]:
+    """Opens an address in a context of its own."""
+    with ExitStack() as stack:
+
+        def open_page(address: str) -> Page:
+            context = stack.enter_context(browser.new_context(viewport=WINDOW))
+            page = context.new_page()
+            page.set_default_timeout(PATIENCE_MS)
+            page.goto(address)
+            page.locator(".wv-title").first.wait_for()
+            dismiss_viser_warning(page)
+            return page
+
+        yield open_page
+
+
+@pytest.fixture
+def serve(look_at: Callable[[str], Page]) -> Iterator[Callable[[FakeSession], Page]]:
+    """Shows a session that stands still and opens its page."""
+    with ExitStack() as stack:
+
+        def show(session: FakeSession) -> Page:
+            running = start(session)
+            stack.callback(running.stop)
+            return look_at(running.address)
+
+        yield show
+
+
+os.environ.setdefault("WAFER_VIEWER_LOG", os.devnull)

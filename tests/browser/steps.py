@@ -1,0 +1,72 @@
+"""What an operator does with the page, in words of the page."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable
+
+from playwright.sync_api import Locator, Page, expect
+
+from wafer_viewer.session.state import Fault
+
+
+def text_field(page: Page, label: str) -> Locator:
+    """The text field in the row of a label, the one in sight."""
+    row = page.locator(".mantine-Flex-root", has=page.locator("label", has_text=re.compile(f"^{re.escape(label)}$")))
+    return row.locator("input").last
+
+
+def type_into(page: Page, label: str, text: str) -> None:
+    """Replace what stands in a text field."""
+    field = text_field(page, label)
+    field.fill(text)
+    field.press("Tab")
+
+
+def numbers(page: Page, label: str) -> Locator:
+    """The number fields in the row of a label."""
+    return page.locator(
+        ".mantine-Flex-root", has=page.locator("label", has_text=re.compile(f"^{re.escape(label)}$"))
+    ).locator("input")
+
+
+def set_numbers(page: Page, label: str, *values: float) -> None:
+    """Type numbers into the fields of a row."""
+    for field, value in zip(numbers(page, label).all(), values, strict=True):
+        field.fill(f"{value:g}")
+        field.press("Tab")
+
+
+def press(page: Page, name: str) -> None:
+    """Press the button in sight with a name."""
+    page.get_by_role("button", name=name, exact=True).last.click()
+
+
+def go_to(page: Page, step: str) -> None:
+    """Go to a step through the header."""
+    page.get_by_role("button", name=step, exact=True).first.click()
+
+
+def title_is(page: Page, title: str | re.Pattern[str]) -> None:
+    """Wait for the title of the panel in sight."""
+    expect(page.locator(".wv-title").first).to_have_text(title)
+
+
+def eventually(holds: Callable[[], bool], what: str, within_s: float = 30.0) -> None:
+    """Wait for something outside the browser."""
+    deadline = time.monotonic() + within_s
+    while not holds():
+        if time.monotonic() > deadline:
+            raise AssertionError(f"{what} within {within_s:g} s")
+        time.sleep(0.05)
+
+
+def notes(page: Page) -> Locator:
+    """The standing notes of faults."""
+    return page.locator(".wv-note.fault")
+
+
+def words_of(fault: Fault) -> str:
+    """What a note says."""
+    return f"{fault.title}{fault.text}"

@@ -1,0 +1,227 @@
+"""The page as an operator uses it, on a session that stands still."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser import fake_session as fake
+from tests.browser.steps import (
+    eventually,
+    go_to,
+    notes,
+    numbers,
+    press,
+    set_numbers,
+    text_field,
+    title_is,
+    type_into,
+)
+from wafer_viewer.model.errors import DatasetError
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+Serve = Callable[[fake.FakeSession], Page]
+
+
+def verbs(session: fake.FakeSession) -> list[str]:
+    return [name for name, _, _ in session.asked]
+
+
+def test_the_first_start_offers_the_ways_in(serve: Serve):
+    session = fake.FakeSession(fake.empty())
+    page = serve(session)
+    for words in ("Start with a sample", "Open a dataset…", "Import images…", "Take the tour on the virtual rig"):
+        expect(page.get_by_text(words, exact=True)).to_be_visible()
+    expect(page.get_by_text("Not yet: the sample has no size.")).to_be_visible()
+    expect(page.get_by_role("button", name="Start scan")).to_be_disabled()
+    expect(page.locator(".wv-pill")).to_contain_text("SIMULATED")
+    press(page, "Plan a scan")
+    eventually(lambda: "cover_sample" in verbs(session), "the sample was covered")
+
+
+def test_only_steps_with_contents_can_be_gone_to(serve: Serve):
+    page = serve(fake.FakeSession(fake.planned()))
+    for step, possible in (("Plan", True), ("Acquire", False), ("Surface", False), ("Measure", False)):
+        expect(page.get_by_role("button", name=step, exact=True)).to_be_enabled(enabled=possible)
+
+
+def test_a_plan_is_edited_priced_and_started(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    expect(page.get_by_text("9 fields")).to_be_visible()
+    set_numbers(page, "Columns, rows", 4, 3)
+    expect(page.get_by_text("12 fields")).to_be_visible()
+    type_into(page, "Lot", "L2232")
+    eventually(lambda: session.snapshot.draft.job.sample.lot == "L2232", "the lot was taken over")
+    page.locator("[data-pick=strategy][data-k=z_up]").click()
+    expect(page.locator("tr.sel")).to_contain_text("Z passes, upward")
+    assert session.snapshot.draft.job.strategy == "z_up"
+    press(page, "Start scan")
+    eventually(lambda: "start_scan" in verbs(session), "the scan was started")
+
+
+def test_a_plan_that_cannot_be_says_why_and_leaves_the_last_good_one(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    job = session.snapshot.draft.job
+    type_into(page, "Exposures, µs", "quick")
+    expect(page.get_by_text("Not yet: The exposures read 'quick'")).to_be_visible()
+    expect(page.get_by_role("button", name="Start scan")).to_be_disabled()
+    assert session.snapshot.draft.job == job
+    type_into(page, "Exposures, µs", "100, 400")
+    expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
+    assert session.snapshot.draft.job.exposures_us == (100.0, 400.0)
+
+
+def test_a_coarse_step_is_warned_of(serve: Serve):
+    page = serve(fake.FakeSession(fake.planned()))
+    expect(page.get_by_text("The step is coarse")).to_have_count(0)
+    numbers(page, "Step, µm").fill("6")
+    expect(page.get_by_text("over half the depth of field")).to_be_visible()
+
+
+def test_stop_asks_once_and_pause_does_not(serve: Serve):
+    session = fake.FakeSession(fake.scanning())
+    page = serve(session)
+    go_to(page, "Acquire")
+    title_is(page, "Taking field 5, the 5th of 9")
+    expect(page.get_by_text("it is no emergency stop")).to_be_visible()
+    expect(page.locator(".wv-note.attention")).to_contain_text("Nothing to do.")
+    press(page, "Pause")
+    eventually(lambda: "pause" in verbs(session), "the scan was paused")
+    page.get_by_role("button", name="Stop scan").click()
+    expect(page.get_by_text("What was taken stays")).to_be_visible()
+    assert "stop_scan" not in verbs(session)
+    press(page, "Stop scan")
+    eventually(lambda: "stop_scan" in verbs(session), "the scan was stopped")
+
+
+def test_an_unfinished_dataset_is_gone_on_with(serve: Serve):
+    session = fake.FakeSession(fake.unfinished())
+    page = serve(session)
+    go_to(page, "Acquire")
+    title_is(page, "The scan is unfinished")
+    press(page, "Continue the scan")
+    eventually(lambda: "continue_scan" in verbs(session), "the scan was continued")
+
+
+def test_an_import_without_a_pixel_size_is_asked_for_it(serve: Serve, tmp_path):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    press(page, "Import…")
+    type_into(page, "Path", str(tmp_path))
+    press(page, "Import")
+    expect(page.get_by_role("dialog")).to_contain_text("The z step is missing")
+    set_numbers(page, "z step, µm", 4)
+    press(page, "Import")
+    expect(page.get_by_role("dialog")).to_contain_text("The pixel size is missing")
+    assert "import_images" not in verbs(session)
+    press(page, "Cancel")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+
+
+def test_what_went_wrong_stands_until_it_is_dealt_with(serve: Serve, tmp_path):
+    session = fake.FakeSession(fake.planned())
+    session.fails_with = DatasetError(
+        "Import stopped at b<i>.tif: It is 4 x 3 px, the first is 4 x 4 px. Nothing was written."
+    )
+    page = serve(session)
+    press(page, "Import…")
+    type_into(page, "Path", str(tmp_path))
+    set_numbers(page, "z step, µm", 4)
+    set_numbers(page, "Pixel, µm", 0.5)
+    press(page, "Import")
+    expect(notes(page)).to_contain_text("Import stopped at b<i>.tif")
+    expect(page.locator(".mantine-Notification-root", has_text="Import stopped")).to_be_visible()
+    page.locator("[data-pick=dismiss]").click()
+    expect(notes(page)).to_have_count(0)
+    expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
+
+
+def test_an_unforeseen_error_is_told_and_the_page_goes_on(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    session.fails_with = ZeroDivisionError("division by zero")
+    page = serve(session)
+    press(page, "Cover the sample")
+    expect(notes(page)).to_contain_text("did not foresee: division by zero")
+    session.fails_with = None
+    set_numbers(page, "Columns, rows", 2, 2)
+    expect(page.get_by_text("4 fields")).to_be_visible()
+
+
+def test_the_numbers_of_a_surface_and_what_names_of_people_cannot_do(serve: Serve):
+    session = fake.FakeSession(fake.measured("the calibration was due on 2026-01-01"))
+    page = serve(session)
+    go_to(page, "Surface")
+    title_is(page, "Surface")
+    for words in ("+34.04", "no texture", "uncalibrated: the calibration was due on 2026-01-01"):
+        expect(page.locator("[data-dock-region=right]")).to_contain_text(words)
+    go_to(page, "Measure")
+    expect(page.locator("[data-dock-region=left]")).to_contain_text("Across the gel drop <b>&")
+    page.locator("[data-pick=finding][data-k='1']").click()
+    expect(page.locator(".wv-answer")).to_contain_text("11.86")
+    expect(page.locator(".wv-answer")).to_contain_text("expanded, k = 2")
+    expect(page.locator("tr.strong")).to_contain_text("0.155")
+
+
+def test_results_are_renamed_deleted_and_exported(serve: Serve):
+    session = fake.FakeSession(fake.measured())
+    page = serve(session)
+    go_to(page, "Measure")
+    expect(page.get_by_role("button", name="Delete")).to_be_disabled()
+    page.locator("[data-pick=finding][data-k='1']").click()
+    press(page, "Rename")
+    text_field(page, "Name").fill("Die 4 to trench")
+    page.get_by_role("dialog").get_by_role("button", name="Rename").click()
+    eventually(lambda: ("rename", (1, "Die 4 to trench"), {}) in session.asked, "the result was renamed")
+    press(page, "CSV")
+    eventually(lambda: "export_findings" in verbs(session), "the results were exported")
+    press(page, "Delete")
+    eventually(lambda: ("delete", (1,), {}) in session.asked, "the result was deleted")
+
+
+def test_the_dark_page_and_the_step_come_back_after_a_reload(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    go_to(page, "Surface")
+    title_is(page, "Surface")
+    page.locator("[data-pick=theme]").click()
+    expect(page.locator(".wv-title").first).to_have_css("color", "rgb(233, 238, 243)")
+    page.reload()
+    title_is(page, "Surface")
+    expect(page.locator(".wv-title").first).to_have_css("color", "rgb(233, 238, 243)")
+
+
+def test_keys_do_what_the_buttons_do(serve: Serve):
+    session = fake.FakeSession(fake.measured())
+    page = serve(session)
+    page.keyboard.press("k")
+    title_is(page, "Step height")
+    page.keyboard.press("l")
+    title_is(page, "Profile")
+    page.keyboard.press("Escape")
+    title_is(page, "Measure")
+    page.keyboard.press("Control+z")
+    eventually(lambda: "undo_findings" in verbs(session), "the last change to the results was taken back")
+
+
+def test_a_second_browser_sees_the_same_and_chooses_for_itself(serve: Serve, look_at):
+    session = fake.FakeSession(fake.planned())
+    first = serve(session)
+    second = look_at(first.url)
+    second.locator("[data-pick=theme]").click()
+    set_numbers(first, "Columns, rows", 5, 3)
+    expect(second.get_by_text("15 fields")).to_be_visible()
+    expect(second.locator(".wv-title").first).to_have_css("color", "rgb(233, 238, 243)")
+    expect(first.locator(".wv-title").first).to_have_css("color", "rgb(21, 32, 43)")
+
+
+def test_a_real_rig_is_never_called_simulated(serve: Serve):
+    now = fake.planned()
+    real = dataclasses.replace(now, rig=dataclasses.replace(now.rig, simulated=False, name="Bench 2"))
+    page = serve(fake.FakeSession(real))
+    expect(page.locator(".wv-pill")).to_have_text(re.compile("REAL · Bench 2 · ready"))
+    expect(page.locator(".wv-hd")).not_to_contain_text("SIMULATED")
