@@ -169,7 +169,7 @@ def stitch(
 
     with progress("Stitching") as tell:
         info = make_surface(dataset, recipe, result, again=again, tell=tell)
-    print_json(msgspec.to_builtins(info))
+    print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
 
 
 def measure_step(

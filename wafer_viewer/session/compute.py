@@ -23,7 +23,7 @@ class Compute:
     def start(self) -> Link:
         """The link to a living host."""
         if self._link is None or not self._link.alive:
-            self._link = Link(_host, (self._scheduler,), self._on_event, self._on_gone)
+            self._link = Link("wafer-viewer compute", _host, (self._scheduler,), self._on_event, self._on_gone)
         return self._link
 
     def run(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:

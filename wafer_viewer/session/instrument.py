@@ -64,7 +64,7 @@ class Instrument:
         """The link to a living process; a rig that failed is started anew when it is asked for something."""
         if self._link is None or not self._link.alive:
             self._show(state="starting", message="")
-            self._link = Link(_own_rig, (self._config,), self._heard, self._gone)
+            self._link = Link("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
         return self._link
 
     def move_to(self, move: Move) -> Future[None]:

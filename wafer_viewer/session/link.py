@@ -47,6 +47,7 @@ class Link:
 
     def __init__(
         self,
+        name: str,
         target: Callable[..., None],
         args: tuple[Any, ...],
         on_event: Callable[[Any], None],
@@ -54,7 +55,7 @@ class Link:
     ) -> None:
         spawn = get_context("spawn")
         self._pipe, theirs = spawn.Pipe()
-        self.process = spawn.Process(target=target, args=(theirs, *args), name=target.__name__)
+        self.process = spawn.Process(target=target, args=(theirs, *args), name=name)
         self.process.start()
         theirs.close()
         self._on_event, self._on_gone = on_event, on_gone
@@ -62,7 +63,7 @@ class Link:
         self._waiting: dict[int, Future[Any]] = {}
         self._sending = threading.Lock()
         self._closing = False
-        self._reader = threading.Thread(target=self._read, name=f"{target.__name__} events", daemon=True)
+        self._reader = threading.Thread(target=self._read, name=f"{name} events", daemon=True)
         self._reader.start()
 
     @property

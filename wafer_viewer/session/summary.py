@@ -71,8 +71,8 @@ def overlap_rms_um(heights: Sequence[HeightMap]) -> float | None:
     if not found:
         return None
     differences = np.concatenate(found)
-    spread = 1.4826 * float(np.median(np.abs(differences - np.median(differences))))
-    near = differences[np.abs(differences) <= max(OUTLIERS_BEYOND * spread, 1e-6)]
+    off = np.abs(differences - np.median(differences))
+    near = differences[off <= OUTLIERS_BEYOND * 1.4826 * np.median(off) + 1e-6]
     return float(np.sqrt(np.mean(near**2))) if near.size else 0.0
 
 
