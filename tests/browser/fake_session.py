@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from wafer_viewer.acquire.planner import plan_scan
+from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
-from wafer_viewer.rigs.virtual.rig import scene_overview, virtual_limits
+from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.state import (
     DatasetEntry,
     Draft,
@@ -125,8 +126,20 @@ def entries() -> tuple[DatasetEntry, ...]:
     )
 
 
+def an_overview() -> Overview:
+    """A square sample of 6 mm with dies, drawn coarsely."""
+    size_px, pixel_um, die_px = 600, 10.0, 50
+    y, x = np.mgrid[:size_px, :size_px]
+    streets = (x % die_px < 8) | (y % die_px < 8)
+    image = np.where(streets, 190, 60 + (x * 7 + y * 3) % 40).astype(np.uint8)
+    first = -pixel_um * (size_px - 1) / 2
+    corner = pixel_um * size_px / 2
+    outline = ((-corner, -corner), (corner, -corner), (corner, corner), (-corner, corner))
+    return Overview(image, pixel_um, first, -first, outline, (), "coupon")
+
+
 def empty() -> Snapshot:
-    return Snapshot(rig=RIG, data_folder=DATA, overview=scene_overview("wafer"), draft=draft_of(None))
+    return Snapshot(rig=RIG, data_folder=DATA, overview=an_overview(), draft=draft_of(None))
 
 
 def planned() -> Snapshot:
@@ -210,9 +223,7 @@ def at_fault() -> Snapshot:
 
 def a_frame(snapshot: Snapshot) -> LatestFrame:
     overview = snapshot.overview
-    image = (
-        overview.image[200:740, 200:920] if overview and overview.image is not None else np.zeros((540, 720), np.uint8)
-    )
+    image = overview.image if overview and overview.image is not None else np.zeros((540, 720), np.uint8)
     field = snapshot.scan.field if snapshot.scan else dataset({}, True).fields[0]
     return LatestFrame(np.ascontiguousarray(image), field, 33, 31.5, 231, 0.0002)
 

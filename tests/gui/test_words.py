@@ -1,0 +1,184 @@
+"""What the page says, without a browser: escaping, times, lengths, curves, steps, what a browser remembers."""
+
+from __future__ import annotations
+
+import html as stdlib_html
+from concurrent.futures import Future
+from datetime import datetime, timedelta, timezone
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from tests.browser import fake_session as fake
+from wafer_viewer.gui import html, measure_words, memory
+from wafer_viewer.gui.dialogs import when
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.header import STEPS, done, possible
+from wafer_viewer.gui.profile_dock import thinned, y_range
+from wafer_viewer.gui.style import DARK, LIGHT, sheet
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.findings import Length
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.state import Fault
+
+
+@given(st.text())
+def test_nothing_from_people_becomes_markup(text):
+    for piece in (html.title(text, text), html.note("fault", text, text), html.head(text, text), html.empty(text)):
+        assert stdlib_html.escape(text, quote=True) in piece
+        assert "<script" not in piece
+
+
+def test_a_picked_key_cannot_leave_its_attribute():
+    attributes = html.pick("open", "a\"b'c<d>")
+    assert 'data-k="a&quot;b&#x27;c&lt;d&gt;"' in attributes
+
+
+NOW = datetime(2026, 11, 21, 12, 0, tzinfo=timezone(timedelta(hours=1)))
+
+
+@pytest.mark.parametrize(
+    ("taken", "said"),
+    [
+        ("2026-11-21T07:41:07+00:00", "today 08:41"),
+        ("2026-11-20T23:30:00+00:00", "today 00:30"),
+        ("2026-11-20T08:00:00+00:00", "yesterday 09:00"),
+        ("2026-03-01T08:00:00+00:00", "1 Mar"),
+        ("2025-12-31T08:00:00+00:00", "31 Dec 2025"),
+        ("in spring", "in spring"),
+    ],
+)
+def test_times_read_as_people_say_them(taken, said):
+    assert when(taken, NOW) == said
+
+
+@pytest.mark.parametrize(
+    ("length", "words"),
+    [
+        (Length(value_um=11.8623, expanded_um=0.3112, status="evaluated"), ("11.86", "± 0.31 µm", "k = 2")),
+        (Length(value_um=11.8623), ("11.86", "U not evaluated")),
+        (Length(value_um=-3.0, status="uncalibrated"), ("−3.00", "uncalibrated")),
+    ],
+)
+def test_an_answer_never_stands_without_its_uncertainty_or_the_reason(length, words):
+    card = measure_words.answer("Step", length)
+    assert all(word in card for word in words)
+
+
+def test_the_budget_ends_with_the_combined_and_the_expanded_uncertainty():
+    step = fake.a_step(Region.rectangle(0, 0, 1, 1), Region.rectangle(0, 2, 1, 3))
+    words = measure_words.budget(step.height)
+    assert "Flatness of the regions" in words
+    assert "0.155 · 0.310" in words
+
+
+curves = arrays(np.float64, st.integers(2, 3000), elements=st.floats(-100, 100) | st.just(np.nan))
+
+
+@given(curves, st.integers(2, 400))
+def test_a_thinned_curve_keeps_its_extremes_and_its_order(z, most):
+    x, shown = thinned(np.arange(len(z), dtype=float), z, most)
+    assert len(x) == len(shown) <= max(most, len(z) if len(z) <= most else 0)
+    assert (np.diff(x) >= 0).all()
+    if np.isfinite(z).any():
+        assert np.nanmax(shown) == np.nanmax(z)
+        assert np.nanmin(shown) == np.nanmin(z)
+        low, high = y_range(shown)
+        assert low < np.nanmin(z) <= np.nanmax(z) < high
+    else:
+        assert np.isnan(shown).all()
+
+
+def test_a_gap_stays_a_gap():
+    z = np.ones(4000)
+    z[1000:2000] = np.nan
+    x, shown = thinned(np.arange(4000.0), z, 400)
+    assert np.isnan(shown[(x > 1050) & (x < 1950)]).all()
+
+
+def test_a_step_is_possible_when_it_has_contents():
+    def of(snapshot):
+        return {step for step in STEPS if possible(step, snapshot)}
+
+    assert of(fake.planned()) == {"plan"}
+    assert of(fake.scanning()) == {"plan", "acquire", "surface"}
+    assert of(fake.measured()) == {"plan", "acquire", "surface", "measure"}
+    assert {step for step in STEPS if done(step, fake.measured())} == {"plan", "acquire", "surface"}
+
+
+@given(st.builds(View, step=st.sampled_from(STEPS), dark=st.booleans(), exaggeration=st.floats(1, 20)))
+def test_a_browser_remembers_what_it_chose(view):
+    assert memory.read(memory.write(view)) == view
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"step": "review"}', '{"dark": 3}', '{"unknown": 1}'])
+def test_a_memory_that_is_no_view_is_a_fresh_view(text):
+    assert memory.read(text) == View()
+
+
+def test_both_palettes_name_the_same_colours():
+    assert LIGHT.keys() == DARK.keys()
+    assert "--accent:#58BDE8" in sheet(dark=True, bottom_px=0)
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
+@pytest.mark.parametrize(
+    ("ink", "paper", "ratio"),
+    [
+        ("ink2", "panel", 7.0),
+        ("ink3", "panel", 4.5),
+        ("accent", "accent-soft", 4.5),
+        ("good", "good-soft", 4.5),
+        ("attention", "attention-soft", 4.5),
+        ("fault", "fault-soft", 4.5),
+    ],
+)
+def test_all_text_can_be_read(colours, ink, paper, ratio):
+    light, dark = sorted((luminance(colours[ink]), luminance(colours[paper])), reverse=True)
+    assert (light + 0.05) / (dark + 0.05) >= ratio
+
+
+class Told:
+    def __init__(self):
+        self.faults: list[Fault] = []
+
+    def tell(self, fault: Fault) -> None:
+        self.faults.append(fault)
+
+
+def test_the_guard_tells_in_the_programs_own_sentence():
+    told = Told()
+
+    @guarded(told, "Import stopped")
+    def stop():
+        raise DatasetError("Import stopped at a.tif: it is truncated. Nothing was written.")
+
+    stop()
+    assert [(f.title, f.text) for f in told.faults] == [
+        ("Import stopped at a.tif", "It is truncated. Nothing was written.")
+    ]
+
+
+def test_the_guard_watches_a_verb_until_it_is_done():
+    told, verb = Told(), Future()
+    guarded(told, "The scan did not start")(lambda: verb)()
+    assert told.faults == []
+    verb.set_exception(DatasetError("The folder cannot be written to."))
+    assert told.faults[0].title == "The scan did not start"
+
+
+def test_the_guard_tells_what_nobody_foresaw(caplog):
+    told = Told()
+    guarded(told, "The grid stays")(lambda: 1 / 0)()
+    assert "did not foresee: division by zero" in told.faults[0].text
+    assert "ZeroDivisionError" in caplog.text
