@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import label
+from scipy.ndimage import binary_opening, label
 
-from wafer_viewer.numerics.islands import small_islands
+from wafer_viewer.numerics.islands import narrow_parts, small_islands
 
 
 @settings(max_examples=30, deadline=None)
@@ -27,3 +27,21 @@ def test_a_slope_hangs_together() -> None:
     z = (np.arange(200, dtype=np.float32) * 5)[None].repeat(3, axis=0)
     assert not small_islands(z, 6.0, 500).any()
     assert small_islands(z, 4.0, 4).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 500), share=st.floats(0.6, 0.98), side=st.integers(2, 5))
+def test_narrow_parts_are_what_an_opening_removes(seed: int, share: float, side: int) -> None:
+    z = np.where(np.random.default_rng(seed).random((24, 33)) < share, 0.0, np.nan).astype(np.float32)
+    known = np.isfinite(z)
+    opened = binary_opening(known, np.ones((side, side)))
+    np.testing.assert_array_equal(narrow_parts(z, 6.0, side), known & ~opened)
+
+
+def test_a_strip_between_steps_is_narrow() -> None:
+    z = np.zeros((20, 30), np.float32)
+    z[:, 10:13] = 50
+    expected = np.zeros((20, 30), bool)
+    expected[:, 10:13] = True
+    np.testing.assert_array_equal(narrow_parts(z, 6.0, 4), expected)
+    assert not narrow_parts(z, 6.0, 3).any()

@@ -56,6 +56,15 @@ def test_an_island_smaller_than_the_window_is_an_outlier_and_a_larger_one_is_not
     assert not found[40:50, 40:50].any()
 
 
+def test_a_strip_narrower_than_the_window_is_an_outlier_and_a_wider_one_is_not() -> None:
+    z = np.zeros((80, 80))
+    z[10:14, :], z[40:50, :] = 50, 50
+    found = _found(z, _recipe())
+    assert found[10:14].all()
+    assert not found[:9].any()
+    assert not found[16:].any()
+
+
 def test_what_smoothing_moved_too_far_was_not_measured() -> None:
     raw = np.zeros((40, 40), np.float32)
     raw[20, 20] = 9

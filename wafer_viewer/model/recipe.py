@@ -59,7 +59,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
     error: ClassVar[type[WaferViewerError]] = ComputeError
     focus_measure: Literal["sml", "tenengrad", "glv"] = "tenengrad"
     window: Window | Auto = "auto"
-    peak: Literal["argmax", "gaussian", "tent"] = "tent"
+    peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
     clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
     levy: Levy = Levy()

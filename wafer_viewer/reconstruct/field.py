@@ -38,7 +38,7 @@ def reconstruct(
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads, progress)
     origin = gated(peaks, settled, frames)
-    return cleaned(stack, frames, settled.recipe, peaks, origin)
+    return cleaned(stack, frames, settled, peaks, origin)
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
@@ -53,14 +53,15 @@ def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
     return origins(peaks, gate, frames.n_frames)
 
 
-def cleaned(stack: FieldStack, frames: Frames, recipe: Recipe, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
+def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
     """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
+    recipe, resolution_um = settled.recipe, settled.resolution_um
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
-    smoothed = smooth(raw, recipe.levy, int(_number(recipe.levy.iterations)), LEAST_NOISE_STEPS * frames.step_um)
+    smoothed = smooth(raw, recipe.levy, int(_number(recipe.levy.iterations)), LEAST_NOISE_STEPS * resolution_um)
     dropped = find_outliers(raw, smoothed, stack.pixel_um, recipe)
     origin = np.where(dropped, np.uint8(Origin.OUTLIER), origin)
     raw[dropped] = smoothed[dropped] = np.nan
-    z_um = fill(smoothed, recipe.fill, frames.step_um)
+    z_um = fill(smoothed, recipe.fill, resolution_um)
     return HeightMap(
         z_um=z_um,
         z_raw_um=raw,

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from wafer_viewer.model.surface import Origin
 from wafer_viewer.reconstruct.noise import NoiseScores
@@ -63,4 +62,6 @@ def _clipped(peaks: Peaks, gate: Gate, n_frames: int) -> NDArray[np.bool_]:
     too_bright = peaks.clipped >= max(1, round(CLIPPED_FRAMES_FRACTION * n_frames))
     if not too_bright.any():
         return too_bright
+    from scipy.ndimage import uniform_filter
+
     return uniform_filter(too_bright.astype(np.float32), gate.window, mode="nearest") > gate.clipped_fraction

@@ -5,8 +5,9 @@ as the paper does; both compare the mean distance to the nearest neighbours with
 On a clean field that deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a
 floor.
 
-Two more kinds of pixel stand alone: those that smoothing had to move by more than the floor, and those on islands
-smaller than the window of the focus measure, which cannot tell such a small thing from its surroundings.
+Three more kinds of pixel stand alone: those that smoothing had to move by more than the floor, those on strips narrower
+than three quarters of the focus window, and those on islands with fewer pixels than the window. Whatever the window
+sees shows as wide as the window; what is smaller was made up by light that bleeds over an edge.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Outliers, Recipe
-from wafer_viewer.numerics.islands import small_islands
+from wafer_viewer.numerics.islands import narrow_parts, small_islands
 from wafer_viewer.numerics.neighbours import REACH_PX, beyond, mean_distances
 
 _SAMPLE_EVERY_PX = 7
@@ -34,7 +35,10 @@ def find_outliers(
         return np.zeros(raw_um.shape, bool)
     found = FINDERS[how.mode](smoothed_um, pixel_um, how, floor_um) | (np.abs(smoothed_um - raw_um) > floor_um)
     rest = np.where(found, np.float32(np.nan), smoothed_um)
-    return found | small_islands(rest, floor_um, int(recipe.window) ** 2)
+    window = int(recipe.window)
+    rest[narrow_parts(rest, floor_um, 3 * window // 4)] = np.nan
+    rest[small_islands(rest, floor_um, window**2)] = np.nan
+    return np.isfinite(raw_um) & np.isnan(rest)
 
 
 def _lattice(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:

@@ -1,7 +1,8 @@
 """Where along z a pixel is sharpest, between the frames, and how much the peak stands out.
 
-All values of the focus volume are logarithms (base 2), so a blur law that is a Gaussian becomes a parabola and the
-flanks of a real focus curve become nearly straight: the tent.
+All values of the focus volume are logarithms (base 2). A Gaussian through three points is a parabola there, a tent has
+straight flanks; both pull the peak towards or away from the nearest frame by up to a twentieth of a step. The blur law
+does not: the variance of the blur is a parabola in z, and the focus measure is a known power of it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from wafer_viewer.model.stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole
 from wafer_viewer.numerics.jit import inline_kernel, kernel
 
-_ARGMAX, _GAUSSIAN, _TENT = 0, 1, 2
+_ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,7 @@ PEAKS: dict[str, PeakEstimator] = {
     "argmax": PeakEstimator(_ARGMAX, "The sharpest frame", "eq. 6"),
     "gaussian": PeakEstimator(_GAUSSIAN, "Gaussian through three points", "Nayar and Nakagawa 1994"),
     "tent": PeakEstimator(_TENT, "Symmetric tent through three points", "flanks of equal slope on log focus"),
+    "blur_law": PeakEstimator(_BLUR_LAW, "Parabola of the blur's variance", "sigma^2 = s0^2 + (c z)^2"),
 }
 
 
@@ -42,6 +44,15 @@ class Curves(NamedTuple):
     peak: UInt16s
     rival: UInt16s
     least: UInt16s
+
+
+class Placing(NamedTuple):
+    """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks."""
+
+    estimator: int
+    power: float
+    gap: int
+    reach: int
 
 
 class Scores(NamedTuple):
@@ -162,8 +173,7 @@ def describe(
     block: Greys,
     margin: Whole,
     z_um: Float64s,
-    gap: Whole,
-    estimator: Whole,
+    placing: Placing,
     table: Float32s,
     out: Scores,
 ) -> None:
@@ -175,12 +185,13 @@ def describe(
     for y in range(levels.shape[1]):
         for x in range(levels.shape[2]):
             k = np.int64(curves.peak[y, x])
+            near = min(placing.reach, k, last - k)
             top = _log2(levels[k, y, x], bits, table)
-            left = _log2(levels[max(0, k - 1), y, x], bits, table)
-            right = _log2(levels[min(last, k + 1), y, x], bits, table)
-            before = _log2(levels[max(0, k - gap), y, x], bits, table)
-            after = _log2(levels[min(last, k + gap), y, x], bits, table)
-            out.z_um[y, x] = _place(estimator, z_um, k, last, left, top, right)
+            left = _log2(levels[k - near, y, x], bits, table)
+            right = _log2(levels[k + near, y, x], bits, table)
+            before = _log2(levels[max(0, k - placing.gap), y, x], bits, table)
+            after = _log2(levels[min(last, k + placing.gap), y, x], bits, table)
+            out.z_um[y, x] = place(placing, z_um[k - near], z_um[k], z_um[k + near], left, top, right)
             out.lead[y, x] = top - _log2(curves.rival[y, x], bits, table)
             out.contrast[y, x] = top - _log2(curves.least[y, x], bits, table)
             out.fall[y, x] = top - max(before, after)
@@ -194,24 +205,31 @@ def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
 
 
 @kernel
-def _place(estimator: Whole, z_um: Float64s, k: Whole, last: Whole, left: Real, top: Real, right: Real) -> Real:
-    """The z of the peak, between the middles of the two intervals beside frame k."""
-    z = z_um[k]
-    if estimator == _ARGMAX or k == 0 or k == last:
+def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
+    """The z of the peak from log focus at three z, between the middles of the two intervals."""
+    if how.estimator == _ARGMAX or below == z or above == z:
         return z
-    below, above = z_um[k - 1], z_um[k + 1]
-    found = _tent(below, z, above, left, top, right)
-    if estimator == _GAUSSIAN:
+    if how.estimator == _TENT:
+        found = _tent(below, z, above, left, top, right)
+    elif how.estimator == _GAUSSIAN:
         found = _parabola(below, z, above, left, top, right)
+    else:
+        found = _blur_law(how.power, below, z, above, left, top, right)
     return min(max(found, 0.5 * (below + z)), 0.5 * (z + above))
 
 
 @kernel
 def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """The vertex of the parabola through three points of log focus, at any spacing."""
+    """The vertex of the parabola through three points, at any spacing."""
     a = (z - below) * (top - right)
     b = (above - z) * (top - left)
     return z if a + b <= 0 else z - 0.5 * ((z - below) * a - (above - z) * b) / (a + b)
+
+
+@kernel
+def _blur_law(power: Real, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
+    """Where the variance of the blur, focus^(-1 / power), has its least value: it is a parabola in z."""
+    return _parabola(below, z, above, -(2 ** ((top - left) / power)), -1.0, -(2 ** ((top - right) / power)))
 
 
 @kernel

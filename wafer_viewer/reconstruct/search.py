@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, Rows, focus_block, mantissa_bits, margin_px
-from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, describe, find_rivals, log2_table
+from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, Placing, describe, find_rivals, log2_table
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 
 STRIPE_ROWS = 48
@@ -24,12 +24,17 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """How peaks are looked for: measure and estimator by name, the window, and how many frames apart a rival is."""
+    """How peaks are looked for: measure and estimator by name, and the window.
+
+    gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
+    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone.
+    """
 
     measure: str
     window: int
     estimator: str
     gap: int
+    reach: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,13 +98,22 @@ def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench:
 
 def search_block(z_um: NDArray[np.float64], clipped_counts: int, search: Search, bench: Bench, out: Peaks) -> None:
     """The peaks of the block on a bench, into `out`."""
-    measure, estimator = FOCUS_MEASURES[search.measure].code, PEAKS[search.estimator].code
-    block, curves, margin = bench.block, bench.curves, margin_px(search.window)
-    peak = curves.peak
-    focus_block(block, measure, search.window, clipped_counts, bench.rows, curves.levels, bench.best, peak, out.clipped)
+    measure, block, curves = FOCUS_MEASURES[search.measure], bench.block, bench.curves
+    placing = Placing(PEAKS[search.estimator].code, measure.power, search.gap, search.reach)
+    focus_block(
+        block,
+        measure.code,
+        search.window,
+        clipped_counts,
+        bench.rows,
+        curves.levels,
+        bench.best,
+        curves.peak,
+        out.clipped,
+    )
     find_rivals(curves, search.gap)
-    describe(curves, block, margin, z_um, search.gap, estimator, bench.table, out.scores)
-    out.at_end[:] = (peak == 0) | (peak == len(z_um) - 1)
+    describe(curves, block, margin_px(search.window), z_um, placing, bench.table, out.scores)
+    out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
 
 
 def _stripes(n_rows: int) -> Iterator[slice]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,6 +25,10 @@ ENOUGH_COVERAGE = 0.92
 
 OUTLIER_FLOOR_STEPS = 1.5
 GAP_WIDTHS = 2.0
+REACH_WIDTHS = 0.5
+SUITABLE_WIDTH = 2.5
+"""A focus curve 2 or 3 frames wide at half its height is sampled well."""
+
 _PROBE_WINDOW = 9
 _TILE_PX = 64
 _TILES = 4
@@ -31,47 +36,57 @@ _TILES = 4
 
 @dataclass(frozen=True, slots=True)
 class Settled:
-    """A recipe without `auto`, and how far apart two peaks of one pixel must be to count as rivals."""
+    """A recipe without `auto`, how to search with it, and what the optics resolve along z.
+
+    resolution_um is the step of the sweep, or the step that would suit the optics where the sweep is finer than that.
+    """
 
     recipe: Recipe
     search: Search
+    resolution_um: float
 
 
 def settle(frames: Frames, recipe: Recipe) -> Settled:
     """Replace every `auto` of a recipe by what the data say."""
-    window = None if recipe.window == "auto" else recipe.window
-    gap = rival_gap(frames, recipe, window or _PROBE_WINDOW)
-    window = window or best_window(frames, recipe, gap)
-    search = Search(recipe.focus_measure, window, recipe.peak, gap)
+    width = focus_width(frames, recipe)
+    probe = _search(frames, recipe, _PROBE_WINDOW, width)
+    window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
+    search = dataclasses.replace(probe, window=window)
+    resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
     levy, outliers = recipe.levy, recipe.outliers
     if levy.iterations == "auto":
         levy = replace(levy, iterations=AUTO_ITERATIONS[levy.mode])
     if outliers.floor_um == "auto":
-        outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * frames.step_um)
+        outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * resolution_um)
     confidence = _min_confidence(recipe, search, frames.n_frames)
     settled = replace(recipe, window=window, min_confidence=confidence, levy=levy, outliers=outliers)
-    return Settled(settled, search)
+    return Settled(settled, search, resolution_um)
 
 
-def rival_gap(frames: Frames, recipe: Recipe, window: int) -> int:
-    """Frames from a peak to where another maximum is a rival, not a shoulder: twice the width of a focus curve.
+def focus_width(frames: Frames, recipe: Recipe) -> float:
+    """How many frames wide a focus curve is at half its height, where there is texture.
 
-    The width at half height in the best textured quarter of the tiles; at most a quarter of the stack.
+    The third of the tiles with the narrowest curves tells, by its middle: noise, and light that bleeds from a bright
+    surface that is out of focus, make wider ones. 1 where nothing is seen.
     """
-    widths = [_half_height_width(bench, peaks) for bench, peaks in _tiles(frames, _search(recipe, window, 1))]
-    usual = float(np.median([w for w in widths if w > 0] or [1.0]))
-    return int(np.clip(round(GAP_WIDTHS * usual), 1, max(1, (frames.n_frames - 1) // 4)))
+    probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1)
+    widths = [_half_height_width(bench, peaks) for bench, peaks in _tiles(frames, probe)]
+    return float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
 
 
-def best_window(frames: Frames, recipe: Recipe, gap: int) -> int:
+def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
     """The smallest window that covers nearly as much as the largest."""
-    coverages = {w: _coverage(frames, recipe, _search(recipe, w, gap)) for w in AUTO_WINDOWS}
+    coverages = {w: _coverage(frames, recipe, dataclasses.replace(probe, window=w)) for w in AUTO_WINDOWS}
     enough = ENOUGH_COVERAGE * coverages[AUTO_WINDOWS[-1]]
     return next(w for w in AUTO_WINDOWS if coverages[w] >= enough)
 
 
-def _search(recipe: Recipe, window: int, gap: int) -> Search:
-    return Search(recipe.focus_measure, window, recipe.peak, gap)
+def _search(frames: Frames, recipe: Recipe, window: int, width: float) -> Search:
+    """Rivals are two widths away, at most a quarter of the stack; a peak is placed by points a half width away."""
+    most = max(1, (frames.n_frames - 1) // 4)
+    gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
+    reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach)
 
 
 def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
@@ -90,13 +105,13 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
 
 
 def _half_height_width(bench: Bench, peaks: Peaks) -> float:
-    """The median number of frames with at least half the focus of the peak, where there is texture; 0 without any."""
+    """The mean number of frames with at least half the focus of the peak, where there is texture; 0 without any."""
     textured = (peaks.contrast >= np.percentile(peaks.contrast, 75)) & (peaks.contrast > 1) & ~peaks.at_end
     if not textured.any():
         return 0.0
     half = 2 ** mantissa_bits(bench.block.dtype)
     levels = bench.curves.levels[:, textured].astype(np.int32)
-    return float(np.median(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0)))
+    return float(np.mean(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0)))
 
 
 def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
