@@ -1,4 +1,4 @@
-"""Surfaces made for the tests of this room."""
+"""Surfaces with known answers that the tests of measurements share."""
 
 from __future__ import annotations
 
@@ -6,38 +6,58 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 
 PIXEL_UM = 0.5
-CALIBRATION = Calibration(
-    pixel_um=PIXEL_UM, u_pixel_um=0.0001, u_z_scale=5e-4, made="2026-01-01", due="2999-01-01", against="test"
-)
+STEP_UM = 399.88
 
 
-def height_map(z_um: np.ndarray, calibration: Calibration | None = CALIBRATION, z_step_um: float = 0.0) -> HeightMap:
-    z = z_um.astype(np.float32)
-    origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
-    return HeightMap(
-        z_um=z,
-        z_raw_um=z,
-        confidence=np.ones_like(z),
-        all_in_focus=np.zeros(z.shape, np.uint8),
-        origin=origin,
-        pixel_um=PIXEL_UM,
-        x0_um=-(z.shape[1] - 1) / 2 * PIXEL_UM,
-        y0_um=(z.shape[0] - 1) / 2 * PIXEL_UM,
-        provenance=Provenance(calibration=calibration, z_step_um=z_step_um),
+def calibration(u_z_scale=5e-4) -> Calibration:
+    return Calibration(
+        pixel_um=PIXEL_UM, u_pixel_um=0.0, u_z_scale=u_z_scale, made="2026-01-01", due="2027-01-01", against="blocks"
     )
 
 
-def step_surface(
-    step_um: float, *, rows=200, cols=400, tilt=0.0, noise_um=0.0, correlation_px=0.0, seed=0, **kind
+def coordinates(rows, cols):
+    """Stage x [col] and y [row] of a map centred on (0, 0)."""
+    return (np.arange(cols) - (cols - 1) / 2) * PIXEL_UM, ((rows - 1) / 2 - np.arange(rows)) * PIXEL_UM
+
+
+def surface_of(z_um, z_raw_um=None, origin=None, calibration=None, recipe=Recipe(), **provenance) -> HeightMap:
+    z = np.asarray(z_um, np.float32)
+    rows, cols = z.shape
+    x_um, y_um = coordinates(rows, cols)
+    if origin is None:
+        origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
+    return HeightMap(
+        z_um=z,
+        z_raw_um=z if z_raw_um is None else np.asarray(z_raw_um, np.float32),
+        confidence=np.ones_like(z),
+        all_in_focus=np.zeros(z.shape, np.uint8),
+        origin=np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
+        if origin is None
+        else origin,
+        pixel_um=PIXEL_UM,
+        x0_um=float(x_um[0]),
+        y0_um=float(y_um[0]),
+        provenance=Provenance(calibration=calibration, recipe=recipe, **provenance),
+    )
+
+
+def gauge_blocks(
+    seed, noise_um=1.0, correlation_px=8.0, tilt=3e-4, level=5e-4, u_z_scale=5e-4, scale_error=0.0, **about
 ) -> HeightMap:
-    """The left half stands step_um over the right one; all of it tilted along x."""
+    """Two faces STEP_UM apart at x = 0, the lower tilted against the upper; noise correlated over some pixels,
+    1 in 1000 points off by 50 um, and the whole surface not level."""
     rng = np.random.default_rng(seed)
-    x = (np.arange(cols) - (cols - 1) / 2) * PIXEL_UM
-    noise = rng.standard_normal((rows, cols))
+    x_um, y_um = (a for a in np.meshgrid(*coordinates(240, 640)))
+    z = np.where(x_um < 0, STEP_UM, tilt * x_um + 0.4 * tilt * y_um) + level * x_um - 0.6 * level * y_um
+    noise = rng.normal(size=z.shape)
     if correlation_px:
-        noise = gaussian_filter(noise, correlation_px)
-        noise /= noise.std()
-    return height_map(np.where(x < 0, step_um, 0.0) + tilt * x + noise_um * noise, **kind)
+        noise = gaussian_filter(noise, correlation_px / 2)
+    z = z * (1 + scale_error) + noise_um * noise / noise.std()
+    outliers = rng.random(z.shape) < 1e-3
+    z[outliers] += rng.choice([-50.0, 50.0], np.count_nonzero(outliers))
+    about.setdefault("calibration", calibration(u_z_scale))
+    return surface_of(z, z_step_um=4.0, recipe=Recipe(window=9), **about)

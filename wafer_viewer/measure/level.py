@@ -1,4 +1,4 @@
-"""A robust plane through part of a surface: what measurements level on."""
+"""Planes through heights that are not disturbed by outliers: least squares, rejection beyond 3 robust deviations."""
 
 from __future__ import annotations
 
@@ -7,50 +7,103 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Values = NDArray[np.float64]
-MAD_TO_SIGMA = 1.4826
-REJECT_SIGMA = 3.0
-ROUNDS = 20
-EXACT = 1e-6
-"""Residuals under this share of the largest value are rounding of 32-bit heights, not noise."""
+from wafer_viewer.measure.heights import Floats, Points
+from wafer_viewer.model.errors import MeasureError
+
+REJECT_BEYOND = 3.0
+SIGMA_OF_MAD = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
+SIGMAS_OF_75 = 1.1503
+"""75 % of normal noise lies within this many standard deviations."""
+ROUNDING = float(np.finfo(np.float32).eps)
+"""Heights are 32-bit numbers."""
+_MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A linear fit: coefficients [n] of the columns of its design, residuals and kept flags [points]."""
+    """Coefficients, what is left of each point, float64 [n], and which points were not rejected, bool [n]."""
 
-    coefficients: Values
-    residuals: Values
+    coefficients: Floats
+    residuals: Floats
     kept: NDArray[np.bool_]
 
 
-def robust_fit(design: Values, values: Values) -> Fit:
-    """Least squares of `values` [points] on `design` [points, n], repeated without what lies beyond 3 MAD.
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """z = z_um + slope_x (x - x_um) + slope_y (y - y_um), about the centroid of its points."""
 
-    The rejection ends when it drops and takes back nothing more. Exact data keep all their points.
+    x_um: float
+    y_um: float
+    z_um: float
+    slope_x: float
+    slope_y: float
+
+    def at(self, x_um: Floats | float, y_um: Floats | float) -> Floats | float:
+        """The height of the plane at a place."""
+        return self.z_um + self.slope_x * (x_um - self.x_um) + self.slope_y * (y_um - self.y_um)
+
+
+def robust_fit(design: Floats, values: Floats) -> Fit:
+    """Least squares of `values` [n] on `design` [n, p]; points beyond 3 MAD deviations are left out, again and again.
+
+    Ends when the same points are kept twice. Raises MeasureError when the points do not determine the coefficients.
     """
-    kept = np.ones(len(values), bool)
-    rounding = EXACT * float(np.abs(values).max())
-    coefficients, residuals = _solve(design, values, kept)
-    for _ in range(ROUNDS):
-        spread = MAD_TO_SIGMA * float(np.median(np.abs(residuals[kept] - np.median(residuals[kept]))))
-        inside = np.abs(residuals) <= max(REJECT_SIGMA * spread, rounding)
-        if np.count_nonzero(inside) < design.shape[1] or np.array_equal(inside, kept):
+    fit = _fit(design, values, np.ones(len(values), bool))
+    rounding = ROUNDING * float(np.abs(values).max(initial=0.0))
+    for _ in range(_MAX_ROUNDS):
+        within = _within(fit.residuals, fit.residuals[fit.kept], rounding)
+        if np.array_equal(within, fit.kept):
             break
-        kept = inside
-        coefficients, residuals = _solve(design, values, kept)
-    return Fit(coefficients, residuals, kept)
+        fit = _fit(design, values, within)
+    return fit
 
 
-def fit_plane(x_um: Values, y_um: Values, z_um: Values) -> Fit:
-    """The robust plane z = a x + b y + c through points [n]; coefficients (a, b, c)."""
-    return robust_fit(np.column_stack([x_um, y_um, np.ones_like(x_um)]), z_um)
+def least_squares(design: Floats, values: Floats) -> Floats:
+    """By the normal equations of scaled columns, which are quick for millions of rows."""
+    scale = np.sqrt(np.mean(design**2, axis=0)) if len(design) else np.ones(design.shape[1])
+    scaled = design / np.where(scale > 0, scale, 1.0)
+    normal = scaled.T @ scaled
+    if np.linalg.matrix_rank(normal, hermitian=True) < design.shape[1]:
+        raise MeasureError(
+            f"The {len(values)} measured points lie on a line or are too few to fit a plane: draw the region larger."
+        )
+    return np.linalg.solve(normal, scaled.T @ values) / scale
 
 
-def _solve(design: Values, values: Values, kept: NDArray[np.bool_]) -> tuple[Values, Values]:
-    """Normal equations: a handful of columns over a million points, scaled so that they stay well conditioned."""
-    scale = np.maximum(np.abs(design).max(axis=0), 1e-300)
-    scaled = design / scale
-    part = scaled[kept]
-    solution = np.linalg.lstsq(part.T @ part, part.T @ values[kept], rcond=None)[0]
-    return solution / scale, values - scaled @ solution
+def fit_plane(points: Points) -> tuple[Plane, Fit]:
+    """A robust plane. Raises MeasureError when the points do not span one."""
+    fit = robust_fit(plane_design(points, _centroid(points)), points.z_um)
+    kept = points.kept(fit.kept)
+    x_um, y_um = _centroid(kept)
+    coefficients = least_squares(plane_design(kept, (x_um, y_um)), kept.z_um)
+    return Plane(x_um, y_um, float(coefficients[2]), float(coefficients[0]), float(coefficients[1])), fit
+
+
+def plane_design(points: Points, center_um: tuple[float, float]) -> Floats:
+    """Columns x, y, 1 about a centre."""
+    return np.stack([points.x_um - center_um[0], points.y_um - center_um[1], np.ones(len(points))], axis=1)
+
+
+def _fit(design: Floats, values: Floats, kept: NDArray[np.bool_]) -> Fit:
+    coefficients = least_squares(design[kept], values[kept])
+    return Fit(coefficients, values - design @ coefficients, kept)
+
+
+def _centroid(points: Points) -> tuple[float, float]:
+    return float(np.mean(points.x_um)), float(np.mean(points.y_um))
+
+
+def _within(residuals: Floats, kept: Floats, rounding: float) -> NDArray[np.bool_]:
+    """Which residuals belong to the noise of those kept."""
+    middle = np.median(kept)
+    return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(kept - middle), rounding)
+
+
+def _spread(deviations: Floats, rounding: float) -> float:
+    """A robust standard deviation: that of the MAD, but no less than three quarters of the points call for.
+
+    Heights in whole frames pile up at two values: by the MAD alone the smaller pile would be outliers.
+    """
+    half, most = np.quantile(deviations, (0.5, 0.75))
+    return max(SIGMA_OF_MAD * float(half), float(most) / SIGMAS_OF_75, rounding)

@@ -1,120 +1,130 @@
-"""A section along a line: the curve, and the two heights people read off it."""
+"""A section of a surface along a line: sampled every pixel, averaged across the line, between measured pixels only."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wafer_viewer.measure.level import Values
-from wafer_viewer.measure.step import length_of
+from wafer_viewer.measure.heights import Floats, Layer, heights, layer_of, level_note, reported
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve
+from wafer_viewer.model.findings import Profile, ProfileCurve
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface import HeightMap, Mosaic, pixel_window
 
-MOST_POINTS = 20_000
+MAX_SAMPLES = 4096
+"""A line with more pixels is read at a coarser level of the pyramid."""
+_PIECE = 256
+"""Samples read at a time: a slanted line never needs the whole rectangle round it."""
+MIN_WEIGHT = 0.5
+"""A sample is measured when at least this share of what it is interpolated and averaged from is."""
 
 
 def profile(
-    surface: Mosaic, line: Region, *, calibration_valid: bool = True, count_filled: bool = False
+    surface: Mosaic,
+    line: Region,
+    *,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    level: int | None = None,
+    name: str = "",
 ) -> tuple[Profile, ProfileCurve]:
-    """The heights along a line, sampled once a pixel and averaged over the line's width.
+    """The section along a line and its numbers: Pt, the highest over the lowest point, and the rise from end to end.
 
-    A point is read bilinearly between measured pixels and is NaN where one of them is unmeasured. Long lines are read
-    from a coarser level of the surface. U of the heights counts the z scale and the repeatability of neighbouring
-    points. Raises MeasureError when the line is shorter than a pixel, leaves the surface, or meets nothing measured.
+    The line's width_um is averaged over. layer: heights to measure on, as the surface's recipe says when left out;
+    level: of the pyramid, the finest with at most 4096 samples when left out.
+    Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
     """
-    level = _level_for(surface, line)
-    window = surface.window(_grown(line, surface.pixel_um * 2**level), level)
-    curve = _sample(window, line, window.to_measure(count_filled))
-    good = np.isfinite(curve.z_um)
-    if not good.any():
-        raise MeasureError("Nothing is measured along this line: move it to where the surface is measured.")
-    z = curve.z_um[good]
-    provenance = surface.provenance
-    noise_um = _repeatability_um(curve.z_um)
-    scale = 0.0 if provenance.calibration is None else provenance.calibration.u_z_scale
-
-    def length(value_um: float) -> Length:
-        budget = (
-            Contribution(name="repeatability of two points", u_um=noise_um * math.sqrt(2)),
-            Contribution(name="z scale", u_um=abs(value_um) * scale),
-        )
-        return length_of(value_um, budget, provenance, calibration_valid)
-
-    found = Profile(
-        line=line,
-        length_um=float(curve.distance_um[-1]),
-        pt=length(float(z.max() - z.min())),
-        rise=length(float(z[-1] - z[0])),
-        measured_fraction=float(good.mean()),
-        surface="filled" if count_filled else provenance.recipe.measure_on,
-        simulated=provenance.simulated,
-        notes=(f"read from level {level} of the surface",) if level else (),
+    length_um = _length_um(line)
+    at_level = _level_for(surface, length_um) if level is None else level
+    pixel_window(surface, line, at_level)
+    measured_on = layer_of(surface.provenance.recipe, layer)
+    curve = sampled(surface, line, measured_on, at_level)
+    known = np.flatnonzero(np.isfinite(curve.z_um))
+    if len(known) < 2:
+        raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
+    z_um = curve.z_um[known]
+    return (
+        Profile(
+            name=name,
+            surface=measured_on,
+            filter=f"mean over {line.width_um:g} um across the line" if line.width_um else "none",
+            simulated=surface.provenance.simulated,
+            notes=level_note(surface, at_level),
+            line=line,
+            length_um=length_um,
+            pt=reported(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
+            rise=reported(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
+            measured_fraction=len(known) / len(curve.z_um),
+        ),
+        curve,
     )
-    return found, curve
 
 
-def _level_for(surface: Mosaic, line: Region) -> int:
-    pixels = _length_um(line) / surface.pixel_um
-    if line.kind != "line" or pixels < 1:
-        raise MeasureError(f"A profile needs a line of at least one pixel ({surface.pixel_um:g} um): draw it longer.")
-    return int(np.clip(np.ceil(np.log2(max(1.0, pixels / MOST_POINTS))), 0, surface.levels - 1))
+def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
+    """Points along a line, one for each pixel of a level; NaN where unmeasured or outside of the surface."""
+    pixel_um = surface.pixel_um * 2**level
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    length_um = _length_um(line)
+    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um) + 1))
+    x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
+    across = _offsets_um(line.width_um, pixel_um)
+    x_all = x_um[:, None] - across * (yb - ya) / length_um
+    y_all = y_um[:, None] + across * (xb - xa) / length_um
+    pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(share))]
+    return ProfileCurve(distance_um=share * length_um, z_um=np.concatenate(pieces), x_um=x_um, y_um=y_um)
+
+
+def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:
+    """The mean height over the second axis of points [sample, across], where enough of it is measured."""
+    pixel_um = surface.pixel_um * 2**level
+    low, high = (x_um.min() - pixel_um, y_um.min() - pixel_um), (x_um.max() + pixel_um, y_um.max() + pixel_um)
+    try:
+        part = surface.window(Region.rectangle(*map(float, (*low, *high))), level)
+    except MeasureError:  # this piece lies outside, others do not
+        return np.full(len(x_um), np.nan)
+    total, weight = _bilinear(part, layer, x_um, y_um)
+    share = weight.mean(axis=1)
+    return np.divide(total.sum(axis=1), weight.sum(axis=1), out=np.full(len(share), np.nan), where=share >= MIN_WEIGHT)
+
+
+def _bilinear(part: HeightMap, layer: Layer, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+    """Weighted heights and weights of the measured ones among the four pixels round each point."""
+    z_um = heights(part, layer)
+    row, col = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+    top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
+    down, right = row - top, col - left
+    total, weight = np.zeros(x_um.shape), np.zeros(x_um.shape)
+    for r, row_weight in ((top, 1 - down), (top + 1, down)):
+        for c, col_weight in ((left, 1 - right), (left + 1, right)):
+            inside = (r >= 0) & (r < part.shape[0]) & (c >= 0) & (c < part.shape[1])
+            z = z_um[np.where(inside, r, 0), np.where(inside, c, 0)]
+            w = np.where(inside & np.isfinite(z), row_weight * col_weight, 0.0)
+            total += w * np.nan_to_num(z)
+            weight += w
+    return total, weight
 
 
 def _length_um(line: Region) -> float:
-    a, b = line.points[0], line.points[-1]
-    return float(np.hypot(b.x_um - a.x_um, b.y_um - a.y_um))
+    if line.kind != "line":
+        raise MeasureError(f"A profile needs a line, this region is a {line.kind}: draw a line.")
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    if (length := math.hypot(xb - xa, yb - ya)) == 0:
+        raise MeasureError(f"The line begins and ends at ({xa:.1f}, {ya:.1f}) um: draw it longer.")
+    return length
 
 
-def _grown(line: Region, margin_um: float) -> Region:
-    x0, y0, x1, y1 = line.bounds_um
-    return Region.rectangle(x0 - margin_um, y0 - margin_um, x1 + margin_um, y1 + margin_um)
+def _level_for(surface: Mosaic, length_um: float) -> int:
+    samples = length_um / surface.pixel_um
+    return min(surface.levels - 1, max(0, math.ceil(math.log2(samples / MAX_SAMPLES)))) if samples > 0 else 0
 
 
-def _sample(window: HeightMap, line: Region, z_um: NDArray[np.float32]) -> ProfileCurve:
-    a, b = line.points
-    n = max(2, round(_length_um(line) / window.pixel_um) + 1)
-    t = np.linspace(0.0, 1.0, n)
-    x, y = a.x_um + (b.x_um - a.x_um) * t, a.y_um + (b.y_um - a.y_um) * t
-    across = _across(line, window.pixel_um)
-    nx, ny = -(b.y_um - a.y_um) / _length_um(line), (b.x_um - a.x_um) / _length_um(line)
-    lanes = np.stack([_bilinear(window, z_um, x + nx * d, y + ny * d) for d in across])
-    counts = np.isfinite(lanes).sum(axis=0)
-    z = np.where(counts > 0, np.nansum(lanes, axis=0) / np.maximum(counts, 1), np.nan)
-    return ProfileCurve(distance_um=t * _length_um(line), z_um=z, x_um=x, y_um=y)
+def _offsets_um(width_um: float, pixel_um: float) -> Floats:
+    """Places across a line of a width, about a pixel apart, symmetric about it."""
+    n = max(1, round(width_um / pixel_um))
+    return (np.arange(n) - (n - 1) / 2) * width_um / n
 
 
-def _across(line: Region, pixel_um: float) -> Values:
-    """Offsets of the lanes that are averaged, a pixel apart, symmetric about the line."""
-    lanes = max(1, round(line.width_um / pixel_um))
-    return (np.arange(lanes, dtype=np.float64) - (lanes - 1) / 2) * pixel_um
-
-
-def _bilinear(window: HeightMap, z_um: NDArray[np.float32], x_um: Values, y_um: Values) -> Values:
-    """Heights at points; NaN outside and wherever a pixel that weighs in is unmeasured."""
-    col, row = (x_um - window.x0_um) / window.pixel_um, (window.y0_um - y_um) / window.pixel_um
-    c0, r0 = np.floor(col + 1e-6).astype(int), np.floor(row + 1e-6).astype(int)
-    fc, fr = np.clip(col - c0, 0, 1), np.clip(row - r0, 0, 1)
-    total = np.zeros(len(x_um))
-    for dr, dc in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        weight = (fr if dr else 1 - fr) * (fc if dc else 1 - fc)
-        weight = np.where(weight < 1e-6, 0.0, weight)
-        total += np.where(weight > 0, weight * _pixel(z_um, r0 + dr, c0 + dc), 0.0)
-    return total
-
-
-def _pixel(z_um: NDArray[np.float32], row: NDArray[np.int64], col: NDArray[np.int64]) -> Values:
-    rows, cols = z_um.shape
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    values = z_um[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)].astype(float)
-    return np.where(inside, values, np.nan)
-
-
-def _repeatability_um(z_um: Values) -> float:
-    """Spread of a point against its neighbours, robust to steps: MAD of second differences, which weigh 1, -2, 1."""
-    second = np.diff(z_um, 2)
-    second = second[np.isfinite(second)]
-    return 0.0 if second.size == 0 else float(1.4826 * np.median(np.abs(second)) / np.sqrt(6))
+def _pieces(n: int) -> Iterator[slice]:
+    return (slice(start, min(start + _PIECE, n)) for start in range(0, n, _PIECE))

@@ -1,4 +1,9 @@
-"""Step height: how high one region stands over another, with the budget of its uncertainty."""
+"""The height of one region over another, with the budget of its uncertainty.
+
+The model is one plane through both regions and a step between them, z = a x + b y + c + h [upper], fitted with
+rejection beyond 3 robust deviations. Where the faces are tilted against each other the definition of h is part of the
+result, so what other definitions give is noted with it.
+"""
 
 from __future__ import annotations
 
@@ -6,167 +11,170 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wafer_viewer.measure.level import Fit, Values, fit_plane, robust_fit
+from wafer_viewer.measure.budget import NOT_IN_BUDGET, step_budget
+from wafer_viewer.measure.heights import (
+    Floats,
+    Layer,
+    Points,
+    layer_of,
+    level_for,
+    level_note,
+    points_in,
+    reported,
+    require_area,
+)
+from wafer_viewer.measure.level import Plane, fit_plane, plane_design, robust_fit
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Contribution, Length, StepHeight
+from wafer_viewer.model.findings import Length, StepHeight
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic, Provenance
+from wafer_viewer.model.surface import Mosaic
 
-LEAST_POINTS = 64
-TILES = (16, 8, 4)
-"""A region is cut into n x n tiles, whose means tell the noise of the whole mean. The coarser the tiles, the further
-the noise may be correlated; the largest answer counts."""
-LEAST_PER_TILE = 4
-PEAK_BIAS_STEPS = 0.03
-"""Standard uncertainty of a focus peak within its step, in steps: level faces do not average it out."""
-DEFINITION = "h of the common plane z = a x + b y + c + h [upper]: the step half way between the two regions"
+MIN_POINTS = 200
+"""Fewer say too little of their own scatter."""
+DEFINITION = "Offset between the regions over one plane fitted to both: z = a x + b y + c + h [upper]."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Face:
-    """The measured points of one region: x_um, y_um, z_um [n]; covered: the share of the region that is measured."""
+    """One of the two regions: its points that were not rejected, the plane through them, and their distance from it."""
 
-    x_um: Values
-    y_um: Values
-    z_um: Values
-    covered: float
+    points: Points
+    plane: Plane
+    residuals_um: Floats
+
+    @property
+    def mean_um(self) -> float:
+        """Mean height."""
+        return float(self.points.z_um.mean())
+
+    @property
+    def sq_um(self) -> float:
+        """Root mean square distance from its own plane."""
+        return float(np.sqrt(np.mean(self.residuals_um**2)))
 
 
 def step_height(
-    surface: Mosaic, upper: Region, lower: Region, *, calibration_valid: bool = True, count_filled: bool = False
+    surface: Mosaic,
+    upper: Region,
+    lower: Region,
+    *,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
 ) -> StepHeight:
-    """The height of `upper` over `lower`, from a robust fit of z = a x + b y + c + h [upper] to both together.
+    """The height of `upper` over `lower`, negative when it lies below, with its expanded uncertainty (k = 2).
 
-    calibration_valid: whether the calibration in the surface's provenance holds today; without one the height reads
-    'uncalibrated' and has no uncertainty. count_filled: take filled pixels for measured ones.
-    The budget: noise of tile means carried through the fit, focus-peak bias, z scale, relative tilt of the faces.
-    Raises MeasureError when the regions share points or hold too few measured ones.
+    layer: heights to measure on, as the surface's recipe says when left out. Without a calibration, or with one that
+    is said not to be valid, the height reads 'uncalibrated' and has no uncertainty.
+    Raises MeasureError when a region is a line, lies outside, has fewer than 200 measured points or overlaps the other.
     """
-    high, low = _face(surface, upper, "upper", count_filled), _face(surface, lower, "lower", count_filled)
-    _refuse_overlap(high, low)
-    fit = robust_fit(_design(high, low), np.concatenate([high.z_um, low.z_um]))
-    kept_high, kept_low = _split(fit.kept, high), _split(fit.kept, low, after=high)
-    tilt = _relative_tilt(high, low)
-    height_um = float(fit.coefficients[3])
-    budget = _budget(height_um, high, low, fit, tilt, surface.provenance)
+    require_area(upper, "upper")
+    require_area(lower, "lower")
+    measured_on, level = layer_of(surface.provenance.recipe, layer), level_for(surface, upper, lower)
+    above, below = (_points(surface, r, w, measured_on, level) for r, w in ((upper, "upper"), (lower, "lower")))
+    _require_apart(upper, below)
+    high, low = _face(above), _face(below)
+    height_um = _common_plane_step(above, below)
     return StepHeight(
+        name=name,
+        surface=measured_on,
+        simulated=surface.provenance.simulated,
+        notes=(*_other_definitions(high, low), *level_note(surface, level), NOT_IN_BUDGET),
         upper=upper,
         lower=lower,
-        height=length_of(height_um, budget, surface.provenance, calibration_valid),
+        height=_length(surface, high, low, height_um, calibration_valid),
         definition=DEFINITION,
-        upper_mean_um=float(high.z_um[kept_high].mean()),
-        lower_mean_um=float(low.z_um[kept_low].mean()),
-        upper_sq_um=float(fit.residuals[: len(high.z_um)][kept_high].std()),
-        lower_sq_um=float(fit.residuals[len(high.z_um) :][kept_low].std()),
-        upper_points=int(np.count_nonzero(kept_high)),
-        lower_points=int(np.count_nonzero(kept_low)),
-        relative_tilt_mrad=float(np.hypot(*tilt)) * 1e3,
-        surface="filled" if count_filled else surface.provenance.recipe.measure_on,
-        simulated=surface.provenance.simulated,
-        notes=_notes(high, low),
+        upper_mean_um=high.mean_um,
+        lower_mean_um=low.mean_um,
+        upper_sq_um=high.sq_um,
+        lower_sq_um=low.sq_um,
+        upper_points=len(high.points),
+        lower_points=len(low.points),
+        relative_tilt_mrad=1e3 * math.hypot(*_tilt(high, low)),
     )
 
 
-def length_of(
-    value_um: float, budget: tuple[Contribution, ...], provenance: Provenance, calibration_valid: bool
-) -> Length:
-    """A length with its expanded uncertainty, or 'uncalibrated' where no calibration holds."""
-    if provenance.calibration is None or not calibration_valid:
-        return Length(value_um=value_um, status="uncalibrated")
-    return Length.evaluated(value_um, budget)
-
-
-def _face(surface: Mosaic, region: Region, name: str, count_filled: bool) -> Face:
-    window = surface.window(region)
-    x, y = np.meshgrid(window.x_um, window.y_um)
-    inside = region.contains(x, y)
-    z = window.to_measure(count_filled)
-    good = inside & np.isfinite(z)
-    n = int(np.count_nonzero(good))
-    if n < LEAST_POINTS:
+def _points(surface: Mosaic, region: Region, which: str, layer: Layer, level: int) -> Points:
+    points = points_in(surface, region, layer, level)
+    if len(points) < MIN_POINTS:
         raise MeasureError(
-            f"The {name} region has {n} measured points and needs {LEAST_POINTS}: "
-            "make it larger, or move it to where the surface is measured."
+            f"The {which} region has {len(points)} measured points and a step height needs at least {MIN_POINTS}: "
+            "draw it larger or move it to where heights were measured."
         )
-    return Face(x[good], y[good], z[good].astype(float), n / max(1, int(np.count_nonzero(inside))))
+    return points
 
 
-def _refuse_overlap(high: Face, low: Face) -> None:
-    shared = np.intersect1d(high.x_um + 1j * high.y_um, low.x_um + 1j * low.y_um)
-    if shared.size:
-        raise MeasureError(f"The upper and the lower region share {shared.size} points: move them apart.")
+def _require_apart(upper: Region, below: Points) -> None:
+    shared = int(np.count_nonzero(upper.contains(below.x_um, below.y_um)))
+    if shared:
+        raise MeasureError(f"The two regions share {shared} points: move them apart, each onto one face of the step.")
 
 
-def _design(high: Face, low: Face) -> Values:
-    """Columns x, y, 1, [upper]; x and y from the middle of both, so that h does not lean on far-off coordinates."""
-    x, y = np.concatenate([high.x_um, low.x_um]), np.concatenate([high.y_um, low.y_um])
-    is_upper = np.r_[np.ones(len(high.x_um)), np.zeros(len(low.x_um))]
-    return np.column_stack([x - x.mean(), y - y.mean(), np.ones_like(x), is_upper])
+def _face(points: Points) -> Face:
+    plane, fit = fit_plane(points)
+    kept = points.kept(fit.kept)
+    return Face(kept, plane, kept.z_um - plane.at(kept.x_um, kept.y_um))
 
 
-def _split(flags: NDArray[np.bool_], face: Face, after: Face | None = None) -> NDArray[np.bool_]:
-    start = 0 if after is None else len(after.z_um)
-    return flags[start : start + len(face.z_um)]
+def _common_plane_step(above: Points, below: Points) -> float:
+    both = above.and_also(below)
+    is_upper = np.repeat([1.0, 0.0], [len(above), len(below)])
+    center = float(both.x_um.mean()), float(both.y_um.mean())
+    fit = robust_fit(np.column_stack([plane_design(both, center), is_upper]), both.z_um - both.z_um.mean())
+    return float(fit.coefficients[3])
 
 
-def _relative_tilt(high: Face, low: Face) -> Values:
-    """The difference of the slopes (d/dx, d/dy) of the two faces, each levelled on itself."""
-    slopes = [fit_plane(f.x_um - f.x_um.mean(), f.y_um - f.y_um.mean(), f.z_um).coefficients[:2] for f in (high, low)]
-    return slopes[0] - slopes[1]
+def _length(surface: Mosaic, high: Face, low: Face, height_um: float, calibration_valid: bool) -> Length:
+    bare = reported(height_um, surface.provenance, calibration_valid)
+    if bare.status == "uncalibrated":
+        return bare
+    budget = step_budget(
+        (high.points, high.residuals_um),
+        (low.points, low.residuals_um),
+        height_um,
+        _over_lower(high, low) - _over_upper(high, low),
+        surface.provenance,
+    )
+    return bare if budget is None else Length.evaluated(height_um, budget)
 
 
-def _budget(
-    height_um: float, high: Face, low: Face, fit: Fit, tilt: Values, provenance: Provenance
-) -> tuple[Contribution, ...]:
-    lever = np.array([high.x_um.mean() - low.x_um.mean(), high.y_um.mean() - low.y_um.mean()]) / 2
-    u_scale = 0.0 if provenance.calibration is None else provenance.calibration.u_z_scale
+def _tilt(high: Face, low: Face) -> tuple[float, float]:
+    return high.plane.slope_x - low.plane.slope_x, high.plane.slope_y - low.plane.slope_y
+
+
+def _over_lower(high: Face, low: Face) -> float:
+    """The step when the surface is levelled to the lower face."""
+    return float(high.plane.z_um - low.plane.at(high.plane.x_um, high.plane.y_um))
+
+
+def _over_upper(high: Face, low: Face) -> float:
+    """The step when the surface is levelled to the upper face."""
+    return float(high.plane.at(low.plane.x_um, low.plane.y_um) - low.plane.z_um)
+
+
+def _other_definitions(high: Face, low: Face) -> tuple[str, ...]:
+    x_um, y_um = _middle_of_gap(high, low)
+    place = f"({_tenths(x_um)}, {_tenths(y_um)}) um"
+    at_joint = float(high.plane.at(x_um, y_um) - low.plane.at(x_um, y_um))
     return (
-        Contribution(name="noise and flatness of the regions", u_um=_noise_um(high, low, fit)),
-        Contribution(name="bias of the focus peak", u_um=_peak_bias_um(high, low, provenance.z_step_um)),
-        Contribution(name="z scale", u_um=abs(height_um) * u_scale),
-        Contribution(name="relative tilt of the faces", u_um=abs(float(tilt @ lever)) / math.sqrt(3)),
+        f"Levelled to the upper face: {_over_upper(high, low):.3f} um, to the lower: {_over_lower(high, low):.3f} um.",
+        f"Both faces extended to the middle between the regions, {place}: {at_joint:.3f} um.",
     )
 
 
-def _noise_um(high: Face, low: Face, fit: Fit) -> float:
-    """Standard deviation of h when the means of tiles, not the pixels, are the independent observations."""
-    return max(_noise_of_tiles(high, low, fit, n) for n in TILES)
+def _middle_of_gap(high: Face, low: Face) -> tuple[float, float]:
+    """Half-way between the borders that the regions turn to each other, on the line between their centroids."""
+    start = np.array([low.plane.x_um, low.plane.y_um])
+    way = np.array([high.plane.x_um, high.plane.y_um]) - start
+    length = float(np.hypot(*way))
+    along = way / length if length > 0 else way
+    last_low = float(((low.points.x_um - start[0]) * along[0] + (low.points.y_um - start[1]) * along[1]).max())
+    first_high = float(((high.points.x_um - start[0]) * along[0] + (high.points.y_um - start[1]) * along[1]).min())
+    x_um, y_um = start + along * (last_low + first_high) / 2
+    return float(x_um), float(y_um)
 
 
-def _noise_of_tiles(high: Face, low: Face, fit: Fit, n: int) -> float:
-    tile = np.concatenate([_tile_numbers(high, n), _tile_numbers(low, n) + n * n])[fit.kept]
-    counts = np.bincount(tile, minlength=2 * n * n)
-    full = counts >= LEAST_PER_TILE
-    columns = [np.bincount(tile, c[fit.kept], len(counts))[full] / counts[full] for c in _design(high, low).T]
-    means = np.bincount(tile, fit.residuals[fit.kept], len(counts))[full] / counts[full]
-    design = np.column_stack(columns)
-    freedom = max(1, len(means) - design.shape[1])
-    covariance = np.linalg.pinv(design.T @ design) * float(means @ means) / freedom
-    return float(np.sqrt(max(covariance[3, 3], 0.0)))
-
-
-def _tile_numbers(face: Face, n: int) -> NDArray[np.int64]:
-    return _strip(face.x_um, n) * n + _strip(face.y_um, n)
-
-
-def _strip(places: Values, n: int) -> NDArray[np.int64]:
-    low, high = float(places.min()), float(places.max())
-    return np.minimum(((places - low) / max(high - low, 1e-9) * n).astype(np.int64), n - 1)
-
-
-def _peak_bias_um(high: Face, low: Face, z_step_um: float) -> float:
-    """A face that spans a whole step meets every phase of it and averages the bias out; a level one does not."""
-    level_high, level_low = (max(0.0, 1 - _span_um(f) / max(z_step_um, 1e-9)) for f in (high, low))
-    return PEAK_BIAS_STEPS * z_step_um * float(np.hypot(level_high, level_low))
-
-
-def _span_um(face: Face) -> float:
-    low, high = np.percentile(face.z_um, (2, 98))
-    return float(high - low)
-
-
-def _notes(high: Face, low: Face) -> tuple[str, ...]:
-    faces = {"upper": high, "lower": low}
-    return tuple(f"{f.covered:.0%} of the {name} region is measured" for name, f in faces.items() if f.covered < 0.9)
+def _tenths(value: float) -> str:
+    """One decimal, without a minus before zero."""
+    return f"{round(value, 1) + 0.0:.1f}"

@@ -1,0 +1,92 @@
+"""Which heights of a surface a measurement takes: of what layer, of what region, at what resolution."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import Length
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance
+
+Layer = Literal["unsmoothed", "smoothed", "filled"]
+Floats = NDArray[np.float64]
+MAX_PIXELS = 2_000_000
+"""A region with more pixels is measured at a coarser level, whose pixels are means."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Measured points of a region, each array float64 [n], in stage um."""
+
+    x_um: Floats
+    y_um: Floats
+    z_um: Floats
+
+    def __len__(self) -> int:
+        return len(self.z_um)
+
+    def kept(self, mask: NDArray[np.bool_]) -> Points:
+        """Some of the points."""
+        return Points(self.x_um[mask], self.y_um[mask], self.z_um[mask])
+
+    def and_also(self, others: Points) -> Points:
+        """These points, then the others."""
+        pairs = ((self.x_um, others.x_um), (self.y_um, others.y_um), (self.z_um, others.z_um))
+        return Points(*(np.concatenate(pair) for pair in pairs))
+
+
+def layer_of(recipe: Recipe, layer: Layer | None) -> Layer:
+    """The layer asked for, else the one the recipe measures on."""
+    return layer or recipe.measure_on
+
+
+def heights(surface: HeightMap, layer: Layer) -> NDArray[np.float32]:
+    """[row, col], NaN where a measurement must not look: filled pixels count only in the layer 'filled'."""
+    if layer == "unsmoothed":
+        return surface.z_raw_um
+    if layer == "filled":
+        return surface.z_um
+    return np.where(surface.measured, surface.z_um, np.float32(np.nan))
+
+
+def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> Points:
+    """The measured points of a region. Raises MeasureError when the region lies outside of the surface."""
+    part = surface.window(region, level)
+    z_um = heights(part, layer)
+    rows, cols = np.nonzero(np.isfinite(z_um) & region.contains(part.x_um[None, :], part.y_um[:, None]))
+    return Points(part.x_um[cols], part.y_um[rows], z_um[rows, cols].astype(np.float64))
+
+
+def level_for(surface: Mosaic, *regions: Region) -> int:
+    """The finest level at which no region has more than MAX_PIXELS pixels."""
+    pixels = max(_area_um2(region) for region in regions) / surface.pixel_um**2
+    return min(surface.levels - 1, max(0, math.ceil(math.log(max(pixels, 1) / MAX_PIXELS, 4))))
+
+
+def level_note(surface: Mosaic, level: int) -> tuple[str, ...]:
+    """What to say of a result taken at a coarser level."""
+    return (f"Read at level {level}: each pixel is the mean of {4**level}.",) if level else ()
+
+
+def reported(value_um: float, provenance: Provenance, calibration_valid: bool) -> Length:
+    """A length without a budget: 'not evaluated', or 'uncalibrated' when there is no valid calibration."""
+    calibrated = calibration_valid and provenance.calibration is not None
+    return Length(value_um=value_um, status="not evaluated" if calibrated else "uncalibrated")
+
+
+def require_area(region: Region, what: str) -> None:
+    """Raise MeasureError for a line, which has no area to measure."""
+    if region.kind == "line":
+        raise MeasureError(f"The {what} region is a line and has no area: draw a rectangle, a circle or a polygon.")
+
+
+def _area_um2(region: Region) -> float:
+    x0, y0, x1, y1 = region.bounds_um
+    return (x1 - x0) * (y1 - y0)
