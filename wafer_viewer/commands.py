@@ -12,7 +12,7 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from wafer_viewer.command_output import plan_facts, print_check, print_checks, print_json, print_plan, progress
-from wafer_viewer.model.errors import DatasetError, RigError
+from wafer_viewer.model.errors import DatasetError, PlanError, RigError
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 
@@ -31,6 +31,7 @@ Text = Annotated[str | None, arg(metavar="TEXT")]
 Rectangle = Annotated[tuple[float, float, float, float], arg(metavar="X0 Y0 X1 Y1")]
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
+LAST_PORT = 65535
 
 
 def serve(
@@ -45,13 +46,15 @@ def serve(
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.
         data: Folder of the datasets; it is made when it is not there.
-        port: Port of the page on this machine.
+        port: Port of the page on this machine; 0 takes a free one.
         scheduler: Address of a dask cluster that runs already, tls://HOST:PORT; without it one is started here.
         open_browser: Also open the page in the browser of this machine.
     """
     from wafer_viewer.gui.app import serve as serve_page
     from wafer_viewer.session.session import Session
 
+    if not 0 <= port <= LAST_PORT:
+        raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
     signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     session = Session(data.expanduser(), _config(rig), scheduler)
     try:

@@ -85,7 +85,7 @@ def test_a_snapshot_is_frozen_and_versions_rise(desk):
 
 
 def test_waiting_for_what_does_not_come_says_so(desk):
-    with pytest.raises(TimeoutError, match="within 0.01 s"):
+    with pytest.raises(TimeoutError, match=r"within 0\.01 s"):
         desk.wait_until(lambda snapshot: snapshot.compute_ready, 0.01)
 
 

@@ -174,14 +174,14 @@ if __name__ == "__main__":
 
 
 def test_what_cannot_be_is_one_sentence_and_the_session_lives_on(session, job, tmp_path):
+    session.edit_job(job()).result()
     with pytest.raises(DatasetError, match=r"There is a dataset first\.wafer already"):
-        session.edit_job(job()).result()
         session.start_scan("first").result()
     with pytest.raises(DatasetError, match="does not exist"):
         session.open_dataset(tmp_path / "nowhere.wafer").result()
     with pytest.raises(MeasureError, match="There is no result 99"):
         session.delete(99).result()
-    with pytest.raises(RigError, match="155000|range"):
+    with pytest.raises(RigError, match="155"):
         session.move_to(x_um=1e6).result()
     with pytest.raises(PlanError, match="cannot be read"):
         session.load_plan(tmp_path / "no.toml").result()
@@ -235,7 +235,7 @@ def test_processes_end_with_a_session_that_is_killed(patience_s, tmp_path):
     viewer.kill()
     viewer.wait()
     viewer.stdout.close()
-    gone, alive = psutil.wait_procs(children, timeout=patience_s)
+    _, alive = psutil.wait_procs(children, timeout=patience_s)
     assert not alive
 
 

@@ -7,7 +7,7 @@ of its own, made at the start, so that no other program of this machine can run 
 from __future__ import annotations
 
 import os
-import threading
+from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from typing import Any
@@ -65,13 +65,15 @@ class Host:
     def __init__(self, client: Client, end: ChildEnd) -> None:
         self._client, self._end = client, end
         self._futures: dict[int, Future[Any]] = {}
+        self._warming: dict[str, Future[Any]] = {}
         self._do = {Run: self._run, Cancel: self._cancel}
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
         """Take verbs until the pipe ends; kernels are compiled meanwhile."""
-        self._end.tell(ComputeUp(len(self._addresses())))
-        threading.Thread(target=self._warm, name="warm-up", daemon=True).start()
+        addresses = list(self._client.scheduler_info(n_workers=-1)["workers"])
+        self._end.tell(ComputeUp(len(addresses)))
+        self._warm_up(addresses[:1], then=lambda: self._warm_up(addresses[1:], then=self._warm))
         for ask in self._end.verbs():
             self._do[type(ask.verb)](ask)
 
@@ -97,16 +99,23 @@ class Host:
         else:
             self._end.refuse(ask, _sentence(ask.verb, done))
 
-    def _warm(self) -> None:
-        """One worker compiles, the others then load what it left in the cache."""
-        first, *others = self._addresses()
-        for group in ([first], others):
-            tasks = [self._client.submit(warm_up, workers=[address], pure=False) for address in group]
-            self._client.gather(tasks)
-        self._end.tell(ComputeWarm())
+    def _warm_up(self, addresses: list[str], then: Callable[[], None]) -> None:
+        """Warm up some workers, then go on: one compiles, so that the others load what it left in the cache."""
+        cold = set(addresses)
 
-    def _addresses(self) -> list[str]:
-        return list(self._client.scheduler_info(n_workers=-1)["workers"])
+        def warmed(address: str) -> None:
+            cold.discard(address)
+            if not cold:
+                then()
+
+        for address in addresses:
+            self._warming[address] = self._client.submit(warm_up, workers=[address], pure=False)
+            self._warming[address].add_done_callback(lambda _, address=address: warmed(address))
+        if not addresses:
+            then()
+
+    def _warm(self) -> None:
+        self._end.tell(ComputeWarm())
 
 
 def _own_cluster(until_end: ExitStack) -> Client:

@@ -83,7 +83,7 @@ class Link:
                 self._waiting.pop(number).set_exception(_gone())
         return answer
 
-    def close(self, patience_s: float = 5.0) -> None:
+    def close(self, patience_s: float = 20.0) -> None:
         """End the pipe; the child puts its things at rest. One that does not end in time is ended."""
         self._closing = True
         with self._sending, contextlib.suppress(OSError):

@@ -1,0 +1,309 @@
+"""The command line as people use it: a process, its output, its status, and what it leaves behind."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tifffile
+
+from wafer_viewer.__main__ import COMMANDS
+
+pytestmark = pytest.mark.slow
+
+PLAN = """
+z_start_um = -6.0
+[grid]
+rows = 1
+cols = 2
+field_width_um = 336.4488
+field_height_um = 252.3366
+x0_um = 600.0
+y0_um = 560.0
+[sweep]
+z_step_um = 4.0
+n_frames = {frames}
+"""
+
+
+def start(*words, cwd=None):
+    command = [sys.executable, "-m", "wafer_viewer", *map(str, words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
+
+
+def viewer(*words, cwd=None):
+    running = start(*words, cwd=cwd)
+    out, err = running.communicate(timeout=240)
+    return subprocess.CompletedProcess(words, running.returncode, out, err)
+
+
+def refused(*words, cwd=None):
+    """One sentence on standard error, status 2, nothing on standard output."""
+    done = viewer(*words, cwd=cwd)
+    assert done.returncode == 2, done
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("wafer-viewer: ")
+    assert "│" not in done.stderr
+    return done.stderr
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    path = tmp_path_factory.mktemp("plan") / "plan.toml"
+    path.write_text(PLAN.format(frames=12))
+    return path
+
+
+@pytest.fixture(scope="module")
+def scan(plan):
+    path = plan.parent / "scan.wafer"
+    done = viewer("scan", plan, "-o", path)
+    assert done.returncode == 0, done.stderr
+    assert "24 of 24 frames" in done.stdout
+    return path
+
+
+@pytest.fixture(scope="module")
+def surface(scan):
+    path = scan.parent / "surface.npz"
+    done = viewer("reconstruct", scan, "-o", path)
+    assert done.returncode == 0, done.stderr
+    return path
+
+
+@pytest.fixture
+def images(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    noise = np.random.default_rng(1)
+    for k in range(10):
+        spread = 5 + 60 * np.exp(-((k - 5) ** 2) / 4)
+        image = noise.normal(128, spread, (80, 120)).clip(0, 255).astype(np.uint8)
+        tifffile.imwrite(folder / f"k{k}.tif", image)
+    return folder
+
+
+def test_the_overview_names_every_command():
+    said = viewer("--help")
+    assert said.returncode == 0
+    assert all(f"  {name} " in said.stdout for name in COMMANDS)
+    assert viewer("--version").stdout.startswith("wafer-viewer ")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself_without_frames(command):
+    said = viewer(*command.split(), "--help")
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith(f"usage: wafer-viewer {command} ")
+    assert not set("│╭─╰") & set(said.stdout)
+    assert "---" not in said.stdout
+
+
+def test_a_plan_is_priced_as_a_table_and_as_json(plan):
+    table = viewer("plan", plan)
+    assert table.returncode == 0, table.stderr
+    assert "Z passes, up and down" in table.stdout
+    priced = json.loads(viewer("plan", plan, "--json").stdout)
+    assert priced["n_frames"] == 24
+    assert {p["strategy"] for p in priced["prices"]} >= {"z_snake", "stop_and_shoot"}
+
+
+def test_a_scan_is_checked_stitched_measured_and_converted(scan, surface, tmp_path):
+    checked = viewer("check", scan)
+    assert checked.returncode == 0
+    assert "24 frames good, 0 missing, 0 damaged" in checked.stdout
+    stitched = json.loads(viewer("stitch", scan).stdout)
+    assert stitched["n_fields"] == 2
+    step = viewer("measure", "step", scan, "--upper", 600, 560, 640, 600, "--lower", 700, 560, 740, 600)
+    height = json.loads(step.stdout)["height"]
+    assert height["status"] == "evaluated"
+    assert height["expanded_um"] > 0
+    profile = viewer("measure", "profile", surface, "--line", 500, 560, 700, 560, "--width-um", 3, "--points")
+    facts = json.loads(profile.stdout)
+    assert facts["simulated"]
+    assert len(facts["points"]["z_um"]) == len(facts["points"]["distance_um"])
+    assert viewer("convert", surface, tmp_path / "surface.ply").returncode == 0
+    assert (tmp_path / "surface.ply").read_bytes().startswith(b"ply")
+
+
+def test_a_damaged_page_is_found(scan, tmp_path):
+    import shutil
+
+    copy = shutil.copytree(scan, tmp_path / "copy.wafer")
+    pages = next((copy / "frames").glob("*.tif"))
+    with pages.open("r+b") as file:
+        file.seek(pages.stat().st_size // 2)
+        file.write(b"\x55" * 8)
+    checked = viewer("check", copy)
+    assert checked.returncode == 1
+    assert "1 damaged" in checked.stdout
+
+
+def test_a_scan_that_was_interrupted_goes_on(tmp_path):
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=400).replace("z_step_um = 4.0", "z_step_um = 0.1"))
+    first = start("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
+    journal = tmp_path / "long.wafer" / "journal.jsonl"
+    while first.poll() is None and not (journal.exists() and journal.stat().st_size > 2000):
+        pass
+    first.send_signal(signal.SIGINT)
+    out, err = first.communicate(timeout=240)
+    assert first.returncode == 130, err
+    assert "goes on with it" in out
+    assert "Traceback" not in err
+    refused("scan", tmp_path / "plan.toml", "-o", tmp_path / "long.wafer" / "frames")
+    second = viewer("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
+    assert second.returncode == 0, second.stderr
+    assert "800 of 800 frames" in second.stdout
+    assert "has all its frames" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=401))
+    assert "another plan" in refused("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
+
+
+def test_images_become_a_surface_in_one_line(images, tmp_path):
+    out = tmp_path / "z.npz"
+    flags = ["--z-step-um", 2, "--pixel-um", 0.5, "--recipe.window", 7, "--recipe.levy.mode", "none"]
+    done = viewer("reconstruct", images, "-o", out, *flags)
+    assert done.returncode == 0, done.stderr
+    with np.load(out) as kept:
+        keys = {"z_um", "confidence", "origin", "all_in_focus", "pixel_um", "x0_um", "y0_um"}
+        assert keys <= set(kept.files)
+        assert np.nanmedian(kept["z_um"]) == pytest.approx(10, abs=0.5)
+
+
+def test_a_recipe_is_a_file_and_its_settings_are_flags(images, tmp_path):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text('focus_measure = "glv"\nwindow = 7\n')
+    src = ["reconstruct", images, "--z-step-um", 2, "--pixel-um", 0.5, "-o", tmp_path / "z.npz"]
+    assert viewer(*src, "--recipe", recipe, "--recipe.window", 9).returncode == 0
+    with np.load(tmp_path / "z.npz") as kept:
+        used = json.loads(str(kept["provenance"]))["recipe"]
+    assert (used["focus_measure"], used["window"]) == ("glv", 9)
+    recipe.write_text("windwo = 7\n")
+    assert "windwo" in refused(*src, f"--recipe={recipe}")
+    assert "needs a file" in refused(*src, "--recipe")
+    assert "cannot be read" in refused(*src, "--recipe", tmp_path / "none.toml")
+
+
+def test_an_import_is_a_dataset(images, tmp_path):
+    out = tmp_path / "taken.wafer"
+    done = viewer("import", images, "-o", out, "--z-step-um", 2, "--pixel-um", 0.5)
+    assert done.returncode == 0, done.stderr
+    assert "1 fields of 10 frames" in done.stdout
+    assert viewer("check", out).returncode == 0
+
+
+def test_the_doctor_says_what_there_is(tmp_path):
+    said = viewer("doctor", "--data", tmp_path)
+    assert said.returncode in (0, 1), said.stderr
+    assert "SIMULATED, answers" in said.stdout
+    assert all(line[:4] in ("ok  ", "LACK", "    ") for line in said.stdout.splitlines())
+
+
+BAD_FLAGS = {
+    "no such command": (("fly",), "There is no command 'fly'"),
+    "half a command": (("measure",), "measure step, measure profile"),
+    "an unknown flag": (("plan", "p.toml", "--colour", "red"), "--colour red"),
+    "a missing argument": (("plan",), "Missing: "),
+    "a missing flag": (("reconstruct", "x"), "--out"),
+    "a flag without its value": (("plan", "p.toml", "--rig"), "--rig"),
+    "a word for a number": (("serve", "--port", "eighty"), "eighty"),
+    "three of four numbers": (("measure", "step", "x", "--upper", 1, 2, 3, "--lower", 1, 2, 3, 4), "--upper"),
+    "a wrong choice": (("stitch", "x", "--recipe.peak", "best"), "argmax, gaussian, tent"),
+    "an even window": (("stitch", "x.wafer", "--recipe.window", 4), "Recipe.window is 4"),
+    "an unknown setting": (("stitch", "x.wafer", "--recipe.windwo", 4), "--recipe.windwo"),
+    "no plan": (("plan", "none.toml"), "none.toml cannot be read"),
+    "no rig": (("plan", "none.toml", "--rig", "none-rig.toml"), "none"),
+    "no dataset": (("check", "none.wafer"), "none.wafer does not exist"),
+    "no surface": (("convert", "none.npz", "x.ply"), "none.npz does not exist"),
+    "an unknown ending": (("convert", "none.npz", "x.docx"), ".docx"),
+    "no images": (("reconstruct", "-o", "x.npz"), "There are no images"),
+    "an empty folder": (("reconstruct", ".", "-o", "x.npz", "--z-step-um", 1, "--pixel-um", 1), "image"),
+    "nowhere": (("import", "nowhere", "-o", "x.wafer", "--z-step-um", 1, "--pixel-um", 1), "nowhere"),
+    "no port": (("serve", "--port", 99999), "--port is 99999"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FLAGS)
+def test_a_wrong_command_line_is_one_sentence_and_leaves_nothing(case, tmp_path):
+    words, said = BAD_FLAGS[case]
+    assert said in refused(*words, cwd=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+BAD_PLANS = {
+    "overlap over half": ("cols = 2", "cols = 2\noverlap_x_fraction = 0.6", "overlap_x_fraction is 0.6"),
+    "no fields": ("cols = 2", "cols = 0", "cols is 0"),
+    "too few frames": ("n_frames = 12", "n_frames = 2", "n_frames is 2"),
+    "no step": ("z_step_um = 4.0", "z_step_um = 0.0", "z_step_um is 0.0"),
+    "out of the stage's range": ("x0_um = 600.0", "x0_um = 6e6", "6000"),
+    "an unknown key": ("cols = 2", "cols = 2\ncolour = 1", "colour"),
+    "no TOML": ("[grid]", "[grid", "plan.toml"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_PLANS)
+def test_a_wrong_plan_is_one_sentence_and_nothing_is_scanned(case, tmp_path):
+    good, bad, said = BAD_PLANS[case]
+    (tmp_path / "plan.toml").write_text(PLAN.format(frames=12).replace(good, bad))
+    assert said in refused("scan", "plan.toml", "-o", "new.wafer", cwd=tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.toml"]
+
+
+@pytest.mark.parametrize("command", ["import", "reconstruct"])
+@pytest.mark.parametrize("case", ["size", "truncated", "text", "two frames", "no pixel size"])
+def test_bad_images_are_one_sentence_and_nothing_is_written(command, case, images, tmp_path):
+    flags = ["--z-step-um", 2, "--pixel-um", 0.5]
+    if case == "size":
+        tifffile.imwrite(images / "k4.tif", np.zeros((80, 121), np.uint8))
+    elif case == "truncated":
+        (images / "k4.tif").write_bytes((images / "k4.tif").read_bytes()[:900])
+    elif case == "text":
+        (images / "k4.tif").write_text("this is a text")
+    elif case == "two frames":
+        for k in range(2, 10):
+            (images / f"k{k}.tif").unlink()
+    else:
+        flags = flags[:2]
+    out = "x.wafer" if command == "import" else "x.npz"
+    said = refused(command, images, "-o", out, *flags, cwd=tmp_path)
+    assert ("k4.tif" in said) == (case in ("size", "truncated", "text"))
+    assert [p.name for p in tmp_path.iterdir()] == ["images"]
+
+
+def test_a_place_that_cannot_be_written_is_one_sentence(images, tmp_path):
+    (tmp_path / "file").write_text("")
+    src = [images, "--z-step-um", 2, "--pixel-um", 0.5]
+    assert "cannot be written" in refused("import", *src, "-o", tmp_path / "file" / "x.wafer")
+    assert "cannot be written" in refused("reconstruct", *src, "-o", tmp_path / "file" / "x.npz")
+    assert "is a file" in refused("serve", "--data", tmp_path / "file")
+
+
+def test_a_port_in_use_is_one_sentence(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert f"Port {port} is in use" in refused("serve", "--port", port, "--data", tmp_path)
+
+
+def test_the_viewer_prints_its_address_and_ends_with_ctrl_c(tmp_path):
+    running = start("serve", "--port", 0, "--data", tmp_path)
+    line = running.stdout.readline()
+    assert "http://127.0.0.1:" in line
+    assert "token=" in line
+    running.send_signal(signal.SIGINT)
+    _, err = running.communicate(timeout=60)
+    assert running.returncode == 0
+    assert err == ""
+
+
+def test_regions_off_the_surface_are_refused(surface):
+    far = refused("measure", "step", surface, "--upper", 9e5, 0, 9.1e5, 10, "--lower", 700, 560, 740, 600)
+    assert "lies outside" in far
+    twice = refused("measure", "step", surface, "--upper", 600, 560, 640, 600, "--lower", 610, 560, 640, 600)
+    assert "wafer-viewer: " in twice
