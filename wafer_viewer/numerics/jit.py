@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, cast
 
 import numba
 from numba.core import config as numba_config
@@ -24,19 +24,19 @@ def cache_folder() -> Path:
     return base / "kernels"
 
 
-numba_config.CACHE_DIR = str(cache_folder())
+setattr(numba_config, "CACHE_DIR", str(cache_folder()))  # noqa: B010 - numba makes its settings at run time
 
 
 def kernel(function: F) -> F:
     """Compile a module-level function once per machine; it runs without the interpreter's lock."""
-    return numba.njit(cache=True, nogil=True)(function)
+    return cast(F, numba.njit(cache=True, nogil=True)(function))
 
 
 def fast_kernel(function: F) -> F:
     """A `kernel` that may reorder float arithmetic; not for code that looks for NaN."""
-    return numba.njit(cache=True, nogil=True, fastmath=True)(function)
+    return cast(F, numba.njit(cache=True, nogil=True, fastmath=True)(function))
 
 
 def inline_kernel(function: F) -> F:
     """A small function copied into the kernels that call it."""
-    return numba.njit(inline="always")(function)
+    return cast(F, numba.njit(inline="always")(function))
