@@ -73,7 +73,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     """
     peaks = Peaks.empty(frames.shape, frames.images.dtype.newbyteorder("="))
     stripes = list(_stripes(frames.shape[0]))
-    threads = min(threads or len(os.sched_getaffinity(0)), len(stripes))
+    threads = min(threads or _cores(), len(stripes))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
     for _ in range(threads):
         benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search.window, frames.images.dtype))
@@ -114,6 +114,11 @@ def search_block(z_um: NDArray[np.float64], clipped_counts: int, search: Search,
     find_rivals(curves, search.gap)
     describe(curves, block, margin_px(search.window), z_um, placing, bench.table, out.scores)
     out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
+
+
+def _cores() -> int:
+    """The cores that this process may use; not every system tells which."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _stripes(n_rows: int) -> Iterator[slice]:

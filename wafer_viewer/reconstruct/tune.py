@@ -25,13 +25,13 @@ ENOUGH_COVERAGE = 0.92
 
 OUTLIER_FLOOR_STEPS = 1.5
 GAP_WIDTHS = 2.0
-REACH_WIDTHS = 0.5
+REACH_WIDTHS = 0.55
 SUITABLE_WIDTH = 2.5
 """A focus curve 2 or 3 frames wide at half its height is sampled well."""
 
 _PROBE_WINDOW = 9
-_TILE_PX = 64
-_TILES = 4
+_TILE_PX = (32, 128)
+_TILES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +76,13 @@ def focus_width(frames: Frames, recipe: Recipe) -> float:
 
 def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
     """The smallest window that covers nearly as much as the largest."""
-    coverages = {w: _coverage(frames, recipe, dataclasses.replace(probe, window=w)) for w in AUTO_WINDOWS}
-    enough = ENOUGH_COVERAGE * coverages[AUTO_WINDOWS[-1]]
-    return next(w for w in AUTO_WINDOWS if coverages[w] >= enough)
+
+    def coverage(window: int) -> float:
+        return _coverage(frames, recipe, dataclasses.replace(probe, window=window))
+
+    *smaller, largest = AUTO_WINDOWS
+    enough = ENOUGH_COVERAGE * coverage(largest)
+    return next((w for w in smaller if coverage(w) >= enough), largest)
 
 
 def _search(frames: Frames, recipe: Recipe, window: int, width: float) -> Search:
@@ -105,19 +109,20 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
 
 
 def _half_height_width(bench: Bench, peaks: Peaks) -> float:
-    """The mean number of frames with at least half the focus of the peak, where there is texture; 0 without any."""
+    """The frames with at least half the focus of the peak where there is texture, the narrower half; 0 without any."""
     textured = (peaks.contrast >= np.percentile(peaks.contrast, 75)) & (peaks.contrast > 1) & ~peaks.at_end
     if not textured.any():
         return 0.0
     half = 2 ** mantissa_bits(bench.block.dtype)
     levels = bench.curves.levels[:, textured].astype(np.int32)
-    return float(np.mean(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0)))
+    widths = np.sort(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0))
+    return float(widths[: len(widths) // 2 + 1].mean())
 
 
 def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
     """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
     n_rows, n_cols = frames.shape
-    shape = min(_TILE_PX, n_rows), min(_TILE_PX, n_cols)
+    shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
     bench = Bench.make(frames.n_frames, shape, search.window, frames.images.dtype)
     peaks = Peaks.empty(shape, bench.block.dtype)
     for top in _starts(n_rows, shape[0]):
