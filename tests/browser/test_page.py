@@ -23,7 +23,12 @@ from tests.browser.steps import (
 )
 from wafer_viewer.model.errors import DatasetError
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    # The page may still be drawing when the browser of a test goes.
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
 Serve = Callable[[fake.FakeSession], Page]
 
 

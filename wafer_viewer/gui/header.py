@@ -42,7 +42,7 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
         case "acquire":
             return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
         case "surface":
-            return data is not None and (snapshot.surface is not None or bool(data.stamps))
+            return data is not None and (data.finished or bool(data.stamps))
         case "measure":
             return snapshot.surface is not None
 

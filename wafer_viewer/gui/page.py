@@ -115,7 +115,7 @@ class Page:
 
     def tell(self, fault: Fault) -> None:
         """Show a note on this page until it is dealt with, and a notification now; the same note twice is one."""
-        if any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
+        if self._closed or any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
             return
         self.notices = (*self.notices, fault)
         self._notify(fault)
