@@ -103,7 +103,7 @@ def accuracy(name: str) -> str:
     right = error[np.abs(error) <= FALSE_UM]
     false, rmse = 1 - right.size / max(1, error.size), np.sqrt(np.mean(right**2))
     return (
-        f"{name:12s} step {step:g} um, window {height.provenance.recipe.window}: {height.measured.mean():.1%} measured, "
+        f"{name:12s} {step:g} um, window {height.provenance.recipe.window}: {height.measured.mean():.1%} measured, "
         f"{false:.2%} of it false, RMSE {rmse:.3f} um, median error {np.median(right):+.3f} um"
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import config as numba_config
