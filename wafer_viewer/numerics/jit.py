@@ -1,12 +1,16 @@
 """One place that says how numba compiles our kernels, and where it keeps them.
 
 The compiled code is cached in the user's cache folder (``WAFER_VIEWER_CACHE`` moves it), so that a read-only
-installation still starts fast and every child process loads what the first one compiled.
+installation still starts fast and every child process loads what the first one compiled. numba looks only at the
+file of the outermost kernel when it decides whether a cached one is stale, and ours inline each other across files: so
+every state of the sources has a folder of its own.
 """
 
 from __future__ import annotations
 
+import functools
 import os
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -14,14 +18,22 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import config as numba_config
 
+KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def cache_folder() -> Path:
-    """The folder of compiled kernels: ``WAFER_VIEWER_CACHE``, else ``~/.cache/wafer-viewer/kernels``."""
+    """The folder of compiled kernels, under ``WAFER_VIEWER_CACHE`` or else ``~/.cache/wafer-viewer``."""
     home = os.environ.get("WAFER_VIEWER_CACHE")
     base = Path(home) if home else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "wafer-viewer"
-    return base / "kernels"
+    return base / "kernels" / source_fingerprint()
+
+
+def source_fingerprint() -> str:
+    """Eight hex digits that change with any source of a kernel."""
+    package = Path(__file__).parent.parent
+    sources = (f for room in KERNEL_ROOMS for f in sorted((package / room).rglob("*.py")))
+    return f"{functools.reduce(lambda crc, f: zlib.crc32(f.read_bytes(), crc), sources, 0):08x}"
 
 
 setattr(numba_config, "CACHE_DIR", str(cache_folder()))  # noqa: B010 - numba makes its settings at run time

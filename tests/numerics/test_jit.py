@@ -1,0 +1,28 @@
+"""Where compiled kernels are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wafer_viewer.numerics.jit import KERNEL_ROOMS, cache_folder, source_fingerprint
+
+PACKAGE = Path(__file__).parents[2] / "wafer_viewer"
+
+
+def test_the_cache_can_be_moved_and_belongs_to_this_state_of_the_sources(monkeypatch, tmp_path):
+    monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path))
+    assert cache_folder() == tmp_path / "kernels" / source_fingerprint()
+
+
+def test_a_change_of_any_kernel_source_changes_the_fingerprint(monkeypatch):
+    before = source_fingerprint()
+    read = Path.read_bytes
+    changed = next((PACKAGE / "rigs/virtual").glob("noise.py"))
+    monkeypatch.setattr(Path, "read_bytes", lambda f: read(f) + b"#" * (f == changed))
+    assert source_fingerprint() != before
+
+
+def test_every_kernel_lies_in_a_room_that_the_fingerprint_covers():
+    users = [f for f in PACKAGE.rglob("*.py") if "kernel\n" in f.read_text() and "numerics.jit import" in f.read_text()]
+    assert len(users) > 10
+    assert all(any(f.is_relative_to(PACKAGE / room) for room in KERNEL_ROOMS) for f in users)
