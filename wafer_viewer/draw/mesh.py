@@ -6,6 +6,7 @@ Scene coordinates are mm; z is um above a reference, in mm too: the scene stretc
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ class Mesh:
 
 
 _STEEP = 1.5
+"""Rise over run from which a partly measured cell is a wall, not a slope."""
 
 
 def picked(n: int, step: int) -> NDArray[np.intp]:
@@ -42,7 +44,7 @@ def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, 
     height = (z_um[np.ix_(rows, cols)] - np.float32(z0_um)) * np.float32(1e-3)
     v, u = np.meshgrid((rows + 0.5) / len(y_mm), (cols + 0.5) / len(x_mm), indexing="ij")
     kept = _cells(there, rows, cols, np.logical_or)
-    ragged = kept & ~_cells(there, rows, cols, np.logical_and)
+    ragged = kept & ~(_cells(there, rows, cols, np.logical_and) & _corners(there[np.ix_(rows, cols)]).all(axis=0))
     kept &= ~(ragged & (_rise(height) > _STEEP * step * abs(float(x_mm[-1] - x_mm[0])) / max(1, len(x_mm) - 1)))
     return Mesh(
         np.stack([grid_x, grid_y, height], axis=-1).reshape(-1, 3).astype(np.float32),
@@ -61,8 +63,12 @@ def _cells(
 
 def _rise(height: Floats) -> Floats:
     """The largest difference between the four corners of each cell."""
-    corners = np.stack([height[:-1, :-1], height[:-1, 1:], height[1:, :-1], height[1:, 1:]])
-    return np.ptp(corners, axis=0)
+    return np.ptp(_corners(height), axis=0)
+
+
+def _corners(lattice: NDArray[Any]) -> NDArray[Any]:
+    """The values at the four corners of each cell, [4, row, col]."""
+    return np.stack([lattice[:-1, :-1], lattice[:-1, 1:], lattice[1:, :-1], lattice[1:, 1:]])
 
 
 def quads(rows: int, cols: int) -> NDArray[np.uint32]:

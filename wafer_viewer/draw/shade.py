@@ -19,7 +19,7 @@ _LIGHT = np.array([np.sin(_AZIMUTH) * np.cos(_ALTITUDE), np.cos(_AZIMUTH) * np.c
 _UP = np.array([0.0, 0.0, 1.0])
 _HALFWAY = (_LIGHT + _UP) / np.linalg.norm(_LIGHT + _UP)
 _GLOSS_EXPONENT = 60
-_NOISE_PX = 0.6
+_NOISE_PX = 0.9
 """Heights are smoothed by this before they are differentiated: pixel noise would glitter."""
 _WIDE_PX, _NARROW_PX = 19, 7
 
@@ -45,11 +45,11 @@ def without_gaps(z_um: Heights) -> Heights:
 
 
 def light_gain(z_um: Heights, pixel_um: float) -> float:
-    """By how much slopes are exaggerated for the light: a typical slope of the surface is lit as one of a half."""
+    """By how much slopes are exaggerated for the light: a typical slope of the surface is lit as one of 0.4."""
     step_y, step_x = np.abs(np.diff(z_um, axis=0)), np.abs(np.diff(z_um, axis=1))
     slopes = np.concatenate([step_y[np.isfinite(step_y)], step_x[np.isfinite(step_x)]]) / pixel_um
     typical = float(np.sqrt(np.mean(np.minimum(slopes, 2.0) ** 2))) if slopes.size else 0.0
-    return float(np.clip(0.5 / max(typical, 1e-6), 0.4, 8.0))
+    return float(np.clip(0.4 / max(typical, 1e-6), 0.4, 8.0))
 
 
 def shade(z_um: Heights, pixel_um: float, gain: float, span_um: float) -> Shading:

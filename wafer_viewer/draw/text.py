@@ -58,7 +58,7 @@ def tag(text: str, colour: Rgb, pill: Rgb | None = None) -> NDArray[np.uint8]:
     pen = ImageDraw.Draw(image)
     if pill:
         pen.rounded_rectangle((0, 0, image.width - 1, LINE_PX - 1), _PAD_PX, fill=(*pill, 255))
-    write(pen, (pad, LINE_PX / 2), text, face, (*colour, 255), weight=1.2)
+    write(pen, (pad, LINE_PX / 2), text, face, (*colour, 255), weight=0.8)
     return np.asarray(image)
 
 

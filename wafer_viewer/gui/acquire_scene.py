@@ -41,7 +41,7 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
     if data is None:
         return plan_contents(snapshot, view)
     size = data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um
-    facts = {n: book.facts(_source(data, snapshot, n)) for n in sorted(data.stamps)}
+    facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
     z0 = min((f.lowest_um for f in facts.values()), default=min(f.z_start_um for f in data.fields))
     box = fields_box(data.fields, *size)
     floor = -0.035 * max(box[2] - box[0], box[3] - box[1])
@@ -54,6 +54,7 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
         items=tuple(items),
         corners_mm=corners_of(box, floor, 0.12 * (box[3] - box[1])),
         place=("acquire", data.path),
+        awaits_more=len(facts) < len(data.stamps),
         stretch=view.exaggeration,
         clear=Clear(left=60, right=60, top=110, bottom=90),
     )

@@ -15,6 +15,7 @@ Vector = NDArray[np.float64]
 
 NEAR_MM = 0.005
 FOV_RAD = math.radians(29)
+_ROUNDS = 40
 _TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
 """Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
 
@@ -68,7 +69,7 @@ def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, he
     aim = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
     distance = 2 * float(np.linalg.norm(np.ptp(corners_mm, axis=0))) + 1e-3
     right, up = _screen_axes(direction)
-    for _ in range(12):
+    for _ in range(_ROUNDS):
         x, y = _project(corners_mm, aim + direction * distance, direction, right, up, focal_px)
         # Where the middle of the points should be: the middle of the free part, seen from the canvas's middle.
         shift_x = (x.min() + x.max()) / 2 - (clear.left - clear.right) / 2

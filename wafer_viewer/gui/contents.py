@@ -32,6 +32,7 @@ class OnShow:
 class Contents:
     """Everything to be drawn. `rough` is shown first when nothing of the same kind is drawn yet.
 
+    `awaits_more`: what else there is to draw is known only when the painter has answered.
     place: the camera goes to `preset` when this changes; corners_mm [n, 3]: what it takes in.
     """
 
@@ -42,6 +43,7 @@ class Contents:
     stretch: float = 1.0
     rough: tuple[Item, ...] = ()
     on_show: OnShow | None = None
+    awaits_more: bool = False
     clear: Clear = field(default_factory=Clear)
 
 

@@ -62,10 +62,14 @@ class CasedLine:
         self._casing = lines(scene, f"/tools/{name}/casing", nothing, _WHITE, width_px + 3.1)
         self._line = lines(scene, f"/tools/{name}/line", nothing, colour, width_px)
 
-    def lay(self, segments: NDArray[np.float32], lift_mm: float) -> None:
-        """Lie along these segments, the colour `lift_mm` over the casing: closer together they would flicker."""
+    def lay(self, segments: NDArray[np.float32], coloured: NDArray[np.bool_] | None, lift_mm: float) -> None:
+        """Lie along these segments, the colour `lift_mm` over the casing: closer together they would flicker.
+
+        Where nothing is measured (not `coloured`) the casing goes on alone.
+        """
+        above = segments if coloured is None or not coloured.any() else segments[coloured]
         self._casing.points = segments
-        self._line.points = segments + np.array([0, 0, lift_mm], np.float32)
+        self._line.points = above + np.array([0, 0, lift_mm], np.float32)
 
     def remove(self) -> None:
         """Take it out of the scene."""
@@ -103,8 +107,8 @@ class ProfileTool:
 
     def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
         """Lie on the surface as it is drawn now."""
-        points = land.draped(self.ends[0], self.ends[1], 1.5 * mm_per_pixel)
-        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), 1.8 * mm_per_pixel)
+        points, measured = land.draped(self.ends[0], self.ends[1], 1.5 * mm_per_pixel)
+        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
             knob.place(at + np.array([0, 0, 5 * mm_per_pixel], np.float32), mm_per_pixel, towards)
 
@@ -145,10 +149,13 @@ class RegionTool:
         z = land.on_show.scene_z(land.highest_um(x0, y0, x1, y1)) + 2 * mm_per_pixel
         corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float) * 1e-3
         points = np.column_stack([corners, np.full(4, z)]).astype(np.float32)
-        self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), 1.6 * mm_per_pixel)
+        self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), None, 1.6 * mm_per_pixel)
         for knob, at in zip((*self._corners, self._middle), (*points, points.mean(axis=0)), strict=True):
             knob.place(at, mm_per_pixel, towards)
-        self._sign.place((x0 * 1e-3 - 12 * mm_per_pixel, (y0 + y1) / 2e3, z), 26 * mm_per_pixel)
+        # The sign lies beside the region: over whatever is there, or a wall would hide it.
+        left, reach = x0 - 12e3 * mm_per_pixel, 90e3 * mm_per_pixel
+        beside = land.on_show.scene_z(land.highest_um(left - reach, y0, left, y1)) + 2 * mm_per_pixel
+        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, max(z, beside)), 26 * mm_per_pixel)
 
     def remove(self) -> None:
         """Take it out of the scene."""

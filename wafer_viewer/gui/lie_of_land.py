@@ -47,18 +47,29 @@ class Land:
         u, v, z = col - c, row - f, self._z_um
         return (z[f, c] * (1 - u) + z[f, c + 1] * u) * (1 - v) + (z[f + 1, c] * (1 - u) + z[f + 1, c + 1] * u) * v
 
+    def measured(self, x_um: Floats, y_um: Floats) -> NDArray[np.bool_]:
+        """Whether the pixel nearest to each place has a height."""
+        r = self._relief
+        col = np.clip(np.round((np.asarray(x_um) - r.x0_um) / r.pixel_um), 0, r.cols - 1).astype(int)
+        row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
+        return self._there[row, col]
+
     def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
         """Places on the drawn surface as scene points, float32 [n, 3]."""
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
-    def draped(self, a: Place, b: Place, lift_mm: float) -> NDArray[np.float32]:
-        """A line from a to b on the surface; it runs over narrow pits instead of diving through their walls."""
-        t = np.linspace(0, 1, 360)
-        points = self.scene_points(a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t, lift_mm)
+    def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """A line from a to b on the surface as points [n, 3], and which of its pieces [n - 1] are measured.
+
+        It runs over narrow pits instead of diving through their walls.
+        """
+        t = np.linspace(0, 1, 480)
+        x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
+        points, there = self.scene_points(x, y, lift_mm), self.measured(x, y)
         padded = np.pad(points[:, 2], 2, mode="edge")
         points[:, 2] = np.max([padded[k : k + len(points)] for k in range(5)], axis=0)
-        return points
+        return points, there[:-1] & there[1:]
 
     def highest_um(self, x0: float, y0: float, x1: float, y1: float) -> float:
         """Nearly the highest height within a rectangle, a spike aside."""
@@ -102,12 +113,19 @@ class Land:
     # ---------------------------------------------------------------- where to begin
 
     def first_line(self, near: Place) -> tuple[Place, Place]:
-        """A profile to begin with: along x through the middle of what is looked at, over most of its width."""
+        """A profile to begin with: along x, near the middle of what is looked at, where most of it is measured."""
         x0, y0, x1, y1 = self.bounds_um
         x, y = self._inner(near)
         half = 0.32 * (x1 - x0)
         x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
-        return self.clamped((x - half, min(max(y, y0), y1))), self.clamped((x + half, y))
+        t = np.linspace(x - half, x + half, 200)
+        rows = y + np.linspace(0, 0.2, 9)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
+        best = max(rows.ravel().tolist(), key=lambda row: self._measured_share(t, row))
+        return self.clamped((x - half, best)), self.clamped((x + half, best))
+
+    def _measured_share(self, x_um: Floats, y_um: float) -> float:
+        """How much of a row is measured, in steps: rows that differ by little count as the same."""
+        return round(float(self.measured(x_um, np.full_like(x_um, y_um)).mean()), 1)
 
     def first_plateaus(self, near: Place) -> tuple[Place, Place, float]:
         """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both."""
@@ -135,20 +153,16 @@ class Land:
         return upper, _nearest(places[levels <= levels.min() + 0.12 * np.ptp(levels)], upper)
 
     def _patches(self, side: int) -> tuple[Floats, Floats, Floats]:
-        """Middles (um), mean heights and spreads of the square patches that are measured all over."""
-        r = self._relief
-        rows, cols = r.rows // side, r.cols // side
-
-        def cut(layer: NDArray[np.generic]) -> NDArray[np.generic]:
-            square = layer[: rows * side, : cols * side].reshape(rows, side, cols, side)
-            return square.swapaxes(1, 2).reshape(rows * cols, -1)
-
-        whole = cut(self._there).mean(axis=1) > 0.98
-        heights = cut(self._z_um)[whole]
-        row, col = np.divmod(np.flatnonzero(whole), max(1, cols))
-        x = r.x0_um + ((col + 0.5) * side - 0.5) * r.pixel_um
-        y = r.y0_um - ((row + 0.5) * side - 0.5) * r.pixel_um
-        return np.stack([x, y], axis=1), heights.mean(axis=1), heights.std(axis=1)
+        """Middles (um), mean heights and spreads of the square patches, half a side apart, measured all over."""
+        r, step = self._relief, max(1, side // 2)
+        z = self._z_um.astype(float) - self.on_show.z0_um
+        n, total, squares = (_box_sums(layer, side, step) for layer in (self._there.astype(float), z, z * z))
+        row, col = np.nonzero(n > 0.98 * side * side)
+        mean = total[row, col] / side**2
+        spread = np.sqrt(np.maximum(squares[row, col] / side**2 - mean**2, 0))
+        x = r.x0_um + (col * step + (side - 1) / 2) * r.pixel_um
+        y = r.y0_um - (row * step + (side - 1) / 2) * r.pixel_um
+        return np.stack([x, y], axis=1).astype(float), mean, spread.astype(float)
 
     def _inner(self, near: Place) -> Place:
         """The place, drawn into the inner half of the surface."""
@@ -161,3 +175,10 @@ def _nearest(places: Floats, to: Place) -> Place:
     away = np.hypot(places[:, 0] - to[0], places[:, 1] - to[1])
     x, y = places[int(np.argmin(away))]
     return float(x), float(y)
+
+
+def _box_sums(layer: Floats, side: int, step: int) -> Floats:
+    """Sums over the squares of `side` pixels that begin every `step` pixels."""
+    sums = np.pad(layer, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    boxes = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+    return boxes[::step, ::step]

@@ -116,7 +116,7 @@ def _smaller(image: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
 def _tinted(image: NDArray[np.uint8], ground_colour: Rgb, towards: float, dark: bool) -> NDArray[np.uint8]:
     """Grey with a breath of blue, in the range that reads well under lines."""
     grey = np.arange(256, dtype=float)[:, None] / 255
-    shown = (grey**0.85 * (150 if dark else 218) + 18) * np.array([0.97, 1.0, 1.03])
+    shown = (grey**0.75 * (140 if dark else 186) + (18 if dark else 56)) * np.array([0.97, 1.0, 1.03])
     mixed = shown * (1 - towards) + np.array(ground_colour, float) * towards
     return np.clip(mixed, 0, 255).astype(np.uint8)[image]
 

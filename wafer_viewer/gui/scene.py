@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Hashable
-from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import viser
@@ -16,11 +15,10 @@ from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import Contents, OnShow
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
-from wafer_viewer.gui.stage import Stage, Superseded
+from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
@@ -41,13 +39,14 @@ class SceneView:
         self._due = threading.Condition()
         self._wanted: tuple[Snapshot, View] | None = None
         self._asked: Hashable = None
-        self._closed = False
-        self._stage = Stage(client.scene, session.paint)
-        self._book = Book(session.paint, self._is_stale)
+        self._more, self._closed, self._settled = False, False, True
+        self._stage = Stage(client.scene, session.paint, self._arrived)
+        self._book = Book(session.paint, self._arrived)
         self._eye = Eye(client)
         self._tools = Tools(client, self._eye)
         self._shown: Contents | None = None
         self._place: Hashable = None
+        self._stands: Hashable = None
         self._preset: str | None = None
         self._camera_listener: Callable[[], object] = lambda: None
         self._moves = Latest("camera")
@@ -64,7 +63,7 @@ class SceneView:
         with self._due:
             if essence == self._asked:
                 return
-            self._asked, self._wanted = essence, (snapshot, view)
+            self._asked, self._wanted, self._more = essence, (snapshot, view), True
             self._due.notify()
 
     def look_from(self, preset: str) -> None:
@@ -97,6 +96,12 @@ class SceneView:
         """Call back with the upper and the lower region while they are dragged, and when they are first laid."""
         self._tools.on_regions(callback)
 
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not drawn yet, or something that was replaced is still there."""
+        with self._due:
+            return self._more or not self._settled or self._preset is not None
+
     def close(self) -> None:
         """Let the threads go; the browser has gone."""
         with self._due:
@@ -119,9 +124,6 @@ class SceneView:
         progress = None if data is None else (data.path, *data.states.items(), *data.stamps.items())
         return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
 
-    def _is_stale(self) -> bool:
-        return self._wanted is not None or self._closed
-
     def _camera_moved(self) -> None:
         """On a thread of its own, which pauses after each: the last move of many is never left out."""
         self._eye.refit()
@@ -129,38 +131,51 @@ class SceneView:
         self._camera_listener()
         time.sleep(_CAMERA_EVERY_S)
 
+    def _arrived(self) -> None:
+        with self._due:
+            self._more = True
+            self._due.notify()
+
     def _run(self) -> None:
         pause: float | None = None
         while True:
             with self._due:
-                self._due.wait_for(lambda: self._is_stale() or self._preset is not None, pause)
+                self._due.wait_for(lambda: self._more or self._closed or self._preset is not None, pause)
                 if self._closed:
                     return
-                wanted, self._wanted = self._wanted, None
+                self._more, self._settled, wanted = False, False, self._wanted
                 preset, self._preset = self._preset, None
-            self._turn(wanted, preset)
+            whole = self._turn(wanted, preset)
             pause = self._stage.tidy()
+            with self._due:
+                self._settled = whole and pause is None
 
-    def _turn(self, wanted: tuple[Snapshot, View] | None, preset: str | None) -> None:
+    def _turn(self, wanted: tuple[Snapshot, View] | None, preset: str | None) -> bool:
+        """Draw and look; whether all there is to draw is drawn."""
+        whole = True
         try:
             if wanted is not None:
-                self._draw(*wanted)
+                whole = self._draw(*wanted)
             if preset is not None and self._shown is not None:
                 self._eye.frame(self._shown.corners_mm, preset, self._shown.clear)
-        except Superseded:
-            return
-        except (WaferViewerError, BrokenProcessPool, OSError) as fault:
+        except NotYet:
+            return False
+        except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
             self._on_fault(fault)
+        return whole
 
-    def _draw(self, snapshot: Snapshot, view: View) -> None:
+    def _draw(self, snapshot: Snapshot, view: View) -> bool:
+        """One pass: draws what there is to draw; when the painter has more, there is another pass."""
         contents = self._contents(snapshot, view)
-        if contents.rough and not self._stands(contents):
-            self._place_camera(contents)
-            self._stage.show(contents.rough, contents.stretch, self._is_stale)
         self._place_camera(contents)
-        self._tell_scale(contents)
-        self._tools.show(view, contents.on_show, self._book)
-        self._stage.show(contents.items, contents.stretch, self._is_stale)
+        if contents.rough and self._stands != contents.place and not self._stage.show(contents.rough, contents.stretch):
+            return False
+        self._stands = contents.place
+        self._scale_listener(contents.on_show)
+        whole = self._stage.show(contents.items, contents.stretch)
+        if whole or contents.on_show is None:
+            self._tools.show(view, contents.on_show, self._book)
+        return whole and not contents.awaits_more
 
     def _contents(self, snapshot: Snapshot, view: View) -> Contents:
         if view.step == "plan":
@@ -170,16 +185,9 @@ class SceneView:
             return surface_contents(self._book, snapshot, view, source)
         return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
 
-    def _stands(self, contents: Contents) -> bool:
-        """Whether something of the same surface is drawn already: then it stays until the fine tiles are there."""
-        return self._shown is not None and self._shown.place == contents.place
-
     def _place_camera(self, contents: Contents) -> None:
         if contents.place != self._place:
             self._eye.frame(contents.corners_mm, contents.preset, contents.clear)
         else:
             self._eye.follow(contents.corners_mm, contents.clear)
         self._place, self._shown = contents.place, contents
-
-    def _tell_scale(self, contents: Contents) -> None:
-        self._scale_listener(contents.on_show)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable, Sequence
-from concurrent.futures import CancelledError, Future
-from concurrent.futures import TimeoutError as NotYet
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,7 +19,6 @@ Paint = Callable[[PaintRequest], "Future[bytes]"]
 
 _GRACE_S = 0.45
 """How long a tile stays after its successor was sent: the browser unpacks it meanwhile, and nothing flashes."""
-_LOOK_UP_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,40 +42,66 @@ class _Drawn:
     stretched: bool
 
 
-class Superseded(Exception):  # nothing went wrong: no Error in its name
-    """What is being drawn is no longer wanted."""
+class NotYet(Exception):  # nothing went wrong: no Error in its name
+    """The answer is on its way; the scene is drawn again when it has come."""
+
+
+class Orders:
+    """What was asked of the painter. It never waits: an answer that is not there yet calls `arrived` when it is."""
+
+    def __init__(self, paint: Paint, arrived: Callable[[], None]) -> None:
+        self._paint, self._arrived = paint, arrived
+        self._open: dict[PaintRequest, Future[bytes]] = {}
+
+    def outcome(self, request: PaintRequest) -> Future[bytes]:
+        """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again."""
+        future = self._open.get(request)
+        if future is None or future.cancelled():
+            future = self._open[request] = self._paint(request)
+            if not future.done():
+                future.add_done_callback(lambda done: None if done.cancelled() else self._arrived())
+        if not future.done():
+            raise NotYet
+        return self._open.pop(request)
+
+    def keep_only(self, wanted: set[PaintRequest]) -> None:
+        """Withdraw the orders that no one waits for any more."""
+        for request in [request for request in self._open if request not in wanted]:
+            self._open.pop(request).cancel()
 
 
 class Stage:
-    """The nodes of one browser's scene, by item name. Used from one thread."""
+    """The nodes of one browser's scene, by item name. Used from one thread; it never waits."""
 
-    def __init__(self, scene: viser.SceneApi, paint: Paint) -> None:
-        self._scene, self._paint = scene, paint
+    def __init__(self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None]) -> None:
+        self._scene, self._orders = scene, Orders(paint, arrived)
         self._drawn: dict[str, _Drawn] = {}
         self._leaving: list[tuple[float, Handle]] = []
         self._serial = 0
         self._stretch = 1.0
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._drawn
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What is drawn, by item name."""
+        return tuple(name for name, drawn in self._drawn.items() if drawn.handle is not None)
 
-    def show(self, items: Sequence[Item], stretch: float, is_stale: Callable[[], bool]) -> None:
-        """Draw what is missing, then let what is not in the list leave.
+    def show(self, items: Sequence[Item], stretch: float) -> bool:
+        """Draw what is missing and there to be drawn; whether that was all. Only then what is not in the list leaves.
 
-        Raises Superseded as soon as `is_stale`; what was drawn by then stays and is compared again next time.
+        Raises what went wrong in making an item, after all others are drawn; the same item is not tried again.
         """
         self._stretch_all(stretch)
+        self._orders.keep_only({item.request for item in items if item.request is not None})
         missing = [item for item in items if not self._is_drawn(item)]
-        awaited = {i.name: self._paint(i.request) for i in missing if i.request is not None}
-        try:
-            for item in missing:
-                self._draw(item, wait(awaited[item.name], is_stale) if item.name in awaited else b"")
-        finally:
-            for future in awaited.values():
-                future.cancel()
-        wanted = {item.name for item in items}
-        for name in [name for name in self._drawn if name not in wanted]:
-            self._let_leave(self._drawn.pop(name))
+        faults: list[BaseException] = []
+        waiting = [item for item in missing if not self._try(item, faults)]
+        if not waiting:
+            wanted = {item.name for item in items}
+            for name in [name for name in self._drawn if name not in wanted]:
+                self._let_leave(self._drawn.pop(name))
+        if faults:
+            raise faults[0]
+        return not waiting
 
     def tidy(self) -> float | None:
         """Remove what has had its grace; seconds until there is more to remove, None when there is not."""
@@ -90,6 +114,20 @@ class Stage:
     def _is_drawn(self, item: Item) -> bool:
         drawn = self._drawn.get(item.name)
         return drawn is not None and drawn.content == item.content
+
+    def _try(self, item: Item, faults: list[BaseException]) -> bool:
+        """Draw an item if what it is made of is there."""
+        data = b""
+        if item.request is not None:
+            try:
+                outcome = self._orders.outcome(item.request)
+            except NotYet:
+                return False
+            fault = outcome.exception()
+            data = outcome.result() if fault is None else b""
+            faults += [] if fault is None else [fault]
+        self._draw(item, data)
+        return True
 
     def _draw(self, item: Item, data: bytes) -> None:
         self._serial += 1
@@ -113,16 +151,3 @@ class Stage:
     def _let_leave(self, drawn: _Drawn) -> None:
         if drawn.handle is not None:
             self._leaving.append((time.monotonic() + _GRACE_S, drawn.handle))
-
-
-def wait(future: Future[bytes], is_stale: Callable[[], bool]) -> bytes:
-    """A future's answer. Raises Superseded when what it is for is stale or it was withdrawn, else what it raises."""
-    while True:
-        if is_stale():
-            raise Superseded
-        try:
-            return future.result(_LOOK_UP_S)
-        except NotYet:
-            continue
-        except CancelledError:
-            raise Superseded from None

@@ -32,6 +32,8 @@ class Tools:
         self._drags, self._clicks = Latest("drag"), Latest("pick")
         self._told: deque[Region] = deque(maxlen=64)
         self._width_um = 0.0
+        # Whether the view named them when it was last seen: one that names none any more asks for new ones.
+        self._had_profile = self._had_regions = False
         self._picked: Callable[[float, float], None] | None = None
         self._profiled: Callable[[Region], None] = lambda line: None
         self._stepped: Callable[[Region, Region], None] = lambda upper, lower: None
@@ -82,9 +84,10 @@ class Tools:
         self._width_um = view.profile.width_um if view.profile is not None else self._width_um
         if view.profile is not None and self._is_theirs(view.profile, new):
             self._profile.ends = [(p.x_um, p.y_um) for p in view.profile.points]
-        elif view.profile is None:
+        elif view.profile is None and (new or self._had_profile):
             self._profile.ends = list(land.first_line(self._looked_at()))
             self._tell_profile()
+        self._had_profile = view.profile is not None
         self._redraw()
 
     def _show_regions(self, view: View, land: Land) -> None:
@@ -96,11 +99,13 @@ class Tools:
                 for name in ("upper", "lower")
             }
         if view.upper is None or view.lower is None:
-            self._lay_regions(land)
+            if new or self._had_regions:
+                self._lay_regions(land)
         elif self._is_theirs(view.upper, new) or self._is_theirs(view.lower, new):
             for name, region in (("upper", view.upper), ("lower", view.lower)):
                 x0, y0, x1, y1 = region.bounds_um
                 self._regions[name].low, self._regions[name].high = (x0, y0), (x1, y1)
+        self._had_regions = view.upper is not None and view.lower is not None
         self._redraw()
 
     def _is_theirs(self, region: Region, new: bool) -> bool:

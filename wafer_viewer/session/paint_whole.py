@@ -16,7 +16,7 @@ _BINS = 60
 
 
 def facts(shelf: Shelf, request: PaintRequest) -> bytes:
-    """`Facts` as JSON."""
+    """`Facts` as msgpack."""
     surface = shelf.surface(request.source)
     level = coarse_level(surface)
     part = at_level(surface, level)
@@ -29,7 +29,7 @@ def facts(shelf: Shelf, request: PaintRequest) -> bytes:
         float(heights.min()), float(heights.max()), low, high,
         light_gain(part.z_um, part.pixel_um), _plane(part),
     )  # fmt: skip
-    return msgspec.json.encode(facts)
+    return msgspec.msgpack.encode(facts)
 
 
 def _extent(there: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
@@ -54,7 +54,7 @@ def _plane(part: HeightMap) -> tuple[float, float, float]:
 
 
 def scale(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `Scale` as JSON."""
+    """A `Scale` as msgpack."""
     part = coarse(shelf, request.source)
     quantity = request.look.colour_by
     values = VALUES[quantity](part, request.light.plane)
@@ -66,7 +66,7 @@ def scale(shelf: Shelf, request: PaintRequest) -> bytes:
     counts = np.histogram(values, _BINS, (low, max(high, low + 1e-9)))[0]
     shares = _origin_shares(part) if quantity == "origin" else {}
     counted = tuple(float(c) for c in counts)
-    return msgspec.json.encode(Scale(quantity, low, high, own_low, own_high, p1, p99, counted, shares))
+    return msgspec.msgpack.encode(Scale(quantity, low, high, own_low, own_high, p1, p99, counted, shares))
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
