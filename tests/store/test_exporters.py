@@ -16,6 +16,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.store.exporters import EXPORTERS, caveats, export, findings_csv
+from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.npz import read_npz
 
 TEXTS = [ending for ending in EXPORTERS if ending != ".npz"]
@@ -177,3 +178,9 @@ def test_findings_are_a_table_with_uncertainties():
     assert (first["kind"], first["quantity"], first["value_um"]) == ("step_height", "height", "399.881")
     assert (first["U_um"], first["k"], first["simulated"]) == ("0.2", "2", "SIMULATED")
     assert (second["U_um"], second["status"]) == ("", "uncalibrated")
+
+
+def test_a_mosaic_is_written_like_a_map(tmp_path):
+    surface = make_surface()
+    export(write_mosaic(tmp_path / "m.zarr", surface), tmp_path / "a.npz")
+    assert_same_surface(read_npz(tmp_path / "a.npz"), surface)

@@ -198,6 +198,10 @@ def test_memory_is_that_of_shards_not_of_the_surface(stored, source):
 def test_a_folder_that_is_no_mosaic(tmp_path):
     with pytest.raises(DatasetError, match="is no mosaic of Wafer Viewer"):
         ZarrMosaic.open(tmp_path)
+    stored = write_mosaic(tmp_path / "m.zarr", make_surface())
+    (stored.path / "origin/0/zarr.json").unlink()
+    with pytest.raises(DatasetError, match="origin/0 is missing or damaged: stitch the fields again"):
+        stored.window()
     (tmp_path / "wafer_viewer.json").write_text(json.dumps({"pixel_um": 1.0}))
     with pytest.raises(DatasetError, match=r"wafer_viewer\.json: "):
         ZarrMosaic.open(tmp_path)

@@ -86,9 +86,9 @@ def size(n_bytes: float) -> str:
     return f"{n_bytes:.1f} GB"
 
 
-def natural(name: str) -> list[tuple[int, int, str]]:
+def natural(name: str) -> list[str | int]:
     """A key that sorts as people count: ``a2`` before ``a10``."""
-    return [(1, int(part), "") if part.isdigit() else (0, 0, part) for part in re.split(r"(\d+)", name.casefold())]
+    return [int(part) if i % 2 else part for i, part in enumerate(re.split(r"(\d+)", name.casefold()))]
 
 
 def _existing(folder: Path) -> Path:

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,6 +29,7 @@ UNKNOWN_EXPOSURE_US = 1.0
 """Stands where a plan asks for an exposure time and the images do not say theirs."""
 MAX_OVERLAP = 0.5
 Stacks = dict[Cell, list[Picture | None]]
+P = TypeVar("P", Picture, Picture | None)
 
 
 def open_stack(
@@ -195,7 +196,7 @@ def _plan(job: Job, first: Image, pixel_um: float) -> ScanPlan:
     )
 
 
-def _upward(stack: list[Picture] | list[Picture | None], z_step_um: float) -> list[Any]:
+def _upward(stack: list[P], z_step_um: float) -> list[P]:
     return stack[::-1] if z_step_um < 0 else stack
 
 

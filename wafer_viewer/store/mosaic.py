@@ -56,7 +56,7 @@ class MosaicHeader(Spec, frozen=True, kw_only=True):
     @property
     def levels(self) -> int:
         """Levels of the pyramid, at least 2."""
-        return 1 + max(1, math.ceil(math.log2(max(self.rows, self.cols) / COARSEST_PX)))
+        return _levels_for((self.rows, self.cols))
 
     def shape_of(self, level: int) -> tuple[int, int]:
         """(rows, cols) of a level."""
@@ -119,10 +119,9 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
 def shards(shape: tuple[int, int]) -> list[Shard]:
     """All shards of a mosaic of a shape; those of a level need all those below them of the level before."""
     rows, cols = shape
-    n_levels = 1 + max(1, math.ceil(math.log2(max(shape) / COARSEST_PX)))
     return [
         Shard(level, row, col)
-        for level in range(n_levels)
+        for level in range(_levels_for(shape))
         for row in range(math.ceil(rows / 2**level / SHARD))
         for col in range(math.ceil(cols / 2**level / SHARD))
     ]
@@ -215,11 +214,15 @@ class ZarrMosaic:
         return np.asarray(self.array(name, level)[rows, cols])
 
     def array(self, name: str, level: int) -> Any:
-        """The Zarr array of a layer at a level."""
+        """The Zarr array of a layer at a level. Raises DatasetError when it is not there."""
         import zarr
 
+        place = self.path / name / str(level)
         if (name, level) not in self._arrays:
-            self._arrays[name, level] = zarr.open_array(self.path / name / str(level), mode="r+")
+            try:
+                self._arrays[name, level] = zarr.open_array(place, mode="r+")
+            except (OSError, KeyError, ValueError) as fault:
+                raise DatasetError(f"{place} is missing or damaged: stitch the fields again.") from fault
         return self._arrays[name, level]
 
     def _window(self, region: Region | None, level: int) -> tuple[slice, slice]:
@@ -231,6 +234,10 @@ class ZarrMosaic:
             return pixel_window(self, region, level)
         rows, cols = self.header.shape_of(level)
         return slice(0, rows), slice(0, cols)
+
+
+def _levels_for(shape: tuple[int, int]) -> int:
+    return 1 + max(1, math.ceil(math.log2(max(shape) / COARSEST_PX)))
 
 
 def _header(source: Mosaic) -> MosaicHeader:
