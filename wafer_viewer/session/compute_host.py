@@ -7,7 +7,6 @@ of its own, made at the start, so that no other program of this machine can run 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from contextlib import ExitStack
 from multiprocessing.connection import Connection
 from typing import Any
@@ -65,7 +64,7 @@ class Host:
     def __init__(self, client: Client, end: ChildEnd) -> None:
         self._client, self._end = client, end
         self._futures: dict[int, Future[Any]] = {}
-        self._warming: dict[str, Future[Any]] = {}
+        self._warming: list[Future[Any]] = []
         self._do = {Run: self._run, Cancel: self._cancel}
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
@@ -73,7 +72,7 @@ class Host:
         """Take verbs until the pipe ends; kernels are compiled meanwhile."""
         addresses = list(self._client.scheduler_info(n_workers=-1)["workers"])
         self._end.tell(ComputeUp(len(addresses)))
-        self._warm_up(addresses[:1], then=lambda: self._warm_up(addresses[1:], then=self._warm))
+        self._warm_up(addresses)
         for ask in self._end.verbs():
             self._do[type(ask.verb)](ask)
 
@@ -99,23 +98,19 @@ class Host:
         else:
             self._end.refuse(ask, _sentence(ask.verb, done))
 
-    def _warm_up(self, addresses: list[str], then: Callable[[], None]) -> None:
-        """Warm up some workers, then go on: one compiles, so that the others load what it left in the cache."""
-        cold = set(addresses)
+    def _warm_up(self, addresses: list[str]) -> None:
+        """One worker compiles, which is enough to begin; the others then load what it left in the cache."""
+        first, *others = addresses
 
-        def warmed(address: str) -> None:
-            cold.discard(address)
-            if not cold:
-                then()
+        def warmed(_: Future[Any]) -> None:
+            self._end.tell(ComputeWarm())
+            self._warming += [self._warm_up_one(address) for address in others]
 
-        for address in addresses:
-            self._warming[address] = self._client.submit(warm_up, workers=[address], pure=False)
-            self._warming[address].add_done_callback(lambda _, address=address: warmed(address))
-        if not addresses:
-            then()
+        self._warming = [self._warm_up_one(first)]
+        self._warming[0].add_done_callback(warmed)
 
-    def _warm(self) -> None:
-        self._end.tell(ComputeWarm())
+    def _warm_up_one(self, address: str) -> Future[Any]:
+        return self._client.submit(warm_up, workers=[address], pure=False)
 
 
 def _own_cluster(until_end: ExitStack) -> Client:

@@ -79,8 +79,7 @@ class Conductor:
         job, plan = self.drafting.ready()
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
-        self._before_scan()
-        return self.desk.then(self.rig.scan(Scan(path, plan, job)), lambda _: self._scan_begun(path))
+        return self._begin(Scan(path, plan, job))
 
     def continue_scan(self) -> Future[Path]:
         """Take the frames that the open dataset lacks."""
@@ -90,11 +89,8 @@ class Conductor:
             raise DatasetError(f"The scan cannot go on: {shown.read_only}")
         if not self.library.dataset.missing():
             raise DatasetError(f"{shown.name} has all its frames: there is nothing to go on with.")
-        self._before_scan()
         self.library.let_go()
-        goes_on = self.rig.scan(Scan(shown.path, shown.plan, shown.job, goes_on=True))
-        goes_on.add_done_callback(lambda done: self.desk.note(self._hold_again, done))
-        return self.desk.then(goes_on, lambda _: self._scan_begun(shown.path))
+        return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
     def stop_scan(self) -> Future[None]:
         """End the scan; done when it is over."""
@@ -122,9 +118,20 @@ class Conductor:
             raise DatasetError(f"There is a dataset {path.name} already: choose another name, or go on with its scan.")
         return path
 
-    def _before_scan(self) -> None:
+    def _begin(self, scan: Scan) -> Future[Path]:
         self.reconstruction.abandon()
         self._scan_over = Future()
+        begun = self.rig.scan(scan)
+        begun.add_done_callback(lambda done: self.desk.note(self._unless_begun, done))
+        return self.desk.then(begun, lambda _: self._scan_begun(scan.path))
+
+    def _unless_begun(self, begun: Future[None]) -> None:
+        """The rig did not take the scan: what was open is ours again."""
+        if begun.exception() is None:
+            return
+        if self.desk.now.dataset is not None:
+            self.library.hold()
+        self._scan_over.set_result(None)
 
     def _scan_begun(self, path: Path) -> Path:
         """The rig's process holds the dataset and takes frames: open it beside, and wait for fields."""
@@ -135,10 +142,6 @@ class Conductor:
         self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
         self.library.refresh()
         return path
-
-    def _hold_again(self, begun: Future[None]) -> None:
-        if begun.exception() is not None:
-            self.library.hold()
 
     def _rig_ready(self, event: RigReady) -> None:
         self.drafting.tour = event.tour
@@ -155,7 +158,7 @@ class Conductor:
     def _scan_ended(self, event: ScanEnded | None) -> None:
         """Also when the rig's process died: what is on disk counts."""
         self.library.scan_ended()
-        if (scan := self.desk.snapshot.scan) is not None:
+        if (scan := self.desk.now.scan) is not None:
             self.desk.change(scan=replace(scan, finished=True, seconds_left=0.0))
         if event is not None and not event.stopped:
             self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
@@ -170,7 +173,7 @@ class Conductor:
         if shown.read_only is None and (taken or (shown.stamps and not result.has_mosaic)):
             recipe = result.recipe() if shown.stamps else shown.job.recipe
             self.reconstruction.begin(recipe, result.name, taken, restitch=True)
-        elif result.has_mosaic and self.desk.snapshot.surface is None:
+        elif result.has_mosaic and self.desk.now.surface is None:
             self.reconstruction.describe()
 
     def _has_stack(self, number: int, state: FieldState) -> bool:

@@ -21,10 +21,14 @@ log = logging.getLogger(__name__)
 
 
 class Desk:
-    """Changes happen on its one thread only; reading the snapshot needs no lock, for it is frozen."""
+    """Changes happen on its one thread only; reading the snapshot needs no lock, for it is frozen.
+
+    What a verb changes is seen together, when the verb has ended: `snapshot` is what all see, `now` what the verb
+    sees that is being carried out.
+    """
 
     def __init__(self, snapshot: Snapshot) -> None:
-        self.snapshot = snapshot
+        self.snapshot = self.now = snapshot
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="session")
         self._listeners: tuple[Listener, ...] = ()
         self._announced_at = 0.0
@@ -38,7 +42,8 @@ class Desk:
         if self._closed:
             answer.set_exception(WaferViewerError("The session is closed: start the viewer anew."))
         else:
-            self._thread.submit(verb, *args, **kwargs).add_done_callback(lambda done: _hand_on(done, answer))
+            done = self._thread.submit(self._carry_out, verb, *args, **kwargs)
+            done.add_done_callback(lambda done: _hand_on(done, answer))
         return answer
 
     def then(self, first: Future[Any], verb: Callable[[Any], Any]) -> Future[Any]:
@@ -59,17 +64,8 @@ class Desk:
             self.do(event, *args).add_done_callback(_log_failure)
 
     def change(self, **fields: Any) -> None:
-        """Make a new snapshot and tell the listeners; on the session's thread only."""
-        self.snapshot = dataclasses.replace(self.snapshot, version=self.snapshot.version + 1, **fields)
-        with self._changed:
-            self._changed.notify_all()
-        wait_s = self._announced_at + ANNOUNCE_EVERY_S - time.monotonic()
-        if wait_s <= 0:
-            self._announce()
-        elif self._timer is None:
-            self._timer = threading.Timer(wait_s, lambda: self.note(self._announce))
-            self._timer.daemon = True
-            self._timer.start()
+        """Change the state; on the session's thread only."""
+        self.now = dataclasses.replace(self.now, **fields)
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
         """Call `listener` with the newest snapshot after changes, until the returned function is called."""
@@ -96,6 +92,26 @@ class Desk:
         if self._timer is not None:
             self._timer.cancel()
         self._thread.shutdown(wait=True, cancel_futures=True)
+
+    def _carry_out(self, verb: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        try:
+            return verb(*args, **kwargs)
+        finally:
+            if self.now is not self.snapshot:
+                self._publish()
+
+    def _publish(self) -> None:
+        """Show all what has changed, and tell the listeners now or soon."""
+        self.snapshot = self.now = dataclasses.replace(self.now, version=self.snapshot.version + 1)
+        with self._changed:
+            self._changed.notify_all()
+        wait_s = self._announced_at + ANNOUNCE_EVERY_S - time.monotonic()
+        if wait_s <= 0:
+            self._announce()
+        elif self._timer is None:
+            self._timer = threading.Timer(wait_s, lambda: self.note(self._announce))
+            self._timer.daemon = True
+            self._timer.start()
 
     def _announce(self) -> None:
         self._timer = None

@@ -45,7 +45,7 @@ class Drafting:
 
     def price(self) -> None:
         """Plan the job anew: after an edit, and when the rig answers."""
-        job, limits = self._jobs.value, self._desk.snapshot.rig.limits
+        job, limits = self._jobs.value, self._desk.now.rig.limits
         plan, problem = _plan(job, limits)
         self._desk.change(
             draft=Draft(job, plan, problem, self._jobs.can_undo, self._jobs.can_redo, free_bytes(self._folder))
@@ -54,7 +54,7 @@ class Drafting:
     def cover_sample(self) -> None:
         """As many fields as cover the sample, round its middle."""
         job = self._job()
-        x_um, y_um, width_um, height_um = _extent(job, self._desk.snapshot.overview)
+        x_um, y_um, width_um, height_um = _extent(job, self._desk.now.overview)
         grid = self._grid(job)
         covering = FieldGrid.covering(
             width_um,
@@ -70,7 +70,7 @@ class Drafting:
 
     def centre_on_stage(self) -> None:
         """The grid round where the stage stands."""
-        job, rig = self._job(), self._desk.snapshot.rig
+        job, rig = self._job(), self._desk.now.rig
         self.edit(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
 
     def take_tour(self) -> None:
@@ -96,13 +96,13 @@ class Drafting:
 
     def ready(self) -> tuple[Job, ScanPlan]:
         """The job and its plan. Raises PlanError with the reason when there is none to scan."""
-        draft = self._desk.snapshot.draft
+        draft = self._desk.now.draft
         if draft.job is None or draft.plan is None:
             raise PlanError(draft.problem or NO_JOB)
         return draft.job, draft.plan
 
     def _job(self) -> Job:
-        limits = self._desk.snapshot.rig.limits
+        limits = self._desk.now.rig.limits
         if self._jobs.value is not None:
             return self._jobs.value
         if limits is None:
@@ -112,7 +112,7 @@ class Drafting:
     def _grid(self, job: Job) -> FieldGrid:
         if job.grid is not None:
             return job.grid
-        limits = self._desk.snapshot.rig.limits
+        limits = self._desk.now.rig.limits
         if limits is None:
             raise PlanError(RIG_STARTS)
         return one_field(limits)

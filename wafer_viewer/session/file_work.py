@@ -22,8 +22,9 @@ class FileWork:
 
     def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:
         """Make a dataset of images; done with its path."""
-        folder = self._desk.snapshot.data_folder
-        out = folder / f"{name or free_name(folder, srcs[0].stem if srcs else 'import')}{ENDING}"
+        folder = self._desk.now.data_folder
+        wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, srcs[0].stem if srcs else "import")
+        out = folder / f"{wish}{ENDING}"
         return self._work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
 
     def export_surface(self, path: Path, field_number: int | None) -> Future[Path]:

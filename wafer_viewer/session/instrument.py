@@ -71,9 +71,9 @@ class Instrument:
         """Move the stage; done on arrival."""
         self.require_idle("move the stage")
         link = self.start()
-        if self._desk.snapshot.rig.state == "ready":
+        if self._desk.now.rig.state == "ready":
             self._show(state="moving")
-        return link.ask(move)
+        return self._desk.then(link.ask(move), lambda _: None)
 
     def scan(self, scan: Scan) -> Future[None]:
         """Begin a scan; done once it has begun."""
@@ -103,7 +103,7 @@ class Instrument:
 
     def require_idle(self, what: str) -> None:
         """Raise RigError while a scan has the rig."""
-        if self._desk.snapshot.scanning:
+        if self._desk.now.scanning:
             raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
 
     def close(self) -> None:
@@ -118,7 +118,7 @@ class Instrument:
         self._desk.note(self._died, exit_code)
 
     def _ready(self, event: RigReady) -> None:
-        state = "scanning" if self._desk.snapshot.scanning else "ready"
+        state = "scanning" if self._desk.now.scanning else "ready"
         status = RigStatus(event.name, event.simulated, state, limits=event.limits, calibration=event.calibration)
         self._desk.change(rig=status, overview=event.overview)
         self._at(At(event.position))
@@ -128,11 +128,11 @@ class Instrument:
         self._show(state="absent", message=event.why)
 
     def _at(self, event: At) -> None:
-        p, state = event.position, self._desk.snapshot.rig.state
+        p, state = event.position, self._desk.now.rig.state
         self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, state="ready" if state == "moving" else state)
 
     def _paused(self, event: Paused) -> None:
-        if self._desk.snapshot.rig.state != "stopping":
+        if self._desk.now.rig.state != "stopping":
             self._show(state="paused" if event.paused else "scanning", message="")
 
     def _taken(self, event: Taken) -> None:
@@ -145,7 +145,7 @@ class Instrument:
         self._notices.fault("The scan reports a fault", event.what, "scan")
 
     def _begun(self, done: Future[None]) -> None:
-        if done.exception() is not None and self._desk.snapshot.rig.state == "scanning":
+        if done.exception() is not None and self._desk.now.rig.state == "scanning":
             self._show(state="ready")
 
     def _scan_ended(self, event: ScanEnded) -> None:
@@ -158,7 +158,7 @@ class Instrument:
 
     def _died(self, exit_code: int | None) -> None:
         """The process is gone without having been asked to; an absent rig has told why before."""
-        snapshot = self._desk.snapshot
+        snapshot = self._desk.now
         if snapshot.rig.state == "absent":
             return
         kept = " The frames so far are kept." if snapshot.scanning else ""
@@ -169,11 +169,11 @@ class Instrument:
             self._reports.scan_ended(None)
 
     def _require_scan(self, what: str) -> None:
-        if not self._desk.snapshot.scanning:
+        if not self._desk.now.scanning:
             raise RigError(f"No scan is running: there is nothing to {what}.")
 
     def _show(self, **changes: Any) -> None:
-        self._desk.change(rig=replace(self._desk.snapshot.rig, **changes))
+        self._desk.change(rig=replace(self._desk.now.rig, **changes))
 
 
 def _own_rig(pipe: Connection, config: RigConfig) -> None:

@@ -42,7 +42,7 @@ class Library:
     @property
     def shown(self) -> OpenDataset:
         """The open dataset as the snapshot shows it."""
-        if (shown := self._desk.snapshot.dataset) is None:
+        if (shown := self._desk.now.dataset) is None:
             raise DatasetError(NOTHING_OPEN)
         return shown
 
@@ -126,6 +126,10 @@ class Library:
         shown = self.shown
         stamps = {**shown.stamps, field_number: next(self._stamps)} if state is FieldState.MEASURED else shown.stamps
         self._show(states={**shown.states, field_number: state}, stamps=stamps)
+
+    def reread_states(self) -> None:
+        """How far each field is by what lies on the disk; the stamps stay."""
+        self._show(states=_states(self.dataset, self.result))
 
     def taking(self, field_number: int) -> None:
         """The rig is at a field now."""

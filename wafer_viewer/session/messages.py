@@ -141,7 +141,7 @@ class ComputeUp:
 
 @dataclass(frozen=True, slots=True)
 class ComputeWarm:
-    """Every kernel is compiled and loaded."""
+    """Every kernel is compiled: fields can be reconstructed without waiting for that."""
 
 
 @dataclass(frozen=True, slots=True)

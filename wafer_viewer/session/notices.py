@@ -26,37 +26,37 @@ class Notices:
 
     def fault(self, title: str, text: str, source: Source, *, where: str = "", needs_person: bool = True) -> None:
         """Tell the operator; the same thing twice stands once."""
-        known = [f for f in self._desk.snapshot.faults if (f.title, f.text, f.where) != (title, text, where)]
+        known = [f for f in self._desk.now.faults if (f.title, f.text, f.where) != (title, text, where)]
         fault = Fault(f"fault-{next(self._numbers)}", title, text, _clock(), where, needs_person, source)
         self._desk.change(faults=(*known, fault)[-KEPT:])
 
     def dismiss(self, fault_id: str) -> None:
         """Take a fault off the list."""
-        self._desk.change(faults=tuple(f for f in self._desk.snapshot.faults if f.id != fault_id))
+        self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
 
     def begin(self, title: str, stop: Callable[[], None] | None = None) -> str:
         """Show a work; `stop` is called when a person cancels it. Returns its id."""
         work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None)
         if stop is not None:
             self._stops[work.id] = stop
-        self._desk.change(works=(*self._desk.snapshot.works, work))
+        self._desk.change(works=(*self._desk.now.works, work))
         return work.id
 
     def progress(self, work_id: str, fraction: float) -> None:
         """Say how far a work is."""
-        works = self._desk.snapshot.works
+        works = self._desk.now.works
         if any(w.id == work_id for w in works):
             self._desk.change(works=tuple(replace(w, fraction=fraction) if w.id == work_id else w for w in works))
 
     def end(self, work_id: str) -> None:
         """The work is over, well or not."""
         self._stops.pop(work_id, None)
-        self._desk.change(works=tuple(w for w in self._desk.snapshot.works if w.id != work_id))
+        self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
 
     def cancel(self, work_id: str) -> None:
         """Stop a work that a person does not want any more; one that is over is left alone."""
         if (stop := self._stops.pop(work_id, None)) is not None:
-            works = self._desk.snapshot.works
+            works = self._desk.now.works
             self._desk.change(works=tuple(replace(w, cancellable=False) if w.id == work_id else w for w in works))
             stop()
 

@@ -14,6 +14,7 @@ from functools import lru_cache
 
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.link import live_in_the_background
 from wafer_viewer.session.paint_request import PaintRequest, Source
 
 __all__ = ["PaintRequest", "Painter", "Source"]
@@ -80,8 +81,7 @@ def _new_pool() -> ProcessPoolExecutor:
 
 def _settle_in() -> None:
     """Give way to the scan, and end with the viewer even if that is killed."""
-    if hasattr(os, "nice"):
-        os.nice(_NICE)
+    live_in_the_background(_NICE)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()

@@ -96,7 +96,7 @@ class Reconstruction:
             return
         while run.waiting and len(run.busy) < self._room:
             self._start(run, run.waiting.popleft())
-        if run.idle and not self._desk.snapshot.scanning:
+        if run.idle and not self._desk.now.scanning:
             self._finish(run)
 
     def abandon(self) -> None:
@@ -112,7 +112,7 @@ class Reconstruction:
 
     @property
     def _room(self) -> int:
-        return max(1, self._n_workers - 1) if self._desk.snapshot.scanning else self._n_workers
+        return max(1, self._n_workers - 1) if self._desk.now.scanning else self._n_workers
 
     def _start(self, run: Run, number: int) -> None:
         run.busy.add(number)
@@ -164,7 +164,7 @@ class Reconstruction:
         self._end(run, fault)
 
     def _described(self, run: tuple[Path, str], done: Future[SurfaceInfo]) -> None:
-        shown = self._desk.snapshot.dataset
+        shown = self._desk.now.dataset
         if shown is None or (shown.path, self._library.result_name) != run:
             return
         if (fault := done.exception()) is not None:
@@ -178,8 +178,7 @@ class Reconstruction:
         if run is None:
             return
         self.compute.cancel(run.work)
-        for number in (*run.waiting, *run.busy):
-            self._library.set_state(number, FieldState.TAKEN)
+        self._library.reread_states()
         self._end(run, ComputeError("The reconstruction was stopped; the fields that were done are kept."))
 
     def _end(self, run: Run, fault: BaseException | None) -> None:

@@ -23,7 +23,7 @@ class RecordBook:
 
     def open(self) -> None:
         """Read the findings of the result being looked at; none without a dataset."""
-        shown = self._desk.snapshot.dataset
+        shown = self._desk.now.dataset
         self._items.restart(self._library.result.findings().items if shown is not None else ())
         self._show()
 

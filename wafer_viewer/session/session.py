@@ -6,6 +6,7 @@ State is a frozen `Snapshot`; every verb returns a future, and a `WaferViewerErr
 from __future__ import annotations
 
 import atexit
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -41,6 +42,7 @@ class Session:
         self._desk, self._do = rooms.desk, rooms.desk.do
         self._questions = Questions(rooms.library, lambda: self.snapshot)
         self._painter: Painter | None = None
+        self._painter_lock = threading.Lock()
         self._desk.note(rooms.start)
         atexit.register(self.close)
 
@@ -238,8 +240,8 @@ class Session:
 
     def paint(self, request: PaintRequest) -> Future[bytes]:
         """A picture tile, made in a process of its own."""
-        if self._painter is None:
-            from wafer_viewer.session.painter import Painter
+        from wafer_viewer.session.painter import Painter
 
-            self._painter = Painter()
+        with self._painter_lock:
+            self._painter = self._painter or Painter()
         return self._painter.paint(request)

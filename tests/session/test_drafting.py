@@ -1,0 +1,119 @@
+"""The plan being edited, on a desk with the limits of the virtual rig."""
+
+from __future__ import annotations
+
+import pytest
+
+from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.plan import FocusSweep
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.spec import replace
+from wafer_viewer.rigs.virtual.rig import virtual_limits
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.drafting import RIG_STARTS, Drafting, read_job, suggested_name
+from wafer_viewer.session.state import RigStatus, Snapshot
+
+OUTLINE = ((-3000.0, -2000.0), (3000.0, -2000.0), (3000.0, 2000.0), (-3000.0, 2000.0))
+
+
+@pytest.fixture
+def desk():
+    made = Desk(Snapshot(rig=RigStatus(limits=virtual_limits(540, 720), x_um=250.0, y_um=-40.0)))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def drafting(desk, tmp_path):
+    return Drafting(desk, tmp_path)
+
+
+def test_every_edit_is_priced_and_can_be_undone(desk, drafting, job):
+    drafting.edit(job())
+    assert desk.now.draft.plan.strategy == "z_snake"
+    assert desk.now.draft.free_bytes > 0
+    drafting.edit(job(cols=4))
+    assert len(desk.now.draft.plan.fields) == 4
+    drafting.undo()
+    assert len(desk.now.draft.plan.fields) == 2
+    assert (desk.now.draft.can_undo, desk.now.draft.can_redo) == (True, True)
+    drafting.redo()
+    assert len(desk.now.draft.plan.fields) == 4
+
+
+def test_a_plan_that_cannot_be_says_why_and_is_no_plan(desk, drafting, job):
+    drafting.edit(replace(job(), sweep=FocusSweep(z_step_um=5000.0, n_frames=10)))
+    assert desk.now.draft.plan is None
+    assert "um" in desk.now.draft.problem
+    with pytest.raises(PlanError) as refusal:
+        drafting.ready()
+    assert str(refusal.value) == desk.now.draft.problem
+
+
+def test_before_the_rig_answers_the_plan_waits(desk, drafting, job):
+    desk.change(rig=RigStatus())
+    drafting.edit(job())
+    assert desk.now.draft.problem == RIG_STARTS
+    desk.change(rig=RigStatus(limits=virtual_limits(540, 720)))
+    drafting.price()
+    assert desk.now.draft.problem is None
+
+
+def test_the_sample_is_covered_round_its_middle(desk, drafting, job):
+    drafting.edit(replace(job(), sample=Sample(width_um=2000.0, height_um=1000.0)))
+    before = desk.now.draft.job.grid.center_um
+    drafting.cover_sample()
+    grid = desk.now.draft.job.grid
+    assert grid.width_um >= 2000.0 > grid.width_um - grid.pitch_x_um
+    assert grid.height_um >= 1000.0 > grid.height_um - grid.pitch_y_um
+    assert grid.center_um == pytest.approx(before)
+    drafting.edit(replace(job(), sample=Sample()))
+    with pytest.raises(PlanError, match="The sample has no size"):
+        drafting.cover_sample()
+    desk.change(overview=Overview(None, 1.0, 0.0, 0.0, OUTLINE, (), "a plate"))
+    drafting.cover_sample()
+    assert desk.now.draft.job.grid.width_um >= 6000
+    assert desk.now.draft.job.grid.center_um == pytest.approx((0, 0), abs=1e-6)
+
+
+def test_a_first_plan_can_begin_where_the_stage_stands(desk, drafting):
+    drafting.centre_on_stage()
+    job = desk.now.draft.job
+    assert job.grid.center_um == pytest.approx((250.0, -40.0))
+    assert job.sweep.z_step_um <= desk.now.rig.limits.depth_of_field_um / 2 + 0.1
+    assert desk.now.draft.problem is None
+
+
+def test_a_plan_is_kept_in_a_file_and_comes_back(desk, drafting, job, tmp_path):
+    drafting.edit(job())
+    path = drafting.save(None)
+    assert path.parent == tmp_path
+    assert read_job(path) == job()
+    drafting.edit(None)
+    drafting.load(path)
+    assert desk.now.draft.job == job()
+    (tmp_path / "odd.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(PlanError, match=r"odd\.toml"):
+        drafting.load(tmp_path / "odd.toml")
+    assert desk.now.draft.job == job()
+
+
+def test_the_tour_needs_a_rig_that_brings_one(drafting, job):
+    with pytest.raises(PlanError, match="virtual rig"):
+        drafting.take_tour()
+    drafting.tour = job()
+    drafting.take_tour()
+    assert drafting.ready()[0] == job()
+
+
+@pytest.mark.parametrize(
+    ("sample", "name"),
+    [
+        (Sample(lot="L 7", wafer_id="W/3"), "L-7-W-3"),
+        (Sample(name="../../etc"), "etc"),
+        (Sample(), "test"),
+    ],
+)
+def test_a_file_gets_its_name_from_the_sample(job, sample, name):
+    assert suggested_name(replace(job(), sample=sample)).split("-test")[0] == name

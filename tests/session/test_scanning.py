@@ -1,0 +1,108 @@
+"""A scan with a rig of one's own: what ends it early becomes a sentence, the rig is at rest, and it can go on."""
+
+from __future__ import annotations
+
+import errno
+
+import numpy as np
+import pytest
+
+from wafer_viewer.rigs.virtual.rig import VirtualRig
+from wafer_viewer.session.drafting import plan_of
+from wafer_viewer.session.messages import FieldComplete, Paused, Scan, ScanEnded, Taken
+from wafer_viewer.session.scan_watch import Steering, clipped_fraction, order_of_fields
+from wafer_viewer.session.scanning import take, writer_of
+from wafer_viewer.store.dataset import Dataset
+
+
+class Grey:
+    """Renders the same grey picture everywhere."""
+
+    def frame(self, x_um, y_um, z_um, exposure_us, seed):
+        return np.full((540, 720), 99, np.uint8)
+
+
+@pytest.fixture
+def rig():
+    made = VirtualRig(renderer=Grey())
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def scan(rig, job, tmp_path):
+    made = job(cols=3, n_frames=10)
+    return Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made)
+
+
+def go_on(scan):
+    return Scan(scan.path, scan.plan, scan.job, goes_on=True)
+
+
+def test_it_tells_of_every_field_once_and_of_its_end(rig, scan):
+    told = []
+    with writer_of(scan, rig) as writer:
+        ended = take(scan, rig, writer, told.append, Steering())
+    assert ended == ScanEnded(scan.path, stopped=False, n_missing=0, error=None)
+    assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
+    last = [e for e in told if isinstance(e, Taken)][-1]
+    assert last.progress.finished
+    assert (last.progress.frames_done, last.progress.frames_total, last.progress.seconds_left) == (30, 30, 0.0)
+    assert (last.latest.brightest, last.latest.clipped_fraction) == (99, 0.0)
+    assert Dataset.open(scan.path).finished
+
+
+def test_a_full_disk_ends_it_with_a_sentence_and_what_is_kept_is_good(rig, scan, monkeypatch):
+    with writer_of(scan, rig) as writer:
+        keep = writer.frame
+
+        def frame(taken):
+            if len(writer.kept) == 7:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            keep(taken)
+
+        monkeypatch.setattr(writer, "frame", frame)
+        ended = take(scan, rig, writer, lambda _: None, Steering())
+    assert ended.stopped
+    assert "the disk is full" in ended.error
+    rig.stage.wait()
+    assert rig.stage.position().z_um < scan.plan.sweep.z_um(scan.plan.fields[0], 9)
+    kept = Dataset.open(scan.path)
+    assert len(kept.kept()) == 7
+    assert not kept.finished
+    assert kept.check().damaged == ()
+    with writer_of(go_on(scan), rig) as writer:
+        assert take(go_on(scan), rig, writer, lambda _: None, Steering()).error is None
+    assert Dataset.open(scan.path).check().ok
+
+
+def test_a_stop_out_of_a_pause_is_told_and_ends_it(rig, scan):
+    told, steering = [], Steering()
+    steering.pause()
+
+    def tell(event):
+        told.append(event)
+        if event == Paused(True):
+            steering.stop()
+
+    with writer_of(scan, rig) as writer:
+        ended = take(scan, rig, writer, tell, steering)
+    assert ended.stopped
+    assert ended.error is None
+    assert told[:2] == [Paused(True), Paused(False)]
+    assert Dataset.open(scan.path).kept() == set()
+
+
+def test_once_nobody_is_there_no_scan_begins(rig, scan):
+    steering = Steering()
+    steering.end()
+    steering.reset()
+    with writer_of(scan, rig) as writer:
+        assert take(scan, rig, writer, lambda _: None, steering).stopped
+        assert not writer.kept
+
+
+def test_the_order_is_that_of_the_stage_and_clipping_is_counted_at_the_top_of_the_range(scan):
+    assert order_of_fields(scan.plan) == [1, 2, 3]
+    assert clipped_fraction(np.array([[255, 254], [0, 255]], np.uint8)) == 0.5
+    assert clipped_fraction(np.array([[255, 65535]], np.uint16)) == 0.5
