@@ -15,9 +15,9 @@ from tests.store.samples import assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.numerics.pyramid import halve
 from wafer_viewer.store import mosaic as module
 from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, shards, write_mosaic, write_shard
-from wafer_viewer.numerics.pyramid import halve
 
 SIZES = module.CHUNK, module.SHARD
 

@@ -20,9 +20,9 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Positive, Spec, decode, encode
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Provenance, pixel_window
+from wafer_viewer.numerics.pyramid import Layers, halve
 from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
-from wafer_viewer.numerics.pyramid import Layers, halve
 
 CHUNK, SHARD = 256, 2048
 COARSEST_PX = 512
