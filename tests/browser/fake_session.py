@@ -71,9 +71,7 @@ class FakeSession:
 
     def paint(self, request: Any) -> Future[bytes]:
         """Nothing is on disk, so nothing can be painted: the scene stays as it is."""
-        nothing: Future[bytes] = Future()
-        nothing.cancel()
-        return nothing
+        return Future()
 
     def __getattr__(self, name: str) -> Callable[..., Future[Any]]:
         if name.startswith("_"):
@@ -116,11 +114,7 @@ RIG = RigStatus(state="ready", x_um=-312.0, y_um=145.0, z_um=2043.1, limits=LIMI
 
 
 def entries() -> tuple[DatasetEntry, ...]:
-    names = (
-        ("coupon-06", "today 08:41", False),
-        ("step-400-check", "today 07:55", False),
-        ("coupon-04", "yesterday", True),
-    )
+    names = (("coupon-06", "2026-03-14T08:41:00", False), ("coupon-04", "2026-03-13T17:02:00", True))
     return tuple(
         DatasetEntry(DATA / f"{n}.wafer", f"{n}.wafer", taken, unfinished, True) for n, taken, unfinished in names
     )

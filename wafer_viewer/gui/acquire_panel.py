@@ -77,6 +77,7 @@ class AcquirePanel:
         self._frame_head = Cell(gui)
         self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False)
         self._frame_words = Cell(gui)
+        self._why = Cell(gui)
         self._go_on = button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
         self._look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         leading(gui, self._go_on)
@@ -97,8 +98,10 @@ class AcquirePanel:
         set_prop(self._stop, "disabled", snapshot.rig.state == "stopping")
         data = snapshot.dataset
         unfinished = data is not None and not data.finished and not running
-        set_prop(self._go_on, "visible", unfinished and data is not None and data.read_only is None)
-        set_prop(self._go_on, "disabled", snapshot.rig.state != "ready")
+        why = _why_not(snapshot) if unfinished else None
+        set_prop(self._go_on, "visible", unfinished)
+        set_prop(self._go_on, "disabled", why is not None)
+        self._why.show(f'<div class="wv-why">Not yet: {html.safe(html.micro(why))}</div>' if why else "")
         set_prop(self._look, "visible", not running and not unfinished and snapshot.surface is not None)
 
     def _show_frame(self, snapshot: Snapshot) -> None:
@@ -119,6 +122,14 @@ def picture(image: Image) -> NDArray[np.uint8]:
     every = max(1, -(-image.shape[1] // FRAME_WIDTH_PX))
     small = image[::every, ::every]
     return np.repeat(eight_bit(small)[..., None], 3, axis=2)
+
+
+def _why_not(snapshot: Snapshot) -> str | None:
+    """Why an unfinished scan cannot go on now, or None."""
+    data, rig = snapshot.dataset, snapshot.rig
+    if data is not None and data.read_only is not None:
+        return data.read_only
+    return None if rig.state == "ready" else rig.message or f"the rig is {rig.state}."
 
 
 def _title(snapshot: Snapshot) -> tuple[str, str]:

@@ -12,7 +12,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, button, in_a_row
+from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.state import DatasetEntry
@@ -41,7 +41,7 @@ class Dialog:
             problem = Cell(self.page.gui)
             away = button(self.page.gui, "Cancel", None, lambda _: self.close())
             do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
-            in_a_row(self.page.gui, [away, do], 38)
+            in_a_row(self.page.gui, [away, do], 38, filled=do)
 
     def close(self) -> None:
         """Leave the question."""
@@ -52,7 +52,7 @@ class Dialog:
         try:
             act()
         except DatasetError as fault:
-            problem.show(f'<div class="wv-note fault">{html.safe(fault)}</div>')
+            problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
             return
         self.close()
 
@@ -97,7 +97,7 @@ def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: 
     def line(entry: DatasetEntry) -> str:
         signs = [word for word, yes in (("unfinished", entry.unfinished), ("simulated", entry.simulated)) if yes]
         marks = f'<small style="color:var(--attention)">{" · ".join(signs)}</small>' if signs else ""
-        name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.name)}</span>{marks}'
+        name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.path.stem)}</span>{marks}'
         look = "sel" if entry.path == opened else ""
         return html.row(
             [name, html.safe(when(entry.taken, datetime.now().astimezone()))], " n", html.pick(what, entry.path), look
@@ -128,6 +128,7 @@ def import_dialog(page: Page) -> None:
     with dialog.modal:
         path = gui.add_text("Path", "")
         upload = gui.add_upload_button("Or send a TIFF from here…", icon=viser.Icon.UPLOAD, mime_type="image/tiff")
+        outlined(gui, upload, 32)
         sent = Cell(gui)
         step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
         pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)

@@ -51,12 +51,14 @@ def guarded(page: Teller, name: str) -> Callable[[Callable[..., Any]], Callable[
 
 
 def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
-    """Tell the operator, in the program's own sentence where it has one."""
+    """Tell the operator, in the program's own sentence where it has one; what was called off needs no words."""
+    if isinstance(fault, CancelledError):
+        return
     if isinstance(fault, WaferViewerError):
         page.tell(_note(*_headline(name, str(fault))))
         return
     log.error("%s", name, exc_info=fault)
-    what = f"An error this program did not foresee: {fault or type(fault).__name__}."
+    what = f"An error this program did not foresee: {str(fault) or type(fault).__name__}."
     page.tell(_note(name, f"{what} The session goes on; details are in the log."))
 
 
@@ -64,7 +66,7 @@ def _look_at(page: Teller, name: str, done: Future[Any]) -> None:
     if done.cancelled():
         return
     fault = done.exception()
-    if fault is not None and not isinstance(fault, CancelledError):
+    if fault is not None:
         tell_failure(page, name, fault)
 
 

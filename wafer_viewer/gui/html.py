@@ -6,6 +6,7 @@ Everything here returns HTML text. What comes from people or files goes through 
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
@@ -15,6 +16,11 @@ Tone = Literal["good", "attention", "fault", "busy"]
 def safe(text: object) -> str:
     """Text made harmless inside an element or an attribute."""
     return html.escape(str(text), quote=True)
+
+
+def micro(text: str) -> str:
+    """A sentence of the program as the page writes it: its errors say um, so that any terminal can show them."""
+    return re.sub(r"\bum\b", "µm", text)
 
 
 def icon(name: Any, size_px: int = 16) -> str:
@@ -95,7 +101,7 @@ def columns(items: Sequence[str], widths: str = "") -> str:
 
 def note(tone: Tone, name: str, text: str, foot: str = "", sign: str = "") -> str:
     """A standing note: what happened, the fact, the way out. `foot` and `sign` are HTML."""
-    lines = f"<b>{safe(name)}</b>" + (f"<p>{safe(text)}</p>" if text else "")
+    lines = f"<b>{safe(name)}</b>" + (f"<p>{safe(micro(text))}</p>" if text else "")
     end = f'<p class="wv-foot">{foot}</p>' if foot else ""
     return f'<div class="wv-note {tone}" role="status">{sign}<div>{lines}{end}</div></div>'
 

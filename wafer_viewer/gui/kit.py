@@ -77,13 +77,14 @@ def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], dis
     return handle
 
 
-def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32) -> None:
-    """Give the buttons just made, outlined, one row of equal parts."""
+def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:
+    """Give the buttons just made one row of equal parts, outlined but for the one that is `filled`."""
     gap_px = 6
     width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
     rules = "".join(
-        f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;width:{width};margin-right:0!important;"
-        f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}" + _outlined(b, height_px)
+        f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;vertical-align:top;width:{width};margin-right:0!important;"
+        f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}"
+        + (_high(b, height_px) if b is filled else _outlined(b, height_px))
         for k, b in enumerate(buttons)
     )
     gui.add_html(f"<style>{rules}</style>")
@@ -169,6 +170,10 @@ class Overlay:
     def _framed(self, content: str) -> str:
         right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
         return f'<div class="wv-ov" style="{right}">{content}</div>'
+
+
+def _high(handle: Any, height_px: int) -> str:
+    return f"{by_id(handle._impl.uuid)}{{height:{height_px}px!important;padding:0 6px!important}}"
 
 
 def _outlined(handle: Any, height_px: int) -> str:

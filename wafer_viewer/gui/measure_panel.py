@@ -63,7 +63,7 @@ class MeasurePanel:
         set_prop(self._width.handle, "visible", view.tool == "profile" and chosen is None)
         self._width.show(view.profile.width_um if view.profile else 0.0)
         if finding is None:
-            waits = self.answer.problem or "The answer comes as soon as the handles lie on the surface."
+            waits = html.micro(self.answer.problem) or "The answer comes as soon as the handles lie on the surface."
             self._answer.show(html.empty(waits))
             self._source.show("")
         else:

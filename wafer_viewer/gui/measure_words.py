@@ -79,7 +79,7 @@ def source(finding: AnyFinding) -> str:
             ]
             tilt = html.pairs([("Relative tilt", with_unit(finding.relative_tilt_mrad, 2, "mrad"))])
             table = html.table(["Region", "Mean", "Sq", "Points"], rows, " nnn")
-            body = table + tilt + _small([f"Height: {finding.definition}."])
+            body = table + tilt + _small([f"Height: {finding.definition.rstrip('.')}."])
         case Profile():
             body = html.pairs(
                 [
@@ -130,4 +130,4 @@ def _measured_on(finding: AnyFinding) -> str:
 
 
 def _small(lines: list[str]) -> str:
-    return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(line)}</div>' for line in lines)
+    return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(line))}</div>' for line in lines)

@@ -12,7 +12,7 @@ import viser
 from wafer_viewer.gui import memory
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.guard import guarded, tell_failure
-from wafer_viewer.gui.html import icon, note, pick, safe
+from wafer_viewer.gui.html import icon, micro, note, pick, safe
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.paint_request import Scale
@@ -143,7 +143,7 @@ class Page:
         self._told.add(fault.id)
         self.client.add_notification(
             fault.title,
-            fault.text,
+            micro(fault.text),
             auto_close_seconds=None if fault.needs_person else 8.0,
             color=RGB_OF_TONE["fault" if fault.needs_person else "attention"],
         )

@@ -68,7 +68,11 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
         waiting = html.empty("Every strategy is priced here", "as soon as there is a grid.")
         return html.head("Strategy") + waiting + _GAP
     if draft.plan is None:
-        return html.head("Strategy") + html.empty(draft.problem or "Every strategy is being priced.") + _GAP
+        return (
+            html.head("Strategy")
+            + html.empty(html.micro(draft.problem) if draft.problem else "Every strategy is being priced.")
+            + _GAP
+        )
     plan, limits = draft.plan, snapshot.rig.limits
     rate = f" at {number(limits.camera.frame_rate_hz, 0)} frames/s" if limits else ""
     best_s = min((p.predicted_s for p in plan.prices if p.predicted_s), default=0.0)
@@ -92,7 +96,7 @@ def strategies(snapshot: Snapshot, draft: Draft) -> str:
 def foot(draft: Draft, why_not: str | None) -> str:
     """The line over the button: why it cannot be pressed; in a low window what the scan costs, else out of sight."""
     if why_not is not None:
-        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(why_not)}</div>'
+        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(html.micro(why_not))}</div>'
     if draft.plan is None:
         return ""
     free = f", {size(draft.free_bytes)} free" if draft.free_bytes is not None else ""
@@ -107,7 +111,7 @@ def _by_price(prices: tuple[Price, ...]) -> list[Price]:
 def _price_row(price: Price, best_s: float, chosen: bool) -> str:
     name = html.safe(price.title)
     if price.ruled_out is not None or price.predicted_s is None:
-        why = html.safe(price.ruled_out or "not priced")
+        why = html.safe(html.micro(price.ruled_out or "not priced"))
         return f'<tr class="off"><td colspan="4">{name}<small>{why}</small></td></tr>'
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]

@@ -140,7 +140,7 @@ def _axis(label: str, size_px: int, dark: bool) -> Any:
 
 def _head(profile: Profile | None, problem: str) -> str:
     if profile is None:
-        text = problem or "The curve comes as soon as the line lies on the surface."
+        text = html.micro(problem) or "The curve comes as soon as the line lies on the surface."
         return f'<div class="wv-dock"><b>Profile</b><span class="dim">{html.safe(text)}</span></div>'
     sign = html.chip(f"P{profile.number or ''}", PROFILE_COLOURS[0])
     line = f"{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide"

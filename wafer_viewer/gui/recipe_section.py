@@ -15,7 +15,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot
 
 FOCUS = {"Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
-PEAK = {"Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
+PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
 WINDOW = {"auto": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
 SMOOTHING = {"Switching median": "switching_median", "Guided": "guided", "Levy, literal": "literal", "None": "none"}
 OUTLIERS = {"Lattice": "lattice", "Cloud": "cloud", "None": "none"}
