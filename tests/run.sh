@@ -14,7 +14,7 @@ missing=()
 
 find_python() {
   for name in python3.13 python3.12 python3.11 python3; do
-    if command -v "$name" >/dev/null && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+    if command -v "$name" >/dev/null && "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
       echo "$name"
       return
     fi
@@ -24,10 +24,9 @@ find_python() {
 }
 
 make_environment() {
-  local python stamp
-  python="$(find_python)"
+  local stamp
   stamp="$(cksum <pyproject.toml)"
-  [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+  [ -x "$venv/bin/python" ] || "$(find_python)" -m venv "$venv"
   if [ "$(cat "$venv/.installed" 2>/dev/null)" != "$stamp" ]; then
     echo "== Installing the package and its tools into $venv"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
