@@ -37,7 +37,7 @@ make_environment() {
 # The library's file name, or the program's name, and the Debian package that brings it.
 needs_package() {
   case "$1" in
-    *.so.*) ! ldconfig -p 2>/dev/null | grep -q "$1" ;;
+    *.so.*) [[ "$(ldconfig -p 2>/dev/null || true)" != *"$1"* ]] ;;
     *) ! command -v "$1" >/dev/null ;;
   esac
 }
