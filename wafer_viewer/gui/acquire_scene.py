@@ -44,7 +44,7 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
     facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
     z0 = min((f.lowest_um for f in facts.values()), default=min(f.z_start_um for f in data.fields))
     box = fields_box(data.fields, *size)
-    floor = -0.035 * max(box[2] - box[0], box[3] - box[1])
+    floor = -0.006 * max(box[2] - box[0], box[3] - box[1])
     items = _live(snapshot, view, latest, data, size, z0, floor)
     items += sample_items(snapshot, view.dark, floor, dimmed=True)
     to_come = [f for f in data.fields if data.states.get(f.number) in _NOT_TAKEN and f.number not in facts]

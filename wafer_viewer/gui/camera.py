@@ -15,7 +15,7 @@ Vector = NDArray[np.float64]
 
 NEAR_MM = 0.005
 FOV_RAD = math.radians(29)
-_ROUNDS = 40
+_ROUNDS, _DAMPING = 50, 0.6
 _TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
 """Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
 
@@ -74,8 +74,9 @@ def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, he
         # Where the middle of the points should be: the middle of the free part, seen from the canvas's middle.
         shift_x = (x.min() + x.max()) / 2 - (clear.left - clear.right) / 2
         shift_y = (y.min() + y.max()) / 2 - (clear.bottom - clear.top) / 2
-        aim = aim + (right * shift_x + up * shift_y) * (distance / focal_px)
-        distance *= float(max(np.ptp(x) / free_w, np.ptp(y) / free_h, 1e-3))
+        aim = aim + (right * shift_x + up * shift_y) * (_DAMPING * distance / focal_px)
+        distance *= float(max(np.ptp(x) / free_w, np.ptp(y) / free_h, 1e-3)) ** _DAMPING
+        distance = max(distance, 1.15 * float(((corners_mm - aim) @ direction).max()))
     return Pose(aim + direction * distance, aim)
 
 

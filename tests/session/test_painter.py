@@ -1,0 +1,70 @@
+"""The painter's process: asked, asked again, withdrawn, killed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.painter import Painter
+
+SOURCE = Source(Path("nowhere.wafer"), "default", 0, 1)
+
+
+def work(request: PaintRequest) -> bytes:
+    """What the tests' painter does: say who it is, fail, or die."""
+    if request.k == 1:
+        raise DatasetError("The frames are gone.")
+    if request.k == 2:
+        os._exit(1)
+    return str(os.getpid()).encode()
+
+
+@pytest.fixture(scope="module")
+def painter() -> Iterator[Painter]:
+    made = Painter(work)
+    yield made
+    made.close()
+
+
+def asked(number: int, k: int = 0) -> PaintRequest:
+    return PaintRequest(SOURCE, "tile", rows=(0, number), k=k)
+
+
+def test_pictures_are_made_in_another_process_and_kept(painter: Painter) -> None:
+    first = painter.paint(asked(1)).result(30)
+    assert int(first) != os.getpid()
+    end = time.monotonic() + 10
+    while not painter.paint(asked(1)).done():  # kept a moment after the future was done
+        assert time.monotonic() < end
+    assert painter.paint(asked(1)).result() == first
+
+
+def test_what_went_wrong_comes_out_of_the_future_and_is_not_kept(painter: Painter) -> None:
+    for _ in range(2):
+        with pytest.raises(DatasetError, match=r"The frames are gone\."):
+            painter.paint(asked(2, k=1)).result(30)
+
+
+def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
+    before = painter.paint(asked(3)).result(30)
+    with pytest.raises(BrokenProcessPool):
+        painter.paint(asked(4, k=2)).result(30)
+    assert painter.paint(asked(5)).result(30) != before
+
+
+def test_the_page_draws_without_loading_what_is_heavy() -> None:
+    heavy = "{'scipy', 'numba', 'zarr', 'open3d', 'distributed'}"
+    code = (
+        f"import sys, wafer_viewer.gui.scene, wafer_viewer.session.painter; print(sorted({heavy} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
