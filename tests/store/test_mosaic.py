@@ -16,19 +16,21 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.numerics.pyramid import halve
-from wafer_viewer.store import mosaic as module
-from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, shards, write_mosaic, write_shard
+from wafer_viewer.store import mosaic, mosaic_layout
+from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, write_mosaic, write_shard
+from wafer_viewer.store.mosaic_layout import shards
 
-SIZES = module.CHUNK, module.SHARD
+SIZES = mosaic_layout.CHUNK, mosaic_layout.SHARD
 
 
 @pytest.fixture(scope="module", autouse=True)
 def small_shards():
     """Shards of 64 pixels, so that a small surface has many of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "SHARD", 64)
-        patch.setattr(module, "CHUNK", 16)
-        patch.setattr(module, "COARSEST_PX", 40)
+        patch.setattr(mosaic, "SHARD", 64)
+        patch.setattr(mosaic, "CHUNK", 16)
+        patch.setattr(mosaic_layout, "SHARD", 64)
+        patch.setattr(mosaic_layout, "COARSEST_PX", 40)
         yield
 
 

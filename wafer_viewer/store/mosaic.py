@@ -6,75 +6,36 @@ they would equal z_um, so their groups begin with level 1. The work is cut into 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import Count, Positive, Spec, decode, encode
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Provenance, pixel_window
+from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
 from wafer_viewer.numerics.pyramid import Layers, halve
 from wafer_viewer.store.files import replacing, writing
+from wafer_viewer.store.mosaic_layout import (
+    CHUNK,
+    FILLS,
+    HEADER,
+    SHARD,
+    SPANS,
+    SURFACE,
+    MosaicHeader,
+    Shard,
+    dtype_of,
+    header_of,
+    levels_of,
+    multiscale,
+    shards,
+)
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
-
-CHUNK, SHARD = 256, 2048
-COARSEST_PX = 512
-"""The pyramid ends with the first level that fits into this square: one picture of the whole surface."""
-HEADER = "wafer_viewer.json"
-FILLS: dict[str, float] = {
-    "z_um": math.nan,
-    "z_raw_um": math.nan,
-    "z_min_um": math.nan,
-    "z_max_um": math.nan,
-    "confidence": 0.0,
-    "all_in_focus": 0,
-    "origin": Origin.NOT_COVERED,
-}
-_SPANS = ("z_min_um", "z_max_um")
-_SURFACE = tuple(name for name in FILLS if name not in _SPANS)
-
-
-class MosaicHeader(Spec, frozen=True, kw_only=True):
-    """Where the lattice of a mosaic lies, how large it is, and where it comes from."""
-
-    error: ClassVar[type[WaferViewerError]] = DatasetError
-    pixel_um: Positive
-    x0_um: float
-    y0_um: float
-    rows: Count
-    cols: Count
-    grey_bits: int
-    provenance: Provenance
-
-    @property
-    def levels(self) -> int:
-        """Levels of the pyramid, at least 2."""
-        return _levels_for((self.rows, self.cols))
-
-    def shape_of(self, level: int) -> tuple[int, int]:
-        """(rows, cols) of a level."""
-        return -(-self.rows // 2**level), -(-self.cols // 2**level)
-
-
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """A square of 2048 pixels of one level: the unit of work of one writer."""
-
-    level: int
-    row: int
-    col: int
-
-    def window(self, shape: tuple[int, int]) -> tuple[slice, slice]:
-        """Its rows and columns in a level of a shape."""
-        top, left = self.row * SHARD, self.col * SHARD
-        return slice(top, min(top + SHARD, shape[0])), slice(left, min(left + SHARD, shape[1]))
 
 
 def write_mosaic(
@@ -96,17 +57,17 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
     """Make the empty mosaic: its header and all arrays. Shards can be written to it in parallel from then on."""
     import zarr
 
-    header = _header(source)
+    header = header_of(source)
     with writing(path):
         root = zarr.open_group(path, mode="w", zarr_format=3)
         for name, fill in FILLS.items():
-            group = root.create_group(name, attributes={"ome": _multiscale(header, name)})
-            for level in _levels_of(name, header):
+            group = root.create_group(name, attributes={"ome": multiscale(header, name)})
+            for level in levels_of(name, header):
                 shape = header.shape_of(level)
                 group.create_array(
                     str(level),
                     shape=shape,
-                    dtype=_dtype(name, header),
+                    dtype=dtype_of(name, header),
                     chunks=(CHUNK, CHUNK),
                     shards=(SHARD, SHARD),
                     fill_value=fill,
@@ -114,17 +75,6 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
                 )
         (path / HEADER).write_text(encode(header, "json"), encoding="utf-8")
     return header
-
-
-def shards(shape: tuple[int, int]) -> list[Shard]:
-    """All shards of a mosaic of a shape; those of a level need all those below them of the level before."""
-    rows, cols = shape
-    return [
-        Shard(level, row, col)
-        for level in range(_levels_for(shape))
-        for row in range(math.ceil(rows / 2**level / SHARD))
-        for col in range(math.ceil(cols / 2**level / SHARD))
-    ]
 
 
 def write_shard(path: Path, source: Mosaic, shard: Shard) -> None:
@@ -196,7 +146,7 @@ class ZarrMosaic:
         rows, cols = self._window(region, level)
         pixel_um, shift_um = self.pixel_um * 2**level, (2**level - 1) / 2 * self.pixel_um
         return HeightMap(
-            **{name: self.read(name, level, rows, cols) for name in _SURFACE},
+            **{name: self.read(name, level, rows, cols) for name in SURFACE},
             pixel_um=pixel_um,
             x0_um=self.x0_um + shift_um + cols.start * pixel_um,
             y0_um=self.y0_um - shift_um - rows.start * pixel_um,
@@ -206,7 +156,7 @@ class ZarrMosaic:
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
         rows, cols = self._window(region, level)
-        low, high = ("z_um", "z_um") if level == 0 else _SPANS
+        low, high = ("z_um", "z_um") if level == 0 else SPANS
         return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
 
     def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:
@@ -236,50 +186,11 @@ class ZarrMosaic:
         return slice(0, rows), slice(0, cols)
 
 
-def _levels_for(shape: tuple[int, int]) -> int:
-    return 1 + max(1, math.ceil(math.log2(max(shape) / COARSEST_PX)))
-
-
-def _header(source: Mosaic) -> MosaicHeader:
-    rows, cols = source.shape
-    corner = source.window(Region.rectangle(source.x0_um, source.y0_um, source.x0_um, source.y0_um))
-    return MosaicHeader(
-        pixel_um=source.pixel_um,
-        x0_um=source.x0_um,
-        y0_um=source.y0_um,
-        rows=rows,
-        cols=cols,
-        grey_bits=corner.all_in_focus.dtype.itemsize * 8,
-        provenance=source.provenance,
-    )
-
-
-def _dtype(name: str, header: MosaicHeader) -> str:
-    return {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
-
-
-def _levels_of(name: str, header: MosaicHeader) -> range:
-    return range(1 if name in _SPANS else 0, header.levels)
-
-
-def _multiscale(header: MosaicHeader, name: str) -> dict[str, Any]:
-    """OME-NGFF 0.5: scale and place of each level in um, from the first pixel of level 0, y downward."""
-
-    def dataset(level: int) -> dict[str, Any]:
-        scale, shift = header.pixel_um * 2**level, header.pixel_um * (2**level - 1) / 2
-        place = [{"type": "scale", "scale": [scale, scale]}, {"type": "translation", "translation": [shift, shift]}]
-        return {"path": str(level), "coordinateTransformations": place}
-
-    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
-    datasets = [dataset(level) for level in _levels_of(name, header)]
-    return {"version": "0.5", "multiscales": [{"name": name, "axes": axes, "datasets": datasets}]}
-
-
 def _from_source(source: Mosaic, window: tuple[slice, slice]) -> Layers:
     rows, cols = window
     x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
     part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
-    return {name: getattr(part, name) for name in _SURFACE}
+    return {name: getattr(part, name) for name in SURFACE}
 
 
 def _at(first_um: float, pixel_um: float, index: int) -> float:
@@ -289,13 +200,13 @@ def _at(first_um: float, pixel_um: float, index: int) -> float:
 def _from_below(stored: ZarrMosaic, shard: Shard, window: tuple[slice, slice]) -> Layers:
     """The four shards below it, one after the other, each halved into its quarter."""
     shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
-    whole: Layers = {name: np.full(shape, fill, _dtype(name, stored.header)) for name, fill in FILLS.items()}
+    whole: Layers = {name: np.full(shape, fill, dtype_of(name, stored.header)) for name, fill in FILLS.items()}
     for row, col in ((0, 0), (0, 1), (1, 0), (1, 1)):
         below = Shard(shard.level - 1, 2 * shard.row + row, 2 * shard.col + col)
         rows, cols = below.window(stored.header.shape_of(below.level))
         if rows.start >= rows.stop or cols.start >= cols.stop:
             continue
-        names = [name for name in FILLS if below.level in _levels_of(name, stored.header)]
+        names = [name for name in FILLS if below.level in levels_of(name, stored.header)]
         for name, layer in halve({name: stored.read(name, below.level, rows, cols) for name in names}).items():
             top, left = row * SHARD // 2, col * SHARD // 2
             whole[name][top : top + layer.shape[0], left : left + layer.shape[1]] = layer

@@ -1,0 +1,118 @@
+"""How a mosaic lies on disk: its header, the levels of each layer, and the shards in which the work is cut."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Count, Positive, Spec
+from wafer_viewer.model.surface import Mosaic, Origin, Provenance
+
+CHUNK, SHARD = 256, 2048
+COARSEST_PX = 512
+"""The pyramid ends with the first level that fits into this square: one picture of the whole surface."""
+HEADER = "wafer_viewer.json"
+FILLS: dict[str, float] = {
+    "z_um": math.nan,
+    "z_raw_um": math.nan,
+    "z_min_um": math.nan,
+    "z_max_um": math.nan,
+    "confidence": 0.0,
+    "all_in_focus": 0,
+    "origin": Origin.NOT_COVERED,
+}
+SPANS = ("z_min_um", "z_max_um")
+SURFACE = tuple(name for name in FILLS if name not in SPANS)
+
+
+class MosaicHeader(Spec, frozen=True, kw_only=True):
+    """Where the lattice of a mosaic lies, how large it is, and where it comes from."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    pixel_um: Positive
+    x0_um: float
+    y0_um: float
+    rows: Count
+    cols: Count
+    grey_bits: int
+    provenance: Provenance
+
+    @property
+    def levels(self) -> int:
+        """Levels of the pyramid, at least 2."""
+        return levels_for((self.rows, self.cols))
+
+    def shape_of(self, level: int) -> tuple[int, int]:
+        """(rows, cols) of a level."""
+        return -(-self.rows // 2**level), -(-self.cols // 2**level)
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """A square of 2048 pixels of one level: the unit of work of one writer."""
+
+    level: int
+    row: int
+    col: int
+
+    def window(self, shape: tuple[int, int]) -> tuple[slice, slice]:
+        """Its rows and columns in a level of a shape."""
+        top, left = self.row * SHARD, self.col * SHARD
+        return slice(top, min(top + SHARD, shape[0])), slice(left, min(left + SHARD, shape[1]))
+
+
+def shards(shape: tuple[int, int]) -> list[Shard]:
+    """All shards of a mosaic of a shape; those of a level need all those below them of the level before."""
+    rows, cols = shape
+    return [
+        Shard(level, row, col)
+        for level in range(levels_for(shape))
+        for row in range(math.ceil(rows / 2**level / SHARD))
+        for col in range(math.ceil(cols / 2**level / SHARD))
+    ]
+
+
+def levels_for(shape: tuple[int, int]) -> int:
+    """Levels of the pyramid over a shape, at least 2."""
+    return 1 + max(1, math.ceil(math.log2(max(shape) / COARSEST_PX)))
+
+
+def header_of(source: Mosaic) -> MosaicHeader:
+    """The header of a mosaic made of a surface."""
+    rows, cols = source.shape
+    corner = source.window(Region.rectangle(source.x0_um, source.y0_um, source.x0_um, source.y0_um))
+    return MosaicHeader(
+        pixel_um=source.pixel_um,
+        x0_um=source.x0_um,
+        y0_um=source.y0_um,
+        rows=rows,
+        cols=cols,
+        grey_bits=corner.all_in_focus.dtype.itemsize * 8,
+        provenance=source.provenance,
+    )
+
+
+def dtype_of(name: str, header: MosaicHeader) -> str:
+    """The type of a layer."""
+    return {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
+
+
+def levels_of(name: str, header: MosaicHeader) -> range:
+    """The levels that a layer has."""
+    return range(1 if name in SPANS else 0, header.levels)
+
+
+def multiscale(header: MosaicHeader, name: str) -> dict[str, Any]:
+    """OME-NGFF 0.5: scale and place of each level in um, from the first pixel of level 0, y downward."""
+
+    def dataset(level: int) -> dict[str, Any]:
+        scale, shift = header.pixel_um * 2**level, header.pixel_um * (2**level - 1) / 2
+        place = [{"type": "scale", "scale": [scale, scale]}, {"type": "translation", "translation": [shift, shift]}]
+        return {"path": str(level), "coordinateTransformations": place}
+
+    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
+    datasets = [dataset(level) for level in levels_of(name, header)]
+    return {"version": "0.5", "multiscales": [{"name": name, "axes": axes, "datasets": datasets}]}
