@@ -169,7 +169,7 @@ def test_while_scanning_finished_fields_stand_and_the_others_are_dashed(browser:
     settled(scene)
     assert browser.scene.names("/field/1/")
     assert browser.scene.names("/field/2/")
-    assert {name.split("/")[2] for name in browser.scene.names("/to-come/")} == {"3", "4"}
+    assert {name.split("/")[2] for name in browser.scene.names("/flat/")} == {"3", "4"}
 
 
 def test_the_plan_shows_its_fields_and_goes_when_it_is_given_up(browser: Browser, scene: SceneView) -> None:

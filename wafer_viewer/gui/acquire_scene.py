@@ -14,7 +14,7 @@ from wafer_viewer.draw.look import Look, eight_bit
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Clear
 from wafer_viewer.gui.contents import Contents, corners_of
-from wafer_viewer.gui.field_items import box_edges, field_box, fields_box, to_come_items
+from wafer_viewer.gui.field_items import box_edges, field_box, fields_box, flat_items
 from wafer_viewer.gui.plan_scene import plan_contents
 from wafer_viewer.gui.sample_scene import sample_items
 from wafer_viewer.gui.scene_colours import colours
@@ -32,7 +32,7 @@ _TEXTURE_PIXELS = 1_600_000
 """For all finished fields together."""
 _FIELD_PIXELS = 200_000
 _FRAME_SIDE_PX = 480
-_NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT)
+_NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, FieldState.FAILED)
 
 
 def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestFrame | None) -> Contents:
@@ -47,8 +47,8 @@ def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestF
     floor = -0.006 * max(box[2] - box[0], box[3] - box[1])
     items = _live(snapshot, view, latest, data, size, z0, floor)
     items += sample_items(snapshot, view.dark, floor, dimmed=True)
-    to_come = [f for f in data.fields if data.states.get(f.number) in _NOT_TAKEN and f.number not in facts]
-    items += to_come_items(to_come, *size, floor, view.dark)
+    taken = {number for number, state in data.states.items() if state not in _NOT_TAKEN}
+    items += flat_items([f for f in data.fields if f.number not in facts], taken, *size, floor, view.dark)
     items += _finished(data, snapshot, view, facts, z0)
     return Contents(
         items=tuple(items),

@@ -137,25 +137,30 @@ def _way(scene: viser.SceneApi, name: str, _: bytes, *, points: list[tuple[float
 # ---------------------------------------------------------------- while scanning
 
 
-def to_come_items(fields: list[Field], width_um: float, height_um: float, z: float, dark: bool) -> list[Item]:
-    """Fields that are not taken yet: dashed, with their numbers flat on the stage."""
+def flat_items(
+    fields: list[Field], taken: set[int], width_um: float, height_um: float, z: float, dark: bool
+) -> list[Item]:
+    """Fields that have no surface yet, flat on the stage with their numbers: dashed until their frames are taken."""
     return [
         Item(
-            f"to-come/{f.number}", (f, width_um, height_um, z, dark),
-            partial(_to_come, field=f, box=field_box(f, width_um, height_um), z=z, dark=dark),
+            f"flat/{f.number}", (f, f.number in taken, width_um, height_um, z, dark),
+            partial(_flat, field=f, box=field_box(f, width_um, height_um), taken=f.number in taken, z=z, dark=dark),
         )
         for f in fields
     ]  # fmt: skip
 
 
-def _to_come(scene: viser.SceneApi, name: str, _: bytes, *, field: Field, box: Box, z: float, dark: bool) -> Group:
-    unit = _unit([box])
+def _flat(
+    scene: viser.SceneApi, name: str, _: bytes, *, field: Field, box: Box, taken: bool, z: float, dark: bool
+) -> Group:
+    unit, ink = _unit([box]), colours(dark).accent if taken else colours(dark).ink
     inset = 0.02 * unit
     inner = (box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset)
     centre = ((box[0] + box[2]) / 2, (box[1] + box[3]) / 2, z + 0.012 * unit)
+    edge = rectangle(inner, z + 0.01 * unit)
     return Group(
-        lines(scene, f"{name}/frame", dashed(rectangle(inner, z + 0.01 * unit), 0.08 * unit), colours(dark).ink, 1.8),
-        word(scene, f"{name}/number", str(field.number), centre, 0.3 * unit, colours(dark).ink),
+        lines(scene, f"{name}/frame", edge if taken else dashed(edge, 0.08 * unit), ink, 1.8),
+        word(scene, f"{name}/number", str(field.number), centre, 0.3 * unit, ink),
     )
 
 
