@@ -1,4 +1,4 @@
-"""The step between two gauge blocks, 399.88 um, from plan to height: how far it is from the truth, and whether U says so.
+"""The step between two gauge blocks, 399.88 um, from plan to height: how far it is from the truth, and what U says.
 
     python tests/bench/bench_gauge.py [--quick]
 

@@ -10,8 +10,9 @@ import sys
 import numpy as np
 import psutil
 import pytest
+from distributed import LocalCluster, Security
 
-from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError, RigError, WaferViewerError
+from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import FieldState
@@ -217,6 +218,27 @@ def test_images_are_imported_opened_and_reconstructed(session, surfaced, patienc
         session.import_images((tmp_path,), z_step_um=2.0, pixel_um=None, name="broken").result(patience_s)
     assert not list(session.snapshot.data_folder.glob("*broken*"))
     assert session.snapshot.dataset.path == path
+
+
+def test_a_cluster_that_runs_already_is_joined_with_certificates_only(monkeypatch, patience_s, tmp_path):
+    with pytest.raises(ComputeError, match="must begin with tls://"):
+        Session(tmp_path / "a", scheduler="tcp://127.0.0.1:8786")
+    nobody = Session(tmp_path / "b", scheduler="tls://127.0.0.1:1")
+    fault = nobody.wait_until(lambda s: s.faults, patience_s).faults[0]
+    nobody.close()
+    assert "names no certificates" in fault.text
+
+    security = Security.temporary()
+    for name in ("ca_file", "client_cert", "client_key"):
+        pem = tmp_path / f"{name}.pem"
+        pem.write_text(getattr(security, f"tls_{name}"))
+        monkeypatch.setenv(f"DASK_DISTRIBUTED__COMM__TLS__{name.upper().replace('CLIENT_', 'CLIENT__')}", str(pem))
+    cluster = {"n_workers": 1, "threads_per_worker": 1, "protocol": "tls://", "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(security=security, **cluster) as running:
+        joined = Session(tmp_path / "c", scheduler=running.scheduler_address)
+        there = joined.wait_until(lambda s: s.compute_ready or s.faults, patience_s)
+        joined.close()
+    assert there.faults == ()
 
 
 def test_a_data_folder_that_cannot_be_is_refused_at_once(tmp_path):

@@ -7,16 +7,25 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
+from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.session.link import Link
 from wafer_viewer.session.messages import Cancel, Run
 
 
 class Compute:
-    """Tasks run in worker processes elsewhere; nothing heavy is imported here. Use it from one thread."""
+    """Tasks run in worker processes elsewhere; nothing heavy is imported here. Use it from one thread.
+
+    scheduler: the address of a cluster that runs already, tls://HOST:PORT. Raises ComputeError for another kind.
+    """
 
     def __init__(
         self, scheduler: str | None, on_event: Callable[[Any], None], on_gone: Callable[[int | None], None]
     ) -> None:
+        if scheduler is not None and not scheduler.startswith("tls://"):
+            raise ComputeError(
+                f"The scheduler's address is {scheduler}: it must begin with tls://, for any program could run code "
+                "through an open one."
+            )
         self._scheduler, self._on_event, self._on_gone = scheduler, on_event, on_gone
         self._link: Link | None = None
 

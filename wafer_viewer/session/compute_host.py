@@ -45,7 +45,7 @@ def run_compute(pipe: Connection, scheduler: str | None) -> None:
         try:
             client = _join(scheduler, until_end) if scheduler else _own_cluster(until_end)
         except (OSError, TimeoutError, ValueError) as fault:
-            end.tell(ComputeAbsent(f"No compute cluster at {scheduler or 'this machine'}: {fault}."))
+            end.tell(ComputeAbsent(f"There is no cluster at {scheduler or 'this machine'}: {_line(fault)}."))
             return
         client.subscribe_topic(
             PROGRESS_TOPIC, lambda event: end.tell(Progressed(event[1]["work"], event[1]["fraction"]))
@@ -131,9 +131,16 @@ def _own_cluster(until_end: ExitStack) -> Client:
 
 def _join(scheduler: str, until_end: ExitStack) -> Client:
     """A cluster that runs already; its certificates come from dask's own configuration."""
-    client = until_end.enter_context(Client(scheduler, security=Security(), timeout=PATIENCE_S))
+    security = Security()
+    if not (security.tls_ca_file and security.tls_client_cert):
+        raise ValueError("dask's configuration names no certificates: set distributed.comm.tls.ca-file and .client")
+    client = until_end.enter_context(Client(scheduler, security=security, timeout=PATIENCE_S))
     client.wait_for_workers(1, timeout=PATIENCE_S)
     return client
+
+
+def _line(fault: BaseException) -> str:
+    return " ".join(str(fault).split()).rstrip(".")
 
 
 def _sentence(verb: Run, done: Future[Any]) -> WaferViewerError:

@@ -21,6 +21,7 @@ from wafer_viewer.session.messages import (
     Resume,
     RigAbsent,
     RigReady,
+    SampleSeen,
     Scan,
     ScanEnded,
     ScanFault,
@@ -51,6 +52,7 @@ class Instrument:
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
+            SampleSeen: lambda event: desk.change(overview=event.overview),
             RigAbsent: self._absent,
             At: self._at,
             Paused: self._paused,
@@ -120,7 +122,7 @@ class Instrument:
     def _ready(self, event: RigReady) -> None:
         state = "scanning" if self._desk.now.scanning else "ready"
         status = RigStatus(event.name, event.simulated, state, limits=event.limits, calibration=event.calibration)
-        self._desk.change(rig=status, overview=event.overview)
+        self._desk.change(rig=status)
         self._at(At(event.position))
         self._reports.ready(event)
 

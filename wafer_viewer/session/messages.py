@@ -57,9 +57,15 @@ class RigReady:
     limits: RigLimits
     setup: OpticalSetup
     calibration: Calibration | None
-    overview: Overview | None
     position: Position
     tour: Job | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleSeen:
+    """The picture of the whole sample, which may take longer than the rig itself; None where there is none."""
+
+    overview: Overview | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,7 @@ class Reconstruction:
         self._desk, self._notices, self._library = desk, notices, library
         self.compute = Compute(scheduler, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
+        self._told_why = False
         self._run: Run | None = None
         self._on = {
             ComputeUp: self._up,
@@ -202,6 +203,7 @@ class Reconstruction:
         self.go_on()
 
     def _absent(self, event: ComputeAbsent) -> None:
+        self._told_why = True
         self._notices.fault("Nothing can be reconstructed", event.why, "surface")
 
     def _gone(self, exit_code: int | None) -> None:
@@ -209,6 +211,8 @@ class Reconstruction:
 
     def _died(self, exit_code: int | None) -> None:
         """The host is gone without having been asked to: a new one takes over, a few times."""
+        if self._told_why:
+            return
         self._warm = False
         self._desk.change(compute_ready=False)
         self._restarts += 1

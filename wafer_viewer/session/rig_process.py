@@ -13,7 +13,7 @@ from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, Scan, Stop
+from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, SampleSeen, Scan, Stop
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
 from wafer_viewer.session.tour import tour_of
@@ -30,6 +30,7 @@ def run_rig(pipe: Connection, config: RigConfig) -> None:
         return
     try:
         end.tell(_introduce(rig, config))
+        end.tell(SampleSeen(rig.overview()))
         Operator(rig, end).work()
     finally:
         rig.close()
@@ -42,7 +43,6 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
         limits=rig.limits,
         setup=rig.setup,
         calibration=rig.calibration,
-        overview=rig.overview(),
         position=rig.stage.position(),
         tour=tour_of(rig, config),
     )
