@@ -164,13 +164,10 @@ def _missing(data: OpenDataset) -> str:
 
 
 def _waits(snapshot: Snapshot) -> str:
-    if snapshot.surface is None:
-        return (
-            f"{len(snapshot.works)} jobs until the surface is there."
-            if snapshot.works
-            else "The surface is being made."
-        )
-    return ""
+    if snapshot.surface is not None:
+        return ""
+    doing = " and ".join(work.title for work in snapshot.works)
+    return f"Until the surface is there: {doing}." if doing else "The surface is being made."
 
 
 def _done(scan: ScanProgress) -> float:
