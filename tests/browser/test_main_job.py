@@ -11,7 +11,7 @@ import tifffile
 from playwright.sync_api import Page, expect
 from scipy import ndimage
 
-from tests.browser.steps import eventually, go_to, notes, press, set_numbers, text_field, title_is, type_into
+from tests.browser.steps import eventually, go_to, notes, press, put, set_numbers, text_field, title_is, type_into
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
@@ -42,7 +42,7 @@ def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
 
 
 def test_plan_scan_surface_profile_and_step_height(page: Page, session: Session):
-    session.wait_until(lambda now: now.rig.state == "ready", WORK_S)
+    session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
     plan_two_fields(page, session)
     press(page, "Start scan")
     session.wait_until(lambda now: now.scan is not None and now.scan.finished, SCAN_S)
@@ -121,7 +121,7 @@ def fill_in_import(page: Page, path: str) -> None:
     type_into(page, "Path", path)
     set_numbers(page, "z step, µm", 4)
     set_numbers(page, "Pixel, µm", 0.5)
-    text_field(page, "Name").fill("elsewhere")
+    put(page, text_field(page, "Name"), "elsewhere")
     page.get_by_role("dialog").get_by_role("button", name="Import").click()
 
 

@@ -16,6 +16,7 @@ from tests.browser.steps import (
     notes,
     numbers,
     press,
+    put,
     set_numbers,
     text_field,
     title_is,
@@ -47,6 +48,16 @@ def test_the_first_start_offers_the_ways_in(serve: Serve):
     expect(page.locator(".wv-pill")).to_contain_text("SIMULATED")
     press(page, "Plan a scan")
     eventually(lambda: "cover_sample" in verbs(session), "the sample was covered")
+
+
+def test_without_a_picture_of_the_sample_a_plan_begins_with_its_size(serve: Serve):
+    session = fake.FakeSession(dataclasses.replace(fake.empty(), overview=None))
+    page = serve(session)
+    press(page, "Plan a scan")
+    expect(page.get_by_text("Start with a sample")).to_have_count(0)
+    set_numbers(page, "Size, mm", 3.6, 2.88)
+    expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
+    assert session.snapshot.draft.job.grid.width_um >= 3600
 
 
 def test_only_steps_with_contents_can_be_gone_to(serve: Serve):
@@ -181,7 +192,7 @@ def test_results_are_renamed_deleted_and_exported(serve: Serve):
     expect(page.get_by_role("button", name="Delete")).to_be_disabled()
     page.locator("[data-pick=finding][data-k='1']").click()
     press(page, "Rename")
-    text_field(page, "Name").fill("Die 4 to trench")
+    put(page, text_field(page, "Name"), "Die 4 to trench")
     page.get_by_role("dialog").get_by_role("button", name="Rename").click()
     eventually(lambda: ("rename", (1, "Die 4 to trench"), {}) in session.asked, "the result was renamed")
     press(page, "CSV")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.plan_form import FIRST_FRAMES, PlanForm, form_of, job_of
+from wafer_viewer.gui.plan_form import FIRST_FRAMES, PlanForm, form_of, job_of, with_typed_range
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job
 from wafer_viewer.model.sample import Sample
@@ -58,6 +58,21 @@ def test_the_sweep_takes_as_many_frames_as_fit():
     form = dataclasses.replace(form_of(a_job()), range_um=(-10.0, 10.0), step_um=0.1)
     job = job_of(form, a_job(), LIMITS)
     assert (job.sweep.n_frames, job.z_start_um) == (201, -10.0)
+
+
+def test_a_finer_step_gives_back_the_range_that_was_typed():
+    typed = (-6.0, 53.0)
+    coarse = job_of(dataclasses.replace(form_of(a_job()), range_um=typed, step_um=5.0), a_job(), LIMITS)
+    assert form_of(coarse).range_um == (-6.0, 49.0)
+    finer = with_typed_range(dataclasses.replace(form_of(coarse), step_um=1.0), coarse, typed)
+    assert job_of(finer, coarse, LIMITS).sweep.n_frames == 60
+    assert job_of(with_typed_range(form_of(coarse), coarse, typed), coarse, LIMITS) == coarse
+
+
+@given(jobs, st.tuples(st.floats(-100, 100), st.floats(-100, 100)))
+def test_a_range_typed_for_another_job_changes_nothing(job, typed):
+    form = with_typed_range(form_of(job), job, typed)
+    assert job_of(form, job, LIMITS) == job
 
 
 def test_the_first_size_lays_a_grid_over_the_whole_sample():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -81,6 +82,19 @@ def sweep_of(form: PlanForm) -> FocusSweep:
     if high <= low:
         raise PlanError(f"The focus sweep goes from {low:g} to {high:g} µm: the second must be higher than the first.")
     return FocusSweep(z_step_um=form.step_um, n_frames=1 + math.floor((high - low) / form.step_um + 1e-6))
+
+
+def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, float] | None) -> PlanForm:
+    """The form with the range a person typed in place of the one that the job's last whole step came to.
+
+    A coarse step shortens the range that is shown; a finer one typed next should give it back.
+    """
+    if job is None or typed_um is None:
+        return form
+    before = form_of(job)
+    untouched = form.range_um == before.range_um and typed_um[0] == before.range_um[0] and typed_um[1] > typed_um[0]
+    led_here = untouched and sweep_of(dataclasses.replace(before, range_um=typed_um)) == job.sweep
+    return dataclasses.replace(form, range_um=typed_um) if led_here else form
 
 
 def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:

@@ -14,7 +14,7 @@ from wafer_viewer.gui.dialogs import load_plan_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.plan_form import PlanForm, form_of, job_of
+from wafer_viewer.gui.plan_form import PlanForm, form_of, job_of, with_typed_range
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
@@ -32,10 +32,12 @@ class PlanPanel:
         self._problem: str | None = None
         self._shown_job: Any = None
         self._timer: threading.Timer | None = None
+        self._typed_range_um: tuple[float, float] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
         page.on_pick("strategy", self._choose_strategy)
+        page.on_pick("cover", lambda _: self._cover())
         page.on_pick("undo", lambda _: page.ask("Nothing was undone", page.session.undo()))
         page.on_pick("redo", lambda _: page.ask("Nothing was redone", page.session.redo()))
 
@@ -123,7 +125,8 @@ class PlanPanel:
         self._sweep_head = Cell(gui)
         self._sweep_fields = gui.add_folder(None, visible=False)
         with self._sweep_fields:
-            self._range = self._field(gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5))
+            sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
+            self._range: Field[tuple[float, float]] = Field(sweep, self._typed, self._page, "The plan stays")
             self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
             self._depth = Cell(gui)
@@ -166,6 +169,10 @@ class PlanPanel:
             exposures_us=self._exposures.value,
         )
 
+    def _typed(self, event: Any) -> None:
+        self._typed_range_um = event.target.value
+        self._edited()
+
     def _edited(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
@@ -176,7 +183,8 @@ class PlanPanel:
     def _commit(self) -> None:
         page, snapshot = self._page, self._page.session.snapshot
         try:
-            job = job_of(self._read_form(), snapshot.draft.job, snapshot.rig.limits)
+            form = with_typed_range(self._read_form(), snapshot.draft.job, self._typed_range_um)
+            job = job_of(form, snapshot.draft.job, snapshot.rig.limits)
         except PlanError as fault:
             self._problem = str(fault)
             page.redraw()
@@ -210,7 +218,7 @@ class PlanPanel:
         )
         self._title.show(html.title("Plan the scan", below, words.history(draft)))
         self._notes.show(self._page.notes(snapshot))
-        self._grid_head.show(words.grid(draft))
+        self._grid_head.show(words.grid(snapshot))
         self._sweep_head.show(words.sweep(draft))
         self._depth.show(words.depth(snapshot, draft))
         self._strategies.show(words.strategies(snapshot, draft))

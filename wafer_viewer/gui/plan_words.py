@@ -28,17 +28,24 @@ def history(draft: Draft) -> str:
     )
 
 
-def grid(draft: Draft) -> str:
+def grid(snapshot: Snapshot) -> str:
     """The head of the grid, or what it waits for."""
-    job = draft.job
+    job = snapshot.draft.job
     if job is None:
-        return html.head("Field grid") + html.empty("Waits for the size of the sample.")
+        return html.head("Field grid") + html.empty("Waits for the size of the sample.") + _on_stage(snapshot)
     if job.grid is None:
         return html.head("Fields", f"{len(job.fields)} fields from the plan's list")
     grid = job.grid
     n = grid.rows * grid.cols
     extent = f"{number(grid.width_um, 0)} × {with_unit(grid.height_um, 0)}"
     return html.head("Field grid", f"{n} field{'s' if n > 1 else ''} · {extent}")
+
+
+def _on_stage(snapshot: Snapshot) -> str:
+    """The short way to a grid, where the rig has a picture of what is on its stage."""
+    if snapshot.overview is None:
+        return ""
+    return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Take the sample on the stage</span></div>'
 
 
 def sweep(draft: Draft) -> str:

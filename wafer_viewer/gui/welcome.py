@@ -21,6 +21,7 @@ class Welcome:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._place = (0, 0)
+        self._away = False
         gui = page.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Start"):
@@ -37,7 +38,7 @@ class Welcome:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show the card or put it away."""
-        first = snapshot.draft.job is None and snapshot.dataset is None and view.step == "plan"
+        first = snapshot.draft.job is None and snapshot.dataset is None and view.step == "plan" and not self._away
         set_prop(self._panel, "visible", first)
         if not first:
             return
@@ -47,7 +48,12 @@ class Welcome:
         self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
 
     def _plan(self) -> None:
-        self._page.ask("There is no plan", self._page.session.cover_sample())
+        """Cover the sample that the rig has a picture of; without one, clear the way to the form."""
+        if self._page.session.snapshot.overview is None:
+            self._away = True
+            self._page.redraw()
+        else:
+            self._page.ask("There is no plan", self._page.session.cover_sample())
 
     def _take_tour(self) -> None:
         """Plan and scan the virtual sample, and watch."""
