@@ -21,6 +21,7 @@ import viser
 from wafer_viewer.gui.access import open_server
 from wafer_viewer.gui.build import build_page
 from wafer_viewer.gui.guard import log
+from wafer_viewer.gui.icons import quicken
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import WaferViewerError
 
@@ -69,6 +70,7 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     Raises WaferViewerError when the port is in use.
     """
     keep_log()
+    quicken()
     server, guard = open_server(host, _free(host, port))
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False

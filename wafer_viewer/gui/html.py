@@ -10,6 +10,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
 
+from wafer_viewer.gui.icons import svg
+
 Tone = Literal["good", "attention", "fault", "busy"]
 
 
@@ -25,9 +27,7 @@ def micro(text: str) -> str:
 
 def icon(name: Any, size_px: int = 16) -> str:
     """An icon of viser's set, in the colour of the text around it."""
-    from viser._icons import svg_from_icon
-
-    return f'<span class="wv-i" style="width:{size_px}px;height:{size_px}px">{svg_from_icon(name)}</span>'
+    return f'<span class="wv-i" style="width:{size_px}px;height:{size_px}px">{svg(name)}</span>'
 
 
 def pick_script(what: str) -> str:
