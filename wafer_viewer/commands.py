@@ -55,7 +55,7 @@ def serve(
 
     if not 0 <= port <= LAST_PORT:
         raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
-    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     session = Session(data.expanduser(), _config(rig), scheduler)
     try:
         serve_page(session, port=port, open_browser=open_browser)

@@ -13,7 +13,6 @@ import argparse
 import io
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -46,7 +45,7 @@ def start_once(browser: Browser) -> tuple[float, float]:
         page = browser.new_page(viewport=WINDOW)
         picture_s = open_page(page, re.search(r"http\S+", line).group())
         page.close()
-        viewer.send_signal(signal.SIGINT)
+        viewer.terminate()
         viewer.communicate(timeout=60)
         return address_s, picture_s
 

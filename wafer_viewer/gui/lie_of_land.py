@@ -113,19 +113,26 @@ class Land:
     # ---------------------------------------------------------------- where to begin
 
     def first_line(self, near: Place) -> tuple[Place, Place]:
-        """A profile to begin with: along x, near the middle of what is looked at, where most of it is measured."""
+        """A profile to begin with: along x, near the middle of what is looked at, where it shows most."""
         x0, y0, x1, y1 = self.bounds_um
         x, y = self._inner(near)
         half = 0.32 * (x1 - x0)
         x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
         t = np.linspace(x - half, x + half, 200)
-        rows = y + np.linspace(0, 0.2, 9)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
-        best = max(rows.ravel().tolist(), key=lambda row: self._measured_share(t, row))
+        rows = y + np.linspace(0, 0.3, 13)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
+        best = max(rows.ravel().tolist(), key=lambda row: self._worth(t, row))
         return self.clamped((x - half, best)), self.clamped((x + half, best))
 
-    def _measured_share(self, x_um: Floats, y_um: float) -> float:
-        """How much of a row is measured, in steps: rows that differ by little count as the same."""
-        return round(float(self.measured(x_um, np.full_like(x_um, y_um)).mean()), 1)
+    def _worth(self, x_um: Floats, y_um: float) -> float:
+        """How much a row shows: its measured share, more where it climbs; rows that differ by little are alike."""
+        y = np.full_like(x_um, y_um)
+        there = self.measured(x_um, y)
+        if not there.any():
+            return 0.0
+        climb = float(np.ptp(self.z_um(x_um, y)[there])) / max(
+            self.on_show.facts.high_um - self.on_show.facts.low_um, 1e-9
+        )
+        return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
 
     def first_plateaus(self, near: Place) -> tuple[Place, Place, float]:
         """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both."""

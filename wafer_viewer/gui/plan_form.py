@@ -81,7 +81,11 @@ def sweep_of(form: PlanForm) -> FocusSweep:
         raise PlanError(f"The step of the focus sweep is {form.step_um:g} µm: it must be over 0.")
     if high <= low:
         raise PlanError(f"The focus sweep goes from {low:g} to {high:g} µm: the second must be higher than the first.")
-    return FocusSweep(z_step_um=form.step_um, n_frames=1 + math.floor((high - low) / form.step_um + 1e-6))
+    return FocusSweep(z_step_um=form.step_um, n_frames=_frames_in(form.range_um, form.step_um))
+
+
+def _frames_in(range_um: tuple[float, float], step_um: float) -> int:
+    return 1 + math.floor((range_um[1] - range_um[0]) / step_um + 1e-6)
 
 
 def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, float] | None) -> PlanForm:
@@ -93,7 +97,7 @@ def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, flo
         return form
     before = form_of(job)
     untouched = form.range_um == before.range_um and typed_um[0] == before.range_um[0] and typed_um[1] > typed_um[0]
-    led_here = untouched and sweep_of(dataclasses.replace(before, range_um=typed_um)) == job.sweep
+    led_here = untouched and _frames_in(typed_um, job.sweep.z_step_um) == job.sweep.n_frames
     return dataclasses.replace(form, range_um=typed_um) if led_here else form
 
 

@@ -24,7 +24,7 @@ def tour_of(rig: Rig, config: RigConfig) -> Job | None:
     return Job(
         product=shown.title,
         sample=Sample(
-            name=shown.title,
+            name=f"Virtual {shown.name.replace('_', ' ')}",
             lot="TOUR",
             wafer_id=shown.name,
             product=shown.name,
