@@ -74,6 +74,8 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     server, guard = open_server(host, _free(host, port))
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
+    server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second
+    server.scene.configure_default_lights(cast_shadow=False)
     pages: dict[int, Page] = {}
 
     @server.on_client_connect

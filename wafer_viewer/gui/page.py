@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any, Protocol
 
 import viser
@@ -40,7 +40,10 @@ class Page:
         self.client = client
         self.gui = client.gui
         self.session = session
-        self.view = memory.recall(client)
+        self.view = View()
+        asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
+        self._recalled = asking.submit(memory.recall, client)  # the browser answers while the parts are made
+        asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.scale: Scale | None = None
         self._parts: Sequence[Part] = ()
@@ -56,6 +59,7 @@ class Page:
     def begin(self, parts: Sequence[Part]) -> None:
         """Start drawing; `parts` in the order in which they are drawn."""
         self._parts = parts
+        self.view = self._recalled.result()
         self._due.set()
         self._thread.start()
 

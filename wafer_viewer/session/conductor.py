@@ -16,7 +16,7 @@ from wafer_viewer.session.drafting import Drafting, suggested_name
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.library import ENDING, Library, free_name
-from wafer_viewer.session.messages import RigReady, Scan, ScanEnded, Taken
+from wafer_viewer.session.messages import RigReady, SampleSeen, Scan, ScanEnded, Taken
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.reconstruction import Reconstruction
 from wafer_viewer.session.record_book import RecordBook
@@ -36,14 +36,13 @@ class Conductor:
         self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
         self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
         self.book = RecordBook(desk, self.library)
-        reports = Reports(self._rig_ready, self._taken, self._field_complete, self._scan_ended)
+        reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
         self._scan_over: Future[None] = Future()
 
     def start(self) -> None:
-        """Bring up the rig and the workers, and look at what there is."""
+        """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
         self.rig.start()
-        self.reconstruction.compute.start()
         self.drafting.price()
         self.library.refresh()
 
@@ -142,6 +141,10 @@ class Conductor:
         self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
         self.library.refresh()
         return path
+
+    def _sample_seen(self, event: SampleSeen) -> None:
+        self.desk.change(overview=event.overview)
+        self.reconstruction.compute.start()
 
     def _rig_ready(self, event: RigReady) -> None:
         self.drafting.tour = event.tour

@@ -37,6 +37,7 @@ class Reports:
     """Who wants to know of what the rig did; called on the session's thread."""
 
     ready: Callable[[RigReady], None]
+    sample_seen: Callable[[SampleSeen], None]
     taken: Callable[[Taken], None]
     field_complete: Callable[[int], None]
     scan_ended: Callable[[ScanEnded | None], None]
@@ -52,7 +53,7 @@ class Instrument:
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
-            SampleSeen: lambda event: desk.change(overview=event.overview),
+            SampleSeen: reports.sample_seen,
             RigAbsent: self._absent,
             At: self._at,
             Paused: self._paused,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
 import viser
 from PIL import Image
+from playwright.sync_api import Browser
 
 from tests.gui.stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.gui.test_scene import until
@@ -17,21 +17,6 @@ from wafer_viewer.draw.colours import table
 from wafer_viewer.gui.access import open_server
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
-
-playwright = pytest.importorskip("playwright.sync_api")
-CHROMIUM = Path("/usr/bin/chromium")
-FLAGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -45,7 +30,7 @@ def stripes() -> Iterator[StandIn]:
     made.close()
 
 
-def test_colours_are_those_of_the_bar(stripes: StandIn) -> None:
+def test_colours_are_those_of_the_bar(browser: Browser, stripes: StandIn) -> None:
     job, plan = job_and_plan(grid(1, 1))
     snapshot = snapshot_of(stripes.shelf.surfaces[0], plan, job)
     view = View(step="surface", look="plan", hillshade=0.0, range_um=(0.0, 20.0))
@@ -57,22 +42,19 @@ def test_colours_are_those_of_the_bar(stripes: StandIn) -> None:
         scenes.append(SceneView(client, stripes))
         scenes[0].draw(snapshot, view)
 
-    executable = str(CHROMIUM) if CHROMIUM.exists() else None
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=executable, args=FLAGS)
-        page = browser.new_page(viewport={"width": 900, "height": 700})
-        page.goto(guard.address)
-        until(lambda: scenes and not scenes[0].busy, 60)
-        wanted = table("mako")[[0, 127, 255]].astype(int)
-        found: list[int] = []
+    page = browser.new_page(viewport={"width": 900, "height": 700})
+    page.goto(guard.address)
+    until(lambda: scenes and not scenes[0].busy, 60)
+    wanted = table("mako")[[0, 127, 255]].astype(int)
+    found: list[int] = []
 
-        def shown() -> bool:
-            picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
-            pixels = np.asarray(picture, int).reshape(-1, 3)
-            found[:] = [int((np.abs(pixels - colour).max(axis=1) <= 9).sum()) for colour in wanted]
-            return min(found) > 2000
+    def shown() -> bool:
+        picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+        pixels = np.asarray(picture, int).reshape(-1, 3)
+        found[:] = [int((np.abs(pixels - colour).max(axis=1) <= 9).sum()) for colour in wanted]
+        return min(found) > 2000
 
-        until(shown, 60)
-        browser.close()
+    until(shown, 60)
+    page.close()
     scenes[0].close()
     server.stop()
