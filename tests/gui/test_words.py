@@ -17,7 +17,7 @@ from wafer_viewer.gui import html, measure_words, memory
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.header import STEPS, done, possible
-from wafer_viewer.gui.profile_dock import thinned, y_range
+from wafer_viewer.gui.profile_dock import MOST_PIECES, PIECES_STEP, pieces, thinned, y_range
 from wafer_viewer.gui.style import DARK, LIGHT, sheet
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
@@ -182,3 +182,24 @@ def test_the_guard_tells_what_nobody_foresaw(caplog):
     guarded(told, "The grid stays")(lambda: 1 / 0)()
     assert "did not foresee: division by zero" in told.faults[0].text
     assert "ZeroDivisionError" in caplog.text
+
+
+def test_measured_pieces_are_drawn_apart_and_nothing_is_lost():
+    z = np.array([1.0, 2.0, np.nan, np.nan, 3.0, np.nan, 4.0, 5.0])
+    apart = pieces(z)
+    assert len(apart) == PIECES_STEP
+    assert [np.flatnonzero(np.isfinite(p)).tolist() for p in apart[:3]] == [[0, 1], [4], [6, 7]]
+    assert not np.isfinite(apart[3:]).any()
+    np.testing.assert_array_equal(np.nansum(apart, axis=0), np.nan_to_num(z))
+
+
+def test_with_many_gaps_the_widest_stay_open():
+    z = np.tile([1.0, np.nan], 200)
+    z[100:140] = np.nan
+    apart = pieces(z)
+    assert len(apart) == MOST_PIECES
+    assert not any(np.isfinite(p[:100]).any() and np.isfinite(p[140:]).any() for p in apart)
+
+
+def test_a_curve_without_a_point_has_no_pieces():
+    assert not np.isfinite(pieces(np.full(5, np.nan))).any()

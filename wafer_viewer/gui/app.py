@@ -76,6 +76,7 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second
     server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.add_light_ambient("/light", intensity=2.0)  # so that the far side of a handle has its colour too
     pages: dict[int, Page] = {}
 
     @server.on_client_connect

@@ -22,6 +22,8 @@ from wafer_viewer.session.state import Snapshot
 
 MOST_POINTS = 1500
 """More than the plot has pixels; longer curves are thinned by their extremes."""
+MOST_PIECES, PIECES_STEP = 40, 8
+"""Most measured pieces that are drawn apart, and the steps in which their number grows: each is a series."""
 FIRST_WIDTH_PX = 892
 PLOT_MARGIN_PX = 48
 
@@ -43,6 +45,7 @@ class ProfileDock:
             self._head = Cell(page.gui)
             self._body = page.gui.add_folder(None)
             self._plot: Any = None
+            self._plot_kind = False, 0
         self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
         self._width = 0
         page.client.camera.on_update(lambda camera: self._follow(camera.image_width))
@@ -61,18 +64,20 @@ class ProfileDock:
 
     def _draw(self, curve: ProfileCurve, dark: bool) -> None:
         distance, z = thinned(curve.distance_um, curve.z_um, MOST_POINTS)
+        data = (distance, *pieces(z))
         scales: Any = {"x": {"time": False, "range": _x_range(distance)}, "y": {"range": y_range(z)}}
-        if self._plot is not None and self._plot_dark == dark:
-            self._plot.data = (distance, z)
+        if self._plot is not None and self._plot_kind == (dark, len(data)):
+            self._plot.data = data
             self._plot.scales = scales
             return
         if self._plot is not None:
             self._plot.remove()
-        self._plot_dark = dark
+        self._plot_kind = dark, len(data)
+        line: Any = {"label": "z", "stroke": PROFILE_COLOURS[0], "width": 1.8, "points": {"show": False}}
         with self._body:
             self._plot = self._page.gui.add_uplot(
-                data=(distance, z),
-                series=({}, {"label": "z", "stroke": PROFILE_COLOURS[0], "width": 1.8, "spanGaps": False}),
+                data=data,
+                series=({}, *[line] * (len(data) - 1)),
                 scales=scales,
                 axes=(_axis("Distance along the profile, µm", 34, dark), _axis("z, µm", 56, dark)),
                 legend={"show": False},
@@ -109,6 +114,21 @@ def thinned(
         )
         xs[2 * k : 2 * k + 2], zs[2 * k : 2 * k + 2] = x[first + picked], part[picked]
     return xs, zs
+
+
+def pieces(z: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The measured pieces of a curve, each alone in a series and NaN elsewhere: within one a gap is drawn over.
+
+    Where there are more than `MOST_PIECES`, the narrowest gaps are drawn over; empty series make a round number.
+    """
+    good = np.flatnonzero(np.isfinite(z))
+    jumps = np.flatnonzero(np.diff(good) > 1)
+    widest = np.sort(jumps[np.argsort(-np.diff(good)[jumps], kind="stable")][: MOST_PIECES - 1])
+    runs = np.split(good, widest + 1) if good.size else []
+    apart = [np.full(len(z), np.nan) for _ in range(max(1, -(-len(runs) // PIECES_STEP)) * PIECES_STEP)]
+    for piece, run in zip(apart, runs, strict=False):
+        piece[run] = z[run]
+    return apart
 
 
 def y_range(z: NDArray[np.float64]) -> tuple[float, float]:
