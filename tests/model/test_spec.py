@@ -12,7 +12,7 @@ from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.recipe import Levy, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Feature, Sample
-from wafer_viewer.model.spec import decode, encode, limit_of, replace
+from wafer_viewer.model.spec import decode, encode, replace
 
 GRID = FieldGrid(rows=3, cols=4, field_width_um=336.0, field_height_um=252.0)
 JOB = Job(grid=GRID, sweep=FocusSweep(z_step_um=1.0, n_frames=60), sample=Sample(lot="L7", wafer_id="03"))
@@ -104,14 +104,6 @@ def test_findings_of_several_kinds_share_one_file():
     )
     findings = Findings(items=(profile,))
     assert decode(encode(findings, "json"), Findings, "findings.json", "json") == findings
-
-
-def test_forms_can_show_the_limit_of_a_field():
-    limit = limit_of(FieldGrid, "overlap_x_fraction")
-    assert limit is not None
-    assert (limit.low, limit.high) == (0, 0.5)
-    assert limit_of(Recipe, "window") is not None
-    assert limit_of(FieldGrid, "x0_um") is None
 
 
 def test_the_largest_uncertainty_is_doubled_once():

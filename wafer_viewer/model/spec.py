@@ -103,13 +103,6 @@ def encode(spec: Spec, form: Form = "toml") -> str:
     return tomli_w.dumps(_without_none(msgspec.to_builtins(spec, enc_hook=_plain_number)))
 
 
-def limit_of(kind: type[Spec], name: str) -> Within | None:
-    """The limit written beside a field, for forms that show it."""
-    hint = typing.get_type_hints(kind, include_extras=True)[name]
-    found = [m for m in _metadata(hint) if isinstance(m, Within)]
-    return found[0] if found else None
-
-
 def _plain_number(value: Any) -> Any:
     """numpy's numbers pass for Python's in a spec; a file gets Python's."""
     if isinstance(value, numbers.Number) and hasattr(value, "item"):
@@ -132,11 +125,6 @@ def _without_none(data: Any) -> Any:
     if isinstance(data, list | tuple):
         return [_without_none(v) for v in typing.cast(list[Any], data)]
     return data
-
-
-def _metadata(hint: Any) -> tuple[Any, ...]:
-    own = tuple(getattr(hint, "__metadata__", ()))
-    return own + tuple(m for part in typing.get_args(hint) for m in _metadata(part))
 
 
 Check = typing.Callable[[Any], str | None]

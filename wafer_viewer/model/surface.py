@@ -159,8 +159,8 @@ def _start(part: slice) -> int:
     return int(part.start or 0)
 
 
-class Mosaic(Protocol):
-    """A surface that may be larger than memory: a pyramid of levels, each half the resolution of the one before."""
+class Outline(Protocol):
+    """Where the pixels of a surface lie; known of a field before they are read."""
 
     @property
     def pixel_um(self) -> float:
@@ -169,18 +169,22 @@ class Mosaic(Protocol):
 
     @property
     def x0_um(self) -> float:
-        """Stage x of pixel (0, 0) of level 0."""
+        """Stage x of the centre of pixel (0, 0) of level 0."""
         ...
 
     @property
     def y0_um(self) -> float:
-        """Stage y of pixel (0, 0) of level 0."""
+        """Stage y of the centre of pixel (0, 0) of level 0."""
         ...
 
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of level 0."""
         ...
+
+
+class Mosaic(Outline, Protocol):
+    """A surface that may be larger than memory: a pyramid of levels, each half the resolution of the one before."""
 
     @property
     def levels(self) -> int:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface import Outline
 
 SNAP_PX = 1e-3
 """A field within a thousandth of a pixel of the mosaic's lattice lies on it: nothing is gained by resampling."""
@@ -18,30 +18,6 @@ SNAP_PX = 1e-3
 SAME_PIXEL_FRACTION = 1e-6
 LEAST_WEIGHT = 1e-6
 """A border pixel counts almost nothing beside a neighbour, and fully where the neighbour saw nothing."""
-
-
-class Outline(Protocol):
-    """What is known of a field before its pixels are read; a HeightMap is one."""
-
-    @property
-    def pixel_um(self) -> float:
-        """Pixel size."""
-        ...
-
-    @property
-    def x0_um(self) -> float:
-        """Stage x of the centre of pixel (0, 0)."""
-        ...
-
-    @property
-    def y0_um(self) -> float:
-        """Stage y of the centre of pixel (0, 0)."""
-        ...
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, cols)."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

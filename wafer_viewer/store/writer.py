@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import zlib
 from collections import Counter
@@ -79,13 +80,13 @@ class DatasetWriter:
         )
         _require_distinct_names(plan)
         _make_folder(folder)
-        try:
+        with contextlib.ExitStack() as undo:
+            undo.callback(remove, folder)
             lock = Lock.take(folder)
             _lay_out(folder, record)
-            return cls(folder, record, lock, on_field_complete)
-        except BaseException:
-            remove(folder)
-            raise
+            made = cls(folder, record, lock, on_field_complete)
+            undo.pop_all()
+            return made
 
     @classmethod
     def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
@@ -93,11 +94,11 @@ class DatasetWriter:
         folder = Path(path)
         record = Dataset.open(folder).scan
         lock = Lock.take(folder)
-        try:
-            return cls(folder, record, lock, on_field_complete)
-        except BaseException:
-            lock.release()
-            raise
+        with contextlib.ExitStack() as undo:
+            undo.callback(lock.release)
+            held = cls(folder, record, lock, on_field_complete)
+            undo.pop_all()
+            return held
 
     @property
     def kept(self) -> frozenset[Shot]:
