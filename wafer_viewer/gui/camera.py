@@ -15,7 +15,6 @@ Vector = NDArray[np.float64]
 
 NEAR_MM = 0.005
 FOV_RAD = math.radians(29)
-_ROUNDS, _DAMPING = 50, 0.6
 _TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
 """Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
 
@@ -61,23 +60,51 @@ def direction_of(preset: str) -> Vector:
 def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, height_px: int, clear: Clear) -> Pose:
     """The pose that shows points [n, 3] as large as they fit into the free part of the canvas, and in its middle.
 
-    fov_rad is the vertical field of view. A few rounds of measuring the picture and correcting distance and aim.
+    fov_rad is the vertical field of view. That a point lies within an edge is linear in the camera's place, so the
+    least distance is known at once, however tall the points stand.
     """
     focal_px = height_px / 2 / math.tan(fov_rad / 2)
-    free_w = max(80.0, width_px - clear.left - clear.right)
-    free_h = max(80.0, height_px - clear.top - clear.bottom)
-    aim = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
-    distance = 2 * float(np.linalg.norm(np.ptp(corners_mm, axis=0))) + 1e-3
+    middle = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
     right, up = _screen_axes(direction)
-    for _ in range(_ROUNDS):
-        x, y = _project(corners_mm, aim + direction * distance, direction, right, up, focal_px)
-        # Where the middle of the points should be: the middle of the free part, seen from the canvas's middle.
-        shift_x = (x.min() + x.max()) / 2 - (clear.left - clear.right) / 2
-        shift_y = (y.min() + y.max()) / 2 - (clear.bottom - clear.top) / 2
-        aim = aim + (right * shift_x + up * shift_y) * (_DAMPING * distance / focal_px)
-        distance *= float(max(np.ptp(x) / free_w, np.ptp(y) / free_h, 1e-3)) ** _DAMPING
-        distance = max(distance, 1.15 * float(((corners_mm - aim) @ direction).max()))
+    across, along, near = ((corners_mm - middle) @ axis for axis in (right, up, direction))
+    left_px, right_px = _edges(width_px, clear.left, clear.right)
+    foot_px, top_px = _edges(height_px, clear.bottom, clear.top)
+    x = _Slack.of(across, near, left_px, right_px, focal_px)
+    y = _Slack.of(along, near, foot_px, top_px, focal_px)
+    distance = max(x.least_distance, y.least_distance, 1.02 * float(near.max()) + 1e-3)
+    aim = middle + right * x.place(distance) + up * y.place(distance)
     return Pose(aim + direction * distance, aim)
+
+
+def _edges(size_px: int, before: float, after: float) -> tuple[float, float]:
+    """The free part of one side of the canvas, from its middle; never under 80 pixels."""
+    first = before - size_px / 2
+    return first, max(size_px / 2 - after, first + 80.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Slack:
+    """Between which places, along one axis of the screen, a camera at some distance holds all points in."""
+
+    low_mm: float
+    high_mm: float
+    first: float
+    last: float
+    """Edges of the free part as slopes of sight."""
+
+    @classmethod
+    def of(cls, places: Vector, near: Vector, first_px: float, last_px: float, focal_px: float) -> _Slack:
+        first, last = first_px / focal_px, last_px / focal_px
+        return cls(float((places + last * near).max()), float((places + first * near).min()), first, last)
+
+    @property
+    def least_distance(self) -> float:
+        """Where one place is left."""
+        return (self.low_mm - self.high_mm) / (self.last - self.first)
+
+    def place(self, distance: float) -> float:
+        """The middle of the places that are left."""
+        return (self.low_mm - self.last * distance + self.high_mm - self.first * distance) / 2
 
 
 def _screen_axes(direction: Vector) -> tuple[Vector, Vector]:
@@ -85,15 +112,6 @@ def _screen_axes(direction: Vector) -> tuple[Vector, Vector]:
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)
     return right, np.cross(direction, right)
-
-
-def _project(
-    points: Vector, position: Vector, direction: Vector, right: Vector, up: Vector, focal_px: float
-) -> tuple[Vector, Vector]:
-    """Pixels right of and above the canvas's middle."""
-    seen = points - position
-    depth = np.maximum(-(seen @ direction), 1e-6)
-    return focal_px * (seen @ right) / depth, focal_px * (seen @ up) / depth
 
 
 class Eye:
