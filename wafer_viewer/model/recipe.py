@@ -54,12 +54,16 @@ class Stitching(Spec, frozen=True, kw_only=True):
 
 
 class Recipe(Spec, frozen=True, kw_only=True):
-    """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose."""
+    """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose.
+
+    focus_width_um: how wide a focus curve is at half its height; rivals, flanks and edges are judged by it.
+    """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     focus_measure: Literal["sml", "tenengrad", "glv"] = "tenengrad"
     window: Window | Auto = "auto"
     peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
+    focus_width_um: Positive | Auto = "auto"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
     clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
     levy: Levy = Levy()

@@ -48,7 +48,8 @@ class Settled:
 
 def settle(frames: Frames, recipe: Recipe) -> Settled:
     """Replace every `auto` of a recipe by what the data say."""
-    width = focus_width(frames, recipe)
+    width_um = focus_width_um(frames, recipe) if recipe.focus_width_um == "auto" else recipe.focus_width_um
+    width = width_um / frames.step_um
     probe = _search(frames, recipe, _PROBE_WINDOW, width)
     window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
     search = dataclasses.replace(probe, window=window)
@@ -59,19 +60,26 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     if outliers.floor_um == "auto":
         outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * resolution_um)
     confidence = _min_confidence(recipe, search, frames.n_frames)
-    settled = replace(recipe, window=window, min_confidence=confidence, levy=levy, outliers=outliers)
+    settled = replace(
+        recipe,
+        window=window,
+        focus_width_um=width_um,
+        min_confidence=confidence,
+        levy=levy,
+        outliers=outliers,
+    )
     return Settled(settled, search, resolution_um)
 
 
-def focus_width(frames: Frames, recipe: Recipe) -> float:
-    """How many frames wide a focus curve is at half its height, where there is texture.
+def focus_width_um(frames: Frames, recipe: Recipe) -> float:
+    """How wide a focus curve is at half its height, where there is texture.
 
     The third of the tiles with the narrowest curves tells, by its middle: noise, and light that bleeds from a bright
-    surface that is out of focus, make wider ones. 1 where nothing is seen.
+    surface that is out of focus, make wider ones. One step where nothing is seen.
     """
     probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1)
     widths = [_half_height_width(bench, peaks) for bench, peaks in _tiles(frames, probe)]
-    return float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
+    return frames.step_um * float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
 
 
 def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
