@@ -6,6 +6,7 @@ The only place where pixels are touched before a focus measure sees them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,11 @@ class Frames:
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of a frame."""
         return self.images.shape[1], self.images.shape[2]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """What `read_block` gives, in the byte order of this machine."""
+        return self.images.dtype.newbyteorder("=")
 
     @property
     def step_um(self) -> float:

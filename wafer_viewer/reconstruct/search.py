@@ -71,12 +71,12 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 
     progress is told the finished share, from the calling thread; what it raises ends the search.
     """
-    peaks = Peaks.empty(frames.shape, frames.images.dtype.newbyteorder("="))
+    peaks = Peaks.empty(frames.shape, frames.dtype)
     stripes = list(_stripes(frames.shape[0]))
     threads = min(threads or _cores(), len(stripes))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
     for _ in range(threads):
-        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search.window, frames.images.dtype))
+        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search.window, frames.dtype))
 
     def one(rows: slice) -> None:
         bench = benches.get()

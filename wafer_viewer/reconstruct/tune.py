@@ -131,7 +131,7 @@ def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
     """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
     n_rows, n_cols = frames.shape
     shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
-    bench = Bench.make(frames.n_frames, shape, search.window, frames.images.dtype)
+    bench = Bench.make(frames.n_frames, shape, search.window, frames.dtype)
     peaks = Peaks.empty(shape, bench.block.dtype)
     for top in _starts(n_rows, shape[0]):
         for left in _starts(n_cols, shape[1]):
