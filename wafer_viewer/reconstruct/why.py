@@ -1,0 +1,125 @@
+"""Why a pixel has its height, or none: the reconstruction of a small part round it, opened up."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.reconstruct.field import cleaned, gated, settled_recipe
+from wafer_viewer.reconstruct.focus import mantissa_bits, margin_px
+from wafer_viewer.reconstruct.gate import gate_of
+from wafer_viewer.reconstruct.noise import noise_scores
+from wafer_viewer.reconstruct.peak import Peaks, lead_of, log2_table
+from wafer_viewer.reconstruct.prepare import Frames, prepare
+from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part
+from wafer_viewer.reconstruct.tune import Settled, settle
+
+MOST_RIVALS = 3
+REACH_PX = 80
+"""How much of the field round the pixel is reconstructed: further than any gate looks."""
+COARSE_PX = 4
+"""The coarse maps of the part lie on those of the field."""
+
+
+def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Recipe()) -> FocusCurve:
+    """The focus curve of the pixel at stage (x_um, y_um), its peak, the rivals, and every gate's score and verdict.
+
+    recipe: best the one that the surface carries in its provenance; what is still `auto` is settled on the whole stack.
+    Raises ComputeError when the place lies outside of the field, and what `reconstruct` raises.
+    """
+    row, col = pixel_at(stack, x_um, y_um)
+    recipe = settled_recipe(stack, recipe) if recipe.has_auto else recipe
+    part, r, c = _around(stack, row, col)
+    frames = prepare(part)
+    settled = settle(frames, recipe)
+    peaks = search_field(frames, settled.search, threads=1)
+    origin = gated(peaks, settled, frames)
+    height = cleaned(part, frames, settled, peaks, origin)
+    curve, grey = curve_at(frames, settled.search, r, c)
+    peak = int(curve.argmax())
+    z_um = float(height.z_raw_um[r, c])
+    return FocusCurve(
+        field=stack.field.number,
+        row=row,
+        col=col,
+        x_um=stack.x0_um + col * stack.pixel_um,
+        y_um=stack.y0_um - row * stack.pixel_um,
+        focus_measure=recipe.focus_measure,
+        window=settled.search.window,
+        z_um=tuple(frames.z_um.tolist()),
+        focus=tuple(curve.tolist()),
+        grey=tuple(grey.tolist()),
+        peak_z_um=float(peaks.z_um[r, c]),
+        height_um=z_um if np.isfinite(z_um) else None,
+        origin=ORIGIN_TITLES[Origin(int(height.origin[r, c]))],
+        confidence=float(peaks.confidence[r, c]),
+        rivals=rivals_of(frames.z_um, curve, peak, settled.search.gap),
+        verdicts=verdicts(peaks, settled, frames, r, c),
+        simulated=stack.simulated,
+    )
+
+
+def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
+    bench = Bench.make(frames.n_frames, (1, 1), search.window, frames.images.dtype)
+    search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
+    levels = bench.curves.levels[:, 0, 0].astype(np.int64)
+    bits = mantissa_bits(bench.block.dtype)
+    log2 = (levels >> bits) + log2_table(bits)[levels & (2**bits - 1)]
+    margin = margin_px(search.window)
+    return np.exp2(log2 - log2.max()), bench.block[:, margin, margin].astype(np.int64)
+
+
+def verdicts(peaks: Peaks, settled: Settled, frames: Frames, row: int, col: int) -> tuple[Verdict, ...]:
+    """What every gate says of a pixel."""
+    recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
+    gate = gate_of(noise, float(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
+    asked = (
+        ("texture", "Is there texture to focus on?", peaks.contrast[row, col], gate.min_contrast),
+        ("flanks", "Does the focus fall on both sides of the peak?", peaks.fall[row, col], gate.min_fall),
+        ("rival", "Does the peak stand over its rivals?", peaks.lead[row, col], lead_of(gate.min_confidence)),
+    )
+    return tuple(
+        Verdict(
+            gate=name,
+            question=question,
+            score=float(score),
+            limit=float(limit) if np.isfinite(limit) else None,
+            unit="powers of two",
+            passed=bool(score > limit),
+        )
+        for name, question, score, limit in asked
+    )
+
+
+def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:
+    """The row and column of the pixel of a stack nearest to a place. Raises ComputeError outside of the field."""
+    row, col = round((stack.y0_um - y_um) / stack.pixel_um), round((x_um - stack.x0_um) / stack.pixel_um)
+    if not (0 <= row < stack.images.shape[1] and 0 <= col < stack.images.shape[2]):
+        raise ComputeError(
+            f"({x_um:.1f}, {y_um:.1f}) um lies outside of field {stack.field.number}, which is centred on "
+            f"({stack.field.x_um:.1f}, {stack.field.y_um:.1f}) um: choose another field or place."
+        )
+    return row, col
+
+
+def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, gap: int) -> tuple[Rival, ...]:
+    """The other local maxima at least `gap` frames from the peak, the highest first."""
+    inner = np.r_[True, focus[1:] >= focus[:-1]] & np.r_[focus[:-1] >= focus[1:], True]
+    found = [k for k in np.flatnonzero(inner) if abs(k - peak) >= gap]
+    found.sort(key=lambda k: -focus[k])
+    return tuple(Rival(z_um=float(z_um[k]), share=float(focus[k] / focus[peak])) for k in found[:MOST_RIVALS])
+
+
+def _around(stack: FieldStack, row: int, col: int) -> tuple[FieldStack, int, int]:
+    """The part of a stack round a pixel, as views, and where the pixel is in it."""
+    top, left = (max(0, n - REACH_PX) // COARSE_PX * COARSE_PX for n in (row, col))
+    part = stack.images[:, top : row + REACH_PX + 1, left : col + REACH_PX + 1]
+    return dataclasses.replace(stack, images=part), row - top, col - left
