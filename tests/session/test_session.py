@@ -42,6 +42,8 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert surface.shape == (done.surface.rows, done.surface.cols)
     assert np.nanmax(surface.z_um) == pytest.approx(done.surface.highest_um)
     assert session.height_map(2).shape == session.frame(2, 7).shape == (540, 720)
+    both = {session.height_map(n).provenance.recipe for n in (1, 2)}
+    assert both == {Dataset.open(path).result().settled()}
 
     x_um, y_um = surface.x_um[surface.measured.any(0)][100], 560.0
     profile, curve = session.profile(Region.line(x_um, y_um, x_um + 200, y_um, width_um=3))

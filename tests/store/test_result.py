@@ -28,6 +28,17 @@ def test_a_second_recipe_makes_a_second_result(data):
     assert data.result().recipe() == Recipe()
 
 
+def test_what_auto_chose_is_kept_for_the_scan_until_the_recipe_changes(data):
+    result = data.result()
+    result.save_recipe(Recipe())
+    assert result.settled() is None
+    result.save_settled(Recipe(window=9))
+    result.save_recipe(Recipe())
+    assert result.settled() == Recipe(window=9)
+    result.save_recipe(Recipe(focus_measure="sml"))
+    assert result.settled() is None
+
+
 def test_surfaces_are_kept_by_field(data):
     result, surface = data.result(), make_surface(simulated=True)
     assert result.surfaces_done(data.fields) == set()

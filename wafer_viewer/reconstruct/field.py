@@ -22,6 +22,9 @@ from wafer_viewer.reconstruct.prepare import Frames, prepare
 from wafer_viewer.reconstruct.search import Progress, search_field
 from wafer_viewer.reconstruct.tune import Settled, settle
 
+ENOUGH_TO_SETTLE = 0.2
+"""A field of which a fifth is measured can choose for the fields around it."""
+
 LEAST_NOISE_STEPS = 0.05
 """Smoothing leaves alone what is within a twentieth of a step of its neighbourhood."""
 
@@ -44,6 +47,11 @@ def reconstruct(
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
     """The recipe with every `auto` replaced by what this stack says, so that all fields of a scan can share it."""
     return settle(prepare(stack), recipe).recipe
+
+
+def speaks_for_scan(surface: HeightMap) -> bool:
+    """Whether a field shows enough for what it settled to be right for the fields around it."""
+    return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
 
 
 def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:

@@ -37,7 +37,13 @@ class Run:
     busy: set[int] = field(default_factory=set[int])
     total: int = 0
     restitch: bool = False
+    answered: bool = False
     answer: Future[None] | None = None
+
+    @property
+    def settling(self) -> bool:
+        """Whether the first field is still to say what `auto` means for all: it goes alone."""
+        return self.recipe.has_auto and not self.answered
 
     @property
     def idle(self) -> bool:
@@ -95,7 +101,7 @@ class Reconstruction:
         run = self._run
         if run is None or not self._warm:
             return
-        while run.waiting and len(run.busy) < self._room:
+        while run.waiting and len(run.busy) < (1 if run.settling else self._room):
             self._start(run, run.waiting.popleft())
         if run.idle and not self._desk.now.scanning:
             self._finish(run)
@@ -125,6 +131,7 @@ class Reconstruction:
 
     def _field_done(self, run: Run, number: int, done: Future[None]) -> None:
         run.busy.discard(number)
+        run.answered = True
         if run is not self._run:
             return
         fault = done.exception()

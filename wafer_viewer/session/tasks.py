@@ -41,13 +41,20 @@ def reconstruct_field(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> None:
-    """Make the surface of one field and keep it in a result."""
-    from wafer_viewer.reconstruct.field import reconstruct
+    """Make the surface of one field and keep it in a result.
+
+    What `auto` chooses in the first field that has much to see is kept for the others: a scan is judged alike.
+    """
+    from wafer_viewer.reconstruct.field import reconstruct, speaks_for_scan
     from wafer_viewer.store.dataset import Dataset
 
     data = Dataset.open(dataset)
+    kept = data.result(result)
+    recipe = kept.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
-    data.result(result).save_surface(data.field(field_number), surface)
+    kept.save_surface(data.field(field_number), surface)
+    if recipe.has_auto and speaks_for_scan(surface):
+        kept.save_settled(surface.provenance.recipe)
 
 
 def stitch_fields(

@@ -17,7 +17,7 @@ from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
 
-RECIPE, FINDINGS, SURFACES, MOSAIC = "recipe.json", "findings.json", "surfaces", "mosaic.zarr"
+RECIPE, SETTLED, FINDINGS, SURFACES, MOSAIC = "recipe.json", "settled.json", "findings.json", "surfaces", "mosaic.zarr"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,18 @@ class Result:
         return decode(self._text(RECIPE), Recipe, str(self.path / RECIPE), "json")
 
     def save_recipe(self, recipe: Recipe) -> None:
-        """Keep the recipe."""
+        """Keep the recipe; what another one was settled to is forgotten."""
+        if (self.path / RECIPE).exists() and self.recipe() != recipe:
+            (self.path / SETTLED).unlink(missing_ok=True)
         self._save(RECIPE, recipe)
+
+    def settled(self) -> Recipe | None:
+        """The recipe with what ``auto`` chose for the whole scan; None as long as no field spoke for it."""
+        return decode(self._text(SETTLED), Recipe, SETTLED, "json") if (self.path / SETTLED).exists() else None
+
+    def save_settled(self, recipe: Recipe) -> None:
+        """Let all fields that follow be made with this recipe."""
+        self._save(SETTLED, recipe)
 
     def surface(self, field: Field) -> HeightMap:
         """The surface of a field, memory-mapped. Raises DatasetError when it was not reconstructed yet."""
