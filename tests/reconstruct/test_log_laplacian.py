@@ -1,0 +1,127 @@
+"""The stabilised log-Laplacian is its definition in float64, at any window and depth of grey."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.ndimage import convolve, uniform_filter
+
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.log_laplacian import (
+    LEVEL_BITS,
+    LEVEL_OFFSET,
+    NOISE_ENERGY,
+    LogRows,
+    Stabiliser,
+    log_laplacian_block,
+    log_margin_px,
+)
+
+DTYPES = [np.uint8, np.uint16]
+_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
+_BINOMIAL = np.outer([1, 2, 1], [1, 2, 1]) / 16
+
+
+def stabilised(images: NDArray, camera: CameraNoise, lag: int = 0) -> NDArray:
+    """Grey in units of its noise; with a lag, minus the mean of the frames before and after, at unit noise again."""
+    v = 2 / camera.gain_counts * np.sqrt(camera.gain_counts * images.astype(np.float64) + camera.floor_counts2)
+    if lag == 0:
+        return v
+    high = np.empty_like(v)
+    high[lag:-lag] = np.sqrt(2 / 3) * (v[lag:-lag] - (v[: -2 * lag] + v[2 * lag :]) / 2)
+    high[:lag] = np.sqrt(1 / 2) * (v[:lag] - v[lag : 2 * lag])
+    high[-lag:] = np.sqrt(1 / 2) * (v[-lag:] - v[-2 * lag : -lag])
+    return high
+
+
+def laplacian(v: NDArray) -> NDArray:
+    smooth = convolve(v, _BINOMIAL)
+    return 3 * (uniform_filter(smooth, 3) - smooth)
+
+
+def by_definition(image: NDArray, window: int) -> NDArray:
+    """log2 of the measure of one stabilised image, without the margin that its border spoils."""
+    log = np.log2(NOISE_ENERGY + uniform_filter(laplacian(image) ** 2, 3))
+    margin = log_margin_px(window)
+    return uniform_filter(uniform_filter(log, window), window)[margin:-margin, margin:-margin]
+
+
+def by_kernel(
+    images: NDArray, window: int, camera: CameraNoise = _CAMERA, lag: int = 0, clipped_counts: int = 250
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Log focus [k, row, col], best level, best frame and clipped count, without the margin."""
+    margin = log_margin_px(window)
+    k, n_rows, n_cols = images.shape
+    shape = n_rows - 2 * margin, n_cols - 2 * margin
+    levels = np.empty((k, *shape), np.uint16)
+    best, peak, clipped = (np.empty(shape, np.uint16) for _ in range(3))
+    rows = LogRows.make(shape[1], window)
+    log_laplacian_block(images, window, Stabiliser.of(camera), lag, clipped_counts, rows, levels, best, peak, clipped)
+    return levels / 2.0**LEVEL_BITS - LEVEL_OFFSET, best, peak, clipped
+
+
+def random_stack(shape: tuple[int, ...], dtype: type, seed: int) -> NDArray:
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), lag=st.integers(0, 2), seed=st.integers(0)
+)
+def test_the_measure_is_its_definition(half: int, dtype: type, lag: int, seed: int) -> None:
+    window = 2 * half + 1
+    side = 2 * log_margin_px(window)
+    images = random_stack((5, side + 12, side + 21), dtype, seed)
+    expected = [by_definition(v, window) for v in stabilised(images, _CAMERA, lag)]
+    np.testing.assert_allclose(by_kernel(images, window, lag=lag)[0], expected, atol=0.001)
+
+
+def test_noise_of_a_camera_has_the_energy_that_is_added() -> None:
+    """The camera's noise becomes noise of one unit, and 19/64 of that is left by the Laplacian."""
+    rng = np.random.default_rng(5)
+    grey = np.linspace(400, 3500, 1600) * np.ones((500, 1))
+    camera = CameraNoise(gain_counts=0.4, floor_counts2=30.0)
+    image = rng.normal(grey, np.sqrt(0.4 * grey + 30)).round().astype(np.uint16)
+    v = stabilised(image, camera)
+    energy = laplacian(v)[5:-5, 5:-5] ** 2
+    assert energy.mean() == pytest.approx(NOISE_ENERGY, rel=0.02)
+    assert energy[:, :400].mean() == pytest.approx(energy[:, -400:].mean(), rel=0.03)
+
+
+def test_the_sharpest_frame_is_that_of_a_float64_focus_volume(plane_stack: FieldStack) -> None:
+    images = plane_stack.images
+    volume = np.stack([by_definition(v, 9) for v in stabilised(images, _CAMERA)])
+    _, _, peak, _ = by_kernel(images, 9)
+    assert (peak == volume.argmax(axis=0)).mean() > 0.999
+
+
+@pytest.mark.parametrize("window", [3, 9, 13, 15, 25])
+def test_neither_the_hardest_contrast_nor_the_least_noise_overflows(window: int) -> None:
+    side = 2 * log_margin_px(window) + 8
+    rows, cols = np.indices((side, side))
+    image = ((rows // 2 + cols // 2) % 2 * 65535).astype(np.uint16)
+    noiseless = CameraNoise(gain_counts=1e-6, floor_counts2=1 / 12)
+    log, best, _, _ = by_kernel(np.stack([image, image // 2]), window, noiseless)
+    assert (log > 28).all()
+    np.testing.assert_array_equal(best, (log.max(axis=0) + LEVEL_OFFSET) * 2**LEVEL_BITS)
+
+
+def test_best_level_frame_and_clipped_count_go_with_the_levels() -> None:
+    images = random_stack((7, 40, 45), np.uint8, seed=3)
+    log, best, peak, clipped = by_kernel(images, 5, clipped_counts=240)
+    margin = log_margin_px(5)
+    np.testing.assert_array_equal(peak, log.argmax(axis=0))
+    np.testing.assert_array_equal(best / 2.0**LEVEL_BITS - LEVEL_OFFSET, log.max(axis=0))
+    np.testing.assert_array_equal(clipped, (images >= 240).sum(axis=0)[margin:-margin, margin:-margin])
+
+
+def test_what_changes_slowly_along_z_does_not_pass_the_high_pass() -> None:
+    """A sharp pattern that stands in every frame, as the light that bleeds from far, has the energy of nothing."""
+    rng = np.random.default_rng(0)
+    images = np.repeat(rng.integers(60, 200, (1, 48, 48)), 9, axis=0).astype(np.uint8)
+    assert by_kernel(images, 9)[0].min() > 6
+    np.testing.assert_allclose(by_kernel(images, 9, lag=3)[0], np.log2(NOISE_ENERGY), atol=0.001)

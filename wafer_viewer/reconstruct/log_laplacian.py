@@ -1,0 +1,359 @@
+"""The stabilised log-Laplacian: a focus measure for dark textures beside bright ones that bleed light over them.
+
+The square root takes the grey to units of its own noise, so that bright and dark places count alike and pure noise
+has the same energy everywhere. The energy of a Laplacian is averaged over 3 x 3 pixels and its logarithm over the
+window twice, a triangle in effect: a mean of logarithms lets no bright speck or far edge speak for the whole window,
+as a sum of energies does.
+
+With v the stabilised grey, B = [1 2 1] x [1 2 1] / 16 * v:
+L = 3 (mean3x3(B) - B), l = log2(19/64 + mean3x3(L^2)), F = box_w(box_w(l)); 19/64 is the energy of unit white noise.
+
+A row at a time through rings of rows, as the measures of the paper. L has whole coefficients, 48 L =
+
+     1   3   4   3   1
+     3   0  -6   0   3
+     4  -6 -20  -6   4
+     3   0  -6   0   3
+     1   3   4   3   1
+
+and is a symmetric row filter of two column filters. The triangle down the columns is integrated twice from its second
+difference, l(y) - 2 l(y - w) + l(y - 2 w), in whole numbers: what comes in goes out again exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
+from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+
+LEVEL_BITS = 11
+"""Bits of a level that follow the whole part of the logarithm."""
+
+LEVEL_OFFSET = 2
+"""A level is 2^11 (F + 2): the logarithm of noise's own energy is -1.75."""
+
+NOISE_ENERGY = 19 / 64
+"""E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
+
+_TAPS_PX = 3
+_UNIT_OF_L = 1 / 48
+_MOST_ENERGY = 2.0**29
+_HIGH_PASS = (math.sqrt(2 / 3), -math.sqrt(1 / 6), -math.sqrt(1 / 6))
+_HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
+
+# log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012.
+_C0, _C1, _C2 = np.float32(0.43872573), np.float32(-0.2390582), np.float32(0.08213066)
+_MANTISSA = np.int32((1 << 23) - 1)
+_PER_MANTISSA = np.float32(2.0**-23)
+_BIAS = np.float32(127 - LEVEL_OFFSET)
+
+
+class Stabiliser(NamedTuple):
+    """v = sqrt(scale I + offset) = 2 / gain sqrt(gain I + floor): its noise is one unit at every grey."""
+
+    scale: float
+    offset: float
+
+    @classmethod
+    def of(cls, noise: CameraNoise) -> Stabiliser:
+        """The stabiliser of a camera."""
+        return cls(4 / noise.gain_counts, 4 * noise.floor_counts2 / noise.gain_counts**2)
+
+
+class LogRows(NamedTuple):
+    """The rows that the kernel works in, one set for each thread."""
+
+    stable: Float32s
+    wide: Float32s
+    narrow: Float32s
+    energy: Float32s
+    columns: Float32s
+    mean: Float32s
+    ring: UInt16s
+    slope: Int32s
+    triangle: Int32s
+    sums: Int32s
+    spare: Int32s
+    more: Int32s
+
+    @classmethod
+    def make(cls, cols: int, window: int) -> LogRows:
+        """Rows for blocks `cols` wide."""
+        inner = cols + 2 * (window - 1)
+        return cls(
+            stable=np.zeros((5, inner + 6), np.float32),
+            wide=np.zeros(inner + 6, np.float32),
+            narrow=np.zeros(inner + 6, np.float32),
+            energy=np.zeros((3, inner + 2), np.float32),
+            columns=np.zeros(inner + 2, np.float32),
+            mean=np.zeros(inner, np.float32),
+            ring=np.zeros((2 * window, inner), np.uint16),
+            slope=np.zeros(inner, np.int32),
+            triangle=np.zeros(inner, np.int32),
+            sums=np.zeros(inner, np.int32),
+            spare=np.zeros(inner, np.int32),
+            more=np.zeros(inner, np.int32),
+        )
+
+
+def log_margin_px(window: int) -> int:
+    """How far a block must reach beyond the pixels it is for: the triangle, and three pixels for L and its mean."""
+    return window - 1 + _TAPS_PX
+
+
+@fast_kernel
+def log_laplacian_block(
+    block: Greys,
+    window: Whole,
+    stabiliser: Stabiliser,
+    lag: Whole,
+    clipped_counts: Whole,
+    rows: LogRows,
+    levels: UInt16s,
+    best: UInt16s,
+    peak: UInt16s,
+    clipped: UInt16s,
+) -> None:
+    """Focus volume, best level, best frame and number of clipped frames of a block.
+
+    block: [k, row + 2 margin, col + 2 margin]; levels: [k, row, col]; best, peak, clipped: [row, col].
+    lag: 0, or frames to the two that are subtracted from each: a high-pass along z, which takes out the light that
+    bleeds from far and changes slowly; at most (k - 1) / 2, so that one of the two exists at the ends.
+    """
+    best[:] = 0
+    peak[:] = 0
+    clipped[:] = 0
+    margin = window - 1 + _TAPS_PX
+    bits = rows.mean.view(np.int32)
+    unit = _ring_unit(window)
+    for k in range(block.shape[0]):
+        _begin(rows)
+        for r in range(best.shape[0] + 2 * margin):
+            _stabilise(block, k, r, lag, stabiliser, rows.stable[r % 5])
+            if r < 4:
+                continue
+            _energy_row(rows, r)
+            if r < 6:
+                continue
+            _mean_energy(rows)
+            _enter(bits, unit, rows.ring[(r - 6) % (2 * window)], rows.ring[(r - 6 + window) % (2 * window)], rows)
+            y = r - 2 * margin
+            if y >= 0:
+                _across(window, unit, rows, levels[k, y])
+                _note(levels[k, y], np.uint16(k), best[y], peak[y])
+                _count_clipped(block[k, y + margin, margin:], clipped_counts, clipped[y])
+
+
+@fast_kernel
+def _ring_unit(window: Whole) -> Real:
+    """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
+    unit = 1 << LEVEL_BITS
+    while window**4 * 32 * unit >= 1 << 31:
+        unit //= 2
+    return np.float32(unit)
+
+
+@fast_kernel
+def _begin(rows: LogRows) -> None:
+    rows.ring[:] = 0
+    rows.slope[:] = 0
+    rows.triangle[:] = 0
+
+
+@fast_kernel
+def _stabilise(block: Greys, k: Whole, r: Whole, lag: Whole, stabiliser: Stabiliser, stable: Float32s) -> None:
+    """Grey in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
+    scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), block.shape[0] - 1
+    if lag == 0:
+        _root(block[k, r], scale, offset, stable)
+    elif k - lag < 0 or k + lag > last:
+        other = k + lag if k - lag < 0 else k - lag
+        side = np.float32(_HIGH_PASS_AT_AN_END)
+        _roots(block[k, r], block[other, r], block[other, r], side, np.float32(-0.5) * side, scale, offset, stable)
+    else:
+        here, side = np.float32(_HIGH_PASS[0]), np.float32(_HIGH_PASS[1])
+        _roots(block[k, r], block[k - lag, r], block[k + lag, r], here, side, scale, offset, stable)
+
+
+@fast_kernel
+def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
+    for x in range(stable.size):
+        stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
+
+
+@fast_kernel
+def _roots(
+    grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
+) -> None:
+    for x in range(stable.size):
+        v = np.sqrt(np.float32(grey[x]) * scale + offset)
+        a = np.sqrt(np.float32(before[x]) * scale + offset)
+        b = np.sqrt(np.float32(after[x]) * scale + offset)
+        stable[x] = here * v + side * (a + b)
+
+
+@fast_kernel
+def _energy_row(rows: LogRows, r: Whole) -> None:
+    """L^2 of the row r - 2, from the five rows up to r."""
+    v = rows.stable
+    _columns_of_five(v[(r - 4) % 5], v[(r - 3) % 5], v[(r - 2) % 5], v[(r - 1) % 5], v[r % 5], rows.wide, rows.narrow)
+    _squared(rows.wide, rows.narrow, rows.energy[r % 3])
+
+
+@fast_kernel
+def _columns_of_five(
+    v0: Float32s, v1: Float32s, v2: Float32s, v3: Float32s, v4: Float32s, wide: Float32s, narrow: Float32s
+) -> None:
+    """Down the columns: wide = [1 3 4 3 1], the sum of 3 of t = [1 2 1]; narrow = wide - 3 t."""
+    for x in range(wide.size):
+        far, near, mid = v0[x] + v4[x], v1[x] + v3[x], v2[x]
+        total = far + np.float32(3) * near + np.float32(4) * mid
+        wide[x] = total
+        narrow[x] = total - np.float32(3) * (near + np.float32(2) * mid)
+
+
+@fast_kernel
+def _squared(wide: Float32s, narrow: Float32s, energy: Float32s) -> None:
+    """Along the row: (48 L)^2 from [1 0 -2 0 1] of wide and [3 6 3] of narrow."""
+    wide_2, wide_4 = wide[2:], wide[4:]
+    narrow_1, narrow_2, narrow_3 = narrow[1:], narrow[2:], narrow[3:]
+    for x in range(energy.size):
+        outer = wide[x] + wide_4[x] - np.float32(2) * wide_2[x]
+        inner = narrow_1[x] + narrow_3[x] + np.float32(2) * narrow_2[x]
+        laplacian = outer + np.float32(3) * inner
+        energy[x] = laplacian * laplacian
+
+
+@fast_kernel
+def _mean_energy(rows: LogRows) -> None:
+    """Noise's own energy and the mean of 3 x 3 of L^2."""
+    _sum_of_three(rows.energy[0], rows.energy[1], rows.energy[2], rows.columns)
+    _mean_of_three(rows.columns, rows.mean)
+
+
+@fast_kernel
+def _sum_of_three(a: Float32s, b: Float32s, c: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = a[x] + b[x] + c[x]
+
+
+@fast_kernel
+def _mean_of_three(columns: Float32s, mean: Float32s) -> None:
+    part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
+    one, two = columns[1:], columns[2:]
+    for x in range(mean.size):
+        value = (columns[x] + one[x] + two[x]) * part + floor
+        mean[x] = value if value < most else most
+
+
+# Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
+
+
+@fast_kernel
+def _enter(bits: Int32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
+    """Take the logarithm of a row into the triangle down the columns; it takes the place of the row that leaves.
+
+    bits: the floats' own bits, exponent and mantissa.
+    """
+    i = np.int32
+    slope, triangle = rows.slope, rows.triangle
+    half = np.float32(0.5)
+    for x in range(triangle.size):
+        f = np.float32(i(bits[x] & _MANTISSA)) * _PER_MANTISSA
+        bow = f * (np.float32(1) - f) * (_C0 + f * (_C1 + f * _C2))
+        new = i((np.float32(i(bits[x] >> i(23))) - _BIAS + f + bow) * unit + half)
+        old, twice = i(leaving[x]), i(i(middle[x]) + i(middle[x]))
+        rise = i(slope[x] + i(i(new + old) - twice))
+        leaving[x] = new
+        slope[x] = rise
+        triangle[x] = i(triangle[x] + rise)
+
+
+@fast_kernel
+def _across(window: Whole, unit: Real, rows: LogRows, level: UInt16s) -> None:
+    """The triangle along the row, and the level: threes of the window go in one loop each, the rest by doubling."""
+    scale = np.float32((1 << LEVEL_BITS) / (np.float64(unit) * window**4))
+    if window == 9:
+        _triangle_of_three(rows.triangle, 1, rows.sums)
+        _level_of_three(rows.sums, 3, scale, level)
+        return
+    _box(rows.triangle, window, rows.spare, rows.more, rows.sums)
+    _box(rows.sums, window, rows.spare, rows.more, rows.sums)
+    _as_level(rows.sums, scale, level)
+
+
+@fast_kernel
+def _triangle_of_three(values: Int32s, step: Whole, out: Int32s) -> None:
+    """[1 2 3 2 1] of pixels `step` apart."""
+    i = np.int32
+    a, b, c, d = values[step:], values[2 * step :], values[3 * step :], values[4 * step :]
+    for x in range(d.size):
+        near = i(i(a[x] + b[x]) + c[x])
+        out[x] = i(i(i(values[x] + d[x]) + near) + i(near + b[x]))
+
+
+@fast_kernel
+def _level_of_three(values: Int32s, step: Whole, scale: Real, level: UInt16s) -> None:
+    """The last [1 2 3 2 1] of the window of 9, as a level."""
+    i = np.int32
+    a, b, c, d = values[step:], values[2 * step :], values[3 * step :], values[4 * step :]
+    half = np.float32(0.5)
+    for x in range(level.size):
+        near = i(i(a[x] + b[x]) + c[x])
+        total = i(i(i(values[x] + d[x]) + near) + i(near + b[x]))
+        level[x] = i(np.float32(total) * scale + half)
+
+
+@fast_kernel
+def _as_level(sums: Int32s, scale: Real, level: UInt16s) -> None:
+    half = np.float32(0.5)
+    for x in range(level.size):
+        level[x] = np.int32(np.float32(sums[x]) * scale + half)
+
+
+@fast_kernel
+def _box(values: Int32s, window: Whole, power: Int32s, spare: Int32s, sums: Int32s) -> None:
+    """Sums of `window` neighbours: sums of 2, 4, 8 ... are made in turn, those that make up the window are added."""
+    i = np.int32
+    _pairs(values, 1, power)
+    for x in range(sums.size):
+        sums[x] = values[x]
+    width, done = 2, 1
+    while width <= window:
+        if window & width:
+            ahead = power[done:]
+            for x in range(ahead.size):
+                sums[x] = i(sums[x] + ahead[x])
+            done += width
+        if 2 * width <= window:
+            _pairs(power, width, spare)
+            power, spare = spare, power
+        width *= 2
+
+
+@fast_kernel
+def _pairs(values: Int32s, distance: Whole, out: Int32s) -> None:
+    i = np.int32
+    ahead = values[distance:]
+    for x in range(ahead.size):
+        out[x] = i(values[x] + ahead[x])
+
+
+@fast_kernel
+def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
+    for x in range(level.size):
+        q, old, at = level[x], best[x], peak[x]
+        best[x] = q if q > old else old
+        peak[x] = k if q > old else at
+
+
+@fast_kernel
+def _count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
+    limit = np.int32(clipped_counts)
+    for x in range(clipped.size):
+        clipped[x] += np.uint16(np.int32(grey[x]) >= limit)
