@@ -171,6 +171,7 @@ def test_images_become_a_surface_in_one_line(images, tmp_path):
     flags = ["--z-step-um", 2, "--pixel-um", 0.5, "--recipe.window", 7, "--recipe.levy.mode", "none"]
     done = viewer("reconstruct", images, "-o", out, *flags)
     assert done.returncode == 0, done.stderr
+    assert "% measured" in done.stdout
     with np.load(out) as kept:
         keys = {"z_um", "confidence", "origin", "all_in_focus", "pixel_um", "x0_um", "y0_um"}
         assert keys <= set(kept.files)

@@ -24,7 +24,7 @@ COMMANDS: dict[str, str] = {
     "doctor": "what this machine has and lacks, and the line that mends it",
 }
 FUNCTIONS = {"import": "import_"}
-"""The functions of `commands` that are not called as their command is, with underscores for spaces."""
+"""The functions that are not called as their command is, with underscores for spaces."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -76,16 +76,21 @@ def _call(name: str, rest: list[str]) -> int | None:
     """Read the flags of a command through its signature, and call it."""
     import tyro
 
-    from wafer_viewer import commands
     from wafer_viewer.flags import for_people, recipe_file
 
-    function: Callable[..., int | None] = getattr(commands, FUNCTIONS.get(name, name.replace(" ", "_")))
+    function = _function(FUNCTIONS.get(name, name.replace(" ", "_")))
     recipe, rest = recipe_file(rest)
     if recipe is not None:
         function = functools.partial(function, recipe=recipe)
     prog = f"{PROGRAM} {name}"
     with for_people(rest, prog):
         return tyro.cli(function, prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _function(name: str) -> Callable[..., int | None]:
+    from wafer_viewer import commands, surface_commands
+
+    return getattr(surface_commands, name, None) or getattr(commands, name)
 
 
 def _overview() -> str:

@@ -13,7 +13,10 @@ from rich.table import Table
 from wafer_viewer.model.plan import ScanPlan
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from wafer_viewer.session.doctor import Check
+    from wafer_viewer.session.state import SurfaceInfo
     from wafer_viewer.store.dataset import CheckReport, Dataset
 
 NAMED = 20
@@ -49,6 +52,16 @@ def plan_facts(plan: ScanPlan) -> dict[str, Any]:
         "bytes_on_disk": plan.bytes_on_disk,
         "prices": msgspec.to_builtins(plan.prices),
     }
+
+
+def print_surface(out: Path, info: SurfaceInfo) -> None:
+    """The file, how much of the surface was measured, why the rest was not, and what the reconstruction notes."""
+    print(out)
+    print(f"{info.measured_fraction:.1%} measured, {info.filled_fraction:.1%} filled")
+    for reason, share in info.unmeasured:
+        print(f"  {share:.1%} {reason}")
+    for note in info.recipe_notes:
+        print(f"  {note}")
 
 
 def print_check(data: Dataset, report: CheckReport) -> None:

@@ -1,4 +1,4 @@
-"""What each command does. A function's signature is the command's flags, its docstring the command's help."""
+"""The commands of the rig and of its datasets. A signature is the command's flags, its docstring the help."""
 
 from __future__ import annotations
 
@@ -6,29 +6,23 @@ import signal
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING
 
-import msgspec
-from tyro.conf import Positional, arg
-
-from wafer_viewer.command_output import plan_facts, print_check, print_checks, print_json, print_plan, progress
-from wafer_viewer.model.errors import DatasetError, PlanError, RigError
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.region import Region
+from wafer_viewer.arguments import DatasetFolder, File, Out, PlanFile, Sources, Text, Um, require_sources
+from wafer_viewer.command_output import (
+    plan_facts,
+    print_check,
+    print_checks,
+    print_json,
+    print_plan,
+    progress,
+)
+from wafer_viewer.model.errors import PlanError, RigError
 
 if TYPE_CHECKING:
     from wafer_viewer.model.devices import Rig
     from wafer_viewer.rigs.config import RigConfig
 
-PlanFile = Annotated[Positional[Path], arg(metavar="PLAN.toml")]
-DatasetFolder = Annotated[Positional[Path], arg(metavar="NAME.wafer")]
-Source = Annotated[Positional[Path], arg(metavar="SRC")]
-Sources = Annotated[Positional[tuple[Path, ...]], arg(metavar="SRC ...")]
-Out = Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
-Um = Annotated[float | None, arg(metavar="UM")]
-File = Annotated[Path | None, arg(metavar="FILE")]
-Text = Annotated[str | None, arg(metavar="TEXT")]
-Rectangle = Annotated[tuple[float, float, float, float], arg(metavar="X0 Y0 X1 Y1")]
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
 LAST_PORT = 65535
@@ -119,113 +113,10 @@ def import_(
     """
     from wafer_viewer.store.importers import import_dataset
 
-    _require_sources(src)
+    require_sources(src)
     with progress("Import") as tell:
         dataset = import_dataset(src, out, z_step_um, pixel_um, pattern, overlap_fraction, progress=tell)
     print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames")
-
-
-def reconstruct(
-    src: Sources,
-    out: Out,
-    recipe: Recipe = Recipe(),
-    z_step_um: Um = None,
-    pixel_um: Um = None,
-    result: str = "default",
-) -> None:
-    """Make a surface and write it to a file, whose ending picks the format: .npz .tif .ply .stl .csv.
-
-    Args:
-        src: A folder of images, a multi-page TIFF, image files, or one NAME.wafer, of which the mosaic is written.
-        out: The file.
-        recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
-        z_step_um: Distance between frames, where SRC does not say.
-        pixel_um: Size of a pixel on the sample, where SRC does not say.
-        result: Name under which a NAME.wafer keeps its surfaces.
-    """
-    from wafer_viewer.session.offline import surface_of
-    from wafer_viewer.store.exporters import export, require_known
-
-    _require_sources(src)
-    require_known(out)
-    with progress("Reconstruction") as tell:
-        surface = surface_of(src, recipe, z_step_um, pixel_um, result, tell)
-    export(surface, out)
-    print(out)
-
-
-def stitch(
-    dataset: DatasetFolder,
-    recipe: Recipe = Recipe(),
-    result: str = "default",
-    again: bool = False,
-) -> None:
-    """Make the stitched surface of a dataset; fields that have no heights yet get theirs first.
-
-    Args:
-        dataset: The dataset.
-        recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
-        result: Name under which the surfaces are kept.
-        again: Make the heights of all fields again.
-    """
-    from wafer_viewer.session.offline import make_surface
-
-    with progress("Stitching") as tell:
-        info = make_surface(dataset, recipe, result, again=again, tell=tell)
-    print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
-
-
-def measure_step(
-    src: Source,
-    upper: Rectangle,
-    lower: Rectangle,
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, .npz.
-        upper: Two opposite corners of the upper rectangle.
-        lower: Two opposite corners of the lower rectangle.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    from wafer_viewer.measure.step import step_height
-    from wafer_viewer.session.offline import measured_surface
-
-    surface, calibrated = measured_surface(src, field, result)
-    found = step_height(surface, Region.rectangle(*upper), Region.rectangle(*lower), calibration_valid=calibrated)
-    print_json(msgspec.to_builtins(found))
-
-
-def measure_profile(
-    src: Source,
-    line: Rectangle,
-    width_um: float = 0.0,
-    field: int = 0,
-    result: str = "default",
-    points: bool = False,
-) -> None:
-    """A section along a line, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, .npz.
-        line: The two ends of the line.
-        width_um: Width across the line that is averaged over.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-        points: Also print the points of the section.
-    """
-    from wafer_viewer.measure.profile import profile
-    from wafer_viewer.session.offline import measured_surface
-
-    surface, calibrated = measured_surface(src, field, result)
-    found, curve = profile(surface, Region.line(*line, width_um=width_um), calibration_valid=calibrated)
-    facts: dict[str, Any] = msgspec.to_builtins(found)
-    if points:
-        facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}
-    print_json(facts)
 
 
 def check(dataset: DatasetFolder) -> int:
@@ -241,21 +132,6 @@ def check(dataset: DatasetFolder) -> int:
         report = data.check(tell)
     print_check(data, report)
     return 0 if report.ok else 1
-
-
-def convert(src: Source, out: Annotated[Positional[Path], arg(metavar="FILE")]) -> None:
-    """Write a surface in another format, named by the ending: .npz .tif .ply .stl .csv.
-
-    Args:
-        src: A surface file, .npz.
-        out: The file to write.
-    """
-    from wafer_viewer.store.exporters import export, require_known
-    from wafer_viewer.store.npz import read_npz
-
-    require_known(out)
-    export(read_npz(src), out)
-    print(out)
 
 
 def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
@@ -287,8 +163,3 @@ def _opened(rig: Path | None) -> Generator[Rig]:
         yield device
     finally:
         device.close()
-
-
-def _require_sources(src: tuple[Path, ...]) -> None:
-    if not src:
-        raise DatasetError("There are no images: give a folder of images, a multi-page TIFF or image files.")

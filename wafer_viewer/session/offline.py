@@ -11,6 +11,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo
+from wafer_viewer.session.summary import summarise
 from wafer_viewer.session.tasks import reconstruct_field, stitch_fields
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
@@ -24,16 +25,17 @@ READ_SHARE = 0.3
 
 def surface_of(
     src: Sequence[Path], recipe: Recipe, z_step_um: float | None, pixel_um: float | None, result: str, tell: Tell
-) -> Mosaic:
-    """The surface of images or of a dataset, made now. Raises DatasetError for what cannot be read."""
+) -> tuple[Mosaic, SurfaceInfo]:
+    """The surface of images or of a dataset, made now, and its numbers. Raises DatasetError for unreadable images."""
     if len(src) == 1 and is_dataset(src[0]):
-        make_surface(src[0], recipe, result, again=False, tell=tell)
-        return Dataset.open(src[0]).result(result).mosaic()
+        info = make_surface(src[0], recipe, result, again=False, tell=tell)
+        return Dataset.open(src[0]).result(result).mosaic(), info
     from wafer_viewer.reconstruct.field import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
     stack = open_stack(files, z_step_um, pixel_um, progress=lambda share: tell(READ_SHARE * share))
-    return reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    return surface, summarise(surface, (surface,), result)
 
 
 def make_surface(path: Path, recipe: Recipe, result: str, *, again: bool, tell: Tell) -> SurfaceInfo:

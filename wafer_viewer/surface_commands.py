@@ -1,0 +1,130 @@
+"""The commands that make surfaces and measure them. A signature is the command's flags, its docstring the help."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+
+from wafer_viewer.arguments import DatasetFolder, NewFile, Out, Rectangle, Source, Sources, Um, require_sources
+from wafer_viewer.command_output import print_json, print_surface, progress
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.region import Region
+
+
+def reconstruct(
+    src: Sources,
+    out: Out,
+    recipe: Recipe = Recipe(),
+    z_step_um: Um = None,
+    pixel_um: Um = None,
+    result: str = "default",
+) -> None:
+    """Make a surface and write it to a file, whose ending picks the format: .npz .tif .ply .stl .csv.
+
+    Args:
+        src: A folder of images, a multi-page TIFF, image files, or one NAME.wafer, of which the mosaic is written.
+        out: The file.
+        recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
+        z_step_um: Distance between frames, where SRC does not say.
+        pixel_um: Size of a pixel on the sample, where SRC does not say.
+        result: Name under which a NAME.wafer keeps its surfaces.
+    """
+    from wafer_viewer.session.offline import surface_of
+    from wafer_viewer.store.exporters import export, require_known
+
+    require_sources(src)
+    require_known(out)
+    with progress("Reconstruction") as tell:
+        surface, info = surface_of(src, recipe, z_step_um, pixel_um, result, tell)
+    export(surface, out)
+    print_surface(out, info)
+
+
+def stitch(
+    dataset: DatasetFolder,
+    recipe: Recipe = Recipe(),
+    result: str = "default",
+    again: bool = False,
+) -> None:
+    """Make the stitched surface of a dataset; fields that have no heights yet get theirs first.
+
+    Args:
+        dataset: The dataset.
+        recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
+        result: Name under which the surfaces are kept.
+        again: Make the heights of all fields again.
+    """
+    from wafer_viewer.session.offline import make_surface
+
+    with progress("Stitching") as tell:
+        info = make_surface(dataset, recipe, result, again=again, tell=tell)
+    print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
+
+
+def measure_step(
+    src: Source,
+    upper: Rectangle,
+    lower: Rectangle,
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        upper: Two opposite corners of the upper rectangle.
+        lower: Two opposite corners of the lower rectangle.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.measure.step import step_height
+    from wafer_viewer.session.offline import measured_surface
+
+    surface, calibrated = measured_surface(src, field, result)
+    found = step_height(surface, Region.rectangle(*upper), Region.rectangle(*lower), calibration_valid=calibrated)
+    print_json(msgspec.to_builtins(found))
+
+
+def measure_profile(
+    src: Source,
+    line: Rectangle,
+    width_um: float = 0.0,
+    field: int = 0,
+    result: str = "default",
+    points: bool = False,
+) -> None:
+    """A section along a line, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        line: The two ends of the line.
+        width_um: Width across the line that is averaged over.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+        points: Also print the points of the section.
+    """
+    from wafer_viewer.measure.profile import profile
+    from wafer_viewer.session.offline import measured_surface
+
+    surface, calibrated = measured_surface(src, field, result)
+    found, curve = profile(surface, Region.line(*line, width_um=width_um), calibration_valid=calibrated)
+    facts: dict[str, Any] = msgspec.to_builtins(found)
+    if points:
+        facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}
+    print_json(facts)
+
+
+def convert(src: Source, out: NewFile) -> None:
+    """Write a surface in another format, named by the ending: .npz .tif .ply .stl .csv.
+
+    Args:
+        src: A surface file, .npz.
+        out: The file to write.
+    """
+    from wafer_viewer.store.exporters import export, require_known
+    from wafer_viewer.store.npz import read_npz
+
+    require_known(out)
+    export(read_npz(src), out)
+    print(out)
