@@ -43,6 +43,9 @@ def test_from_images_to_a_step_height(folder, tmp_path):
     found, curve = wv.profile(height, wv.Region.line(x0 + 5, 0, x1 - 5, 0, width_um=5))
     assert found.rise.value_um == pytest.approx(20.0, abs=1.0)
     assert len(curve.z_um) == len(curve.distance_um)
+    why = wv.focus_curve(stack, x1 - 15, 0.0, height.provenance.recipe)
+    assert isinstance(why, wv.FocusCurve)
+    assert why.peak_z_um == pytest.approx(32.0, abs=1.0)
     back = wv.read_npz(wv.export(height, tmp_path / "step.npz"))
     np.testing.assert_array_equal(back.z_um, height.z_um)
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.step import step_height
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.errors import WaferViewerError
+    from wafer_viewer.model.evidence import FocusCurve
     from wafer_viewer.model.findings import Length, Profile, ProfileCurve, StepHeight
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
     from wafer_viewer.model.recipe import Recipe
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
     from wafer_viewer.reconstruct.blend import stitch
     from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.reconstruct.why import focus_curve
     from wafer_viewer.rigs.config import RigConfig
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset import Dataset
@@ -38,6 +40,7 @@ _HOMES = {
     "Field": "model.plan",
     "FieldGrid": "model.plan",
     "FieldStack": "model.stack",
+    "FocusCurve": "model.evidence",
     "FocusSweep": "model.plan",
     "HeightMap": "model.surface",
     "Job": "model.plan",
@@ -55,6 +58,7 @@ _HOMES = {
     "StepHeight": "model.findings",
     "WaferViewerError": "model.errors",
     "export": "store.exporters",
+    "focus_curve": "reconstruct.why",
     "import_dataset": "store.importers",
     "open_stack": "store.importers",
     "profile": "measure.profile",
@@ -71,6 +75,7 @@ __all__ = [
     "Field",
     "FieldGrid",
     "FieldStack",
+    "FocusCurve",
     "FocusSweep",
     "HeightMap",
     "Job",
@@ -89,6 +94,7 @@ __all__ = [
     "WaferViewerError",
     "__version__",
     "export",
+    "focus_curve",
     "import_dataset",
     "open_stack",
     "profile",

@@ -49,6 +49,11 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     profile, curve = session.profile(Region.line(x_um, y_um, x_um + 200, y_um, width_um=3))
     assert profile.simulated
     assert len(curve.z_um) > 400
+    why = session.focus_curve(x_um, y_um).result(patience_s)
+    assert (why.simulated, len(why.z_um)) == (True, 20)
+    assert session.frame_near(why.field, why.peak_z_um)[why.row, why.col] in why.grey
+    with pytest.raises(DatasetError, match="lies in no field"):
+        session.focus_curve(9e5, y_um).result(patience_s)
     kept = session.keep(profile).result()
     assert (kept.number, kept.name) == (1, "Profile 1")
     session.rename(1, "over the street").result()

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting, suggested_name
+from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.library import ENDING, Library, free_name
@@ -39,6 +42,7 @@ class Conductor:
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
         self._scan_over: Future[None] = Future()
+        self._asked = count(1)
 
     def start(self) -> None:
         """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
@@ -110,6 +114,11 @@ class Conductor:
         answer: Future[None] = Future()
         self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
         return answer
+
+    def focus_curve(self, x_um: float, y_um: float, show: int) -> Future[FocusCurve]:
+        """Have a worker say why a pixel has its height."""
+        asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
+        return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"

@@ -50,6 +50,12 @@ class Questions:
             raise DatasetError(f"Field {field_number} has no frame {k} of {stack.n_frames}: choose another.")
         return np.array(stack.images[k])
 
+    def frame_near(self, field_number: int, z_um: float) -> Image:
+        """The frame of a field that was taken nearest to a z, as it was stored."""
+        stack = self._library.dataset.stack(field_number)
+        away = np.where(stack.present, np.abs(stack.z_um - z_um), np.inf)
+        return np.array(stack.images[int(away.argmin())])
+
     def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
         """A section along a line."""
         from wafer_viewer.measure.profile import profile

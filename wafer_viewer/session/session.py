@@ -12,6 +12,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.recipe import Recipe
@@ -208,6 +209,13 @@ class Session:
         """Write the results as CSV."""
         return self._do(self._rooms.book.export, Path(path))
 
+    def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
+        """Why a pixel has its height: its focus curve and what every gate found, read from the frames by a worker.
+
+        show: 0 asks the field whose centre is nearest, of those that hold the place.
+        """
+        return self._do(self._rooms.focus_curve, x_um, y_um, show)
+
     # -------------------------------------------- questions, from any thread
 
     def mosaic(self) -> Mosaic:
@@ -225,6 +233,10 @@ class Session:
     def frame(self, field: int, k: int) -> Image:
         """One frame of a field, as it was stored."""
         return self._questions.frame(field, k)
+
+    def frame_near(self, field: int, z_um: float) -> Image:
+        """The frame of a field that was taken nearest to a z, as it was stored."""
+        return self._questions.frame_near(field, z_um)
 
     def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
         """A section along a line."""
