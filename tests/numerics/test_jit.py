@@ -4,7 +4,25 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wafer_viewer.numerics.jit import KERNEL_ROOMS, cache_folder, source_fingerprint
+import numpy as np
+import pytest
+from numba.core.errors import NumbaError
+
+from wafer_viewer.numerics.jit import KERNEL_ROOMS, bare_kernel, cache_folder, source_fingerprint
+
+
+@bare_kernel
+def _double_rows(values):
+    for row in range(values.shape[0]):
+        part = values[row, 1:]
+        for x in range(part.size):
+            part[x] *= 2
+
+
+@bare_kernel
+def _make_an_array(n):
+    return np.zeros(n)
+
 
 PACKAGE = Path(__file__).parents[2] / "wafer_viewer"
 
@@ -26,3 +44,14 @@ def test_every_kernel_lies_in_a_room_that_the_fingerprint_covers():
     users = [f for f in PACKAGE.rglob("*.py") if "kernel\n" in f.read_text() and "numerics.jit import" in f.read_text()]
     assert len(users) > 10
     assert all(any(f.is_relative_to(PACKAGE / room) for room in KERNEL_ROOMS) for f in users)
+
+
+def test_a_bare_kernel_works_on_views_of_what_it_is_given():
+    values = np.ones((3, 4))
+    _double_rows(values)
+    np.testing.assert_array_equal(values, np.ones((3, 1)) * [1, 2, 2, 2])
+
+
+def test_a_bare_kernel_that_makes_an_array_is_refused():
+    with pytest.raises((NumbaError, RuntimeError)):
+        _make_an_array(3)

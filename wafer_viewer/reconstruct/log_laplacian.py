@@ -23,12 +23,13 @@ difference, l(y) - 2 l(y - w) + l(y - 2 w), in whole numbers: what comes in goes
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
-from wafer_viewer.numerics.jit import fast_kernel
+from wafer_viewer.numerics.jit import bare_kernel
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 
 LEVEL_BITS = 11
@@ -41,6 +42,7 @@ NOISE_ENERGY = 19 / 64
 """E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
 
 _TAPS_PX = 3
+_TAIL_PX = 64
 _UNIT_OF_L = 1 / 48
 _MOST_ENERGY = 2.0**29
 _HIGH_PASS = (math.sqrt(2 / 3), -math.sqrt(1 / 6), -math.sqrt(1 / 6))
@@ -66,14 +68,17 @@ class Stabiliser(NamedTuple):
 
 
 class LogRows(NamedTuple):
-    """The rows that the kernel works in, one set for each thread."""
+    """The rows that the kernel works in, one set for each thread.
+
+    Every row begins on a cache line, is worked on in whole vectors, and ends in a tail of zeros that loops read ahead
+    into: columns beyond the block hold nothing of use.
+    """
 
     stable: Float32s
     wide: Float32s
     narrow: Float32s
     energy: Float32s
     columns: Float32s
-    mean: Float32s
     ring: UInt16s
     slope: Int32s
     triangle: Int32s
@@ -84,21 +89,32 @@ class LogRows(NamedTuple):
     @classmethod
     def make(cls, cols: int, window: int) -> LogRows:
         """Rows for blocks `cols` wide."""
-        inner = cols + 2 * (window - 1)
+        wide = cols + 2 * log_margin_px(window)
+
+        def rows(count: int, kind: type) -> NDArray[Any]:
+            return _aligned_rows(count, -(-wide // _TAIL_PX) * _TAIL_PX + _TAIL_PX, kind)
+
         return cls(
-            stable=np.zeros((5, inner + 6), np.float32),
-            wide=np.zeros(inner + 6, np.float32),
-            narrow=np.zeros(inner + 6, np.float32),
-            energy=np.zeros((3, inner + 2), np.float32),
-            columns=np.zeros(inner + 2, np.float32),
-            mean=np.zeros(inner, np.float32),
-            ring=np.zeros((2 * window, inner), np.uint16),
-            slope=np.zeros(inner, np.int32),
-            triangle=np.zeros(inner, np.int32),
-            sums=np.zeros(inner, np.int32),
-            spare=np.zeros(inner, np.int32),
-            more=np.zeros(inner, np.int32),
+            stable=rows(5, np.float32),
+            wide=rows(1, np.float32)[0],
+            narrow=rows(1, np.float32)[0],
+            energy=rows(3, np.float32),
+            columns=rows(1, np.float32)[0],
+            ring=rows(2 * window, np.uint16),
+            slope=rows(1, np.int32)[0],
+            triangle=rows(1, np.int32)[0],
+            sums=rows(1, np.int32)[0],
+            spare=rows(1, np.int32)[0],
+            more=rows(1, np.int32)[0],
         )
+
+
+def _aligned_rows(count: int, width: int, kind: type) -> NDArray[Any]:
+    """Zeros [count, width] from a multiple of 64 bytes on."""
+    n_bytes = count * width * np.dtype(kind).itemsize
+    room = np.zeros(n_bytes + 64, np.uint8)
+    start = -room.ctypes.data % 64
+    return room[start : start + n_bytes].view(kind).reshape(count, width)
 
 
 def log_margin_px(window: int) -> int:
@@ -106,7 +122,7 @@ def log_margin_px(window: int) -> int:
     return window - 1 + _TAPS_PX
 
 
-@fast_kernel
+@bare_kernel
 def log_laplacian_block(
     block: Greys,
     window: Whole,
@@ -129,8 +145,8 @@ def log_laplacian_block(
     peak[:] = 0
     clipped[:] = 0
     margin = window - 1 + _TAPS_PX
-    bits = rows.mean.view(np.int32)
     unit = _ring_unit(window)
+    scale = np.float32((1 << LEVEL_BITS) / (np.float64(unit) * window**4))
     for k in range(block.shape[0]):
         _begin(rows)
         for r in range(best.shape[0] + 2 * margin):
@@ -140,16 +156,17 @@ def log_laplacian_block(
             _energy_row(rows, r)
             if r < 6:
                 continue
-            _mean_energy(rows)
-            _enter(bits, unit, rows.ring[(r - 6) % (2 * window)], rows.ring[(r - 6 + window) % (2 * window)], rows)
+            _enter(
+                rows.columns, unit, rows.ring[(r - 6) % (2 * window)], rows.ring[(r - 6 + window) % (2 * window)], rows
+            )
             y = r - 2 * margin
             if y >= 0:
-                _across(window, unit, rows, levels[k, y])
+                _across(window, scale, rows, levels[k, y])
                 _note(levels[k, y], np.uint16(k), best[y], peak[y])
                 _count_clipped(block[k, y + margin, margin:], clipped_counts, clipped[y])
 
 
-@fast_kernel
+@bare_kernel
 def _ring_unit(window: Whole) -> Real:
     """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
     unit = 1 << LEVEL_BITS
@@ -158,14 +175,14 @@ def _ring_unit(window: Whole) -> Real:
     return np.float32(unit)
 
 
-@fast_kernel
+@bare_kernel
 def _begin(rows: LogRows) -> None:
     rows.ring[:] = 0
     rows.slope[:] = 0
     rows.triangle[:] = 0
 
 
-@fast_kernel
+@bare_kernel
 def _stabilise(block: Greys, k: Whole, r: Whole, lag: Whole, stabiliser: Stabiliser, stable: Float32s) -> None:
     """Grey in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
     scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), block.shape[0] - 1
@@ -180,93 +197,78 @@ def _stabilise(block: Greys, k: Whole, r: Whole, lag: Whole, stabiliser: Stabili
         _roots(block[k, r], block[k - lag, r], block[k + lag, r], here, side, scale, offset, stable)
 
 
-@fast_kernel
+@bare_kernel
 def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
-    for x in range(stable.size):
+    for x in range(grey.size):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
 
 
-@fast_kernel
+@bare_kernel
 def _roots(
     grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
 ) -> None:
-    for x in range(stable.size):
+    for x in range(grey.size):
         v = np.sqrt(np.float32(grey[x]) * scale + offset)
         a = np.sqrt(np.float32(before[x]) * scale + offset)
         b = np.sqrt(np.float32(after[x]) * scale + offset)
         stable[x] = here * v + side * (a + b)
 
 
-@fast_kernel
+@bare_kernel
 def _energy_row(rows: LogRows, r: Whole) -> None:
-    """L^2 of the row r - 2, from the five rows up to r."""
-    v = rows.stable
+    """L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
+    v, e = rows.stable, rows.energy
     _columns_of_five(v[(r - 4) % 5], v[(r - 3) % 5], v[(r - 2) % 5], v[(r - 1) % 5], v[r % 5], rows.wide, rows.narrow)
-    _squared(rows.wide, rows.narrow, rows.energy[r % 3])
+    _squared(rows.wide, rows.narrow, e[(r - 2) % 3], e[(r - 1) % 3], e[r % 3], rows.columns)
 
 
-@fast_kernel
+@bare_kernel
 def _columns_of_five(
     v0: Float32s, v1: Float32s, v2: Float32s, v3: Float32s, v4: Float32s, wide: Float32s, narrow: Float32s
 ) -> None:
     """Down the columns: wide = [1 3 4 3 1], the sum of 3 of t = [1 2 1]; narrow = wide - 3 t."""
-    for x in range(wide.size):
+    for x in range(wide.size - _TAIL_PX):
         far, near, mid = v0[x] + v4[x], v1[x] + v3[x], v2[x]
         total = far + np.float32(3) * near + np.float32(4) * mid
         wide[x] = total
         narrow[x] = total - np.float32(3) * (near + np.float32(2) * mid)
 
 
-@fast_kernel
-def _squared(wide: Float32s, narrow: Float32s, energy: Float32s) -> None:
-    """Along the row: (48 L)^2 from [1 0 -2 0 1] of wide and [3 6 3] of narrow."""
+@bare_kernel
+def _squared(
+    wide: Float32s, narrow: Float32s, above: Float32s, middle: Float32s, energy: Float32s, columns: Float32s
+) -> None:
+    """Along the row: (48 L)^2 from [1 0 -2 0 1] of wide and [3 6 3] of narrow; columns: the sum of three rows of it."""
     wide_2, wide_4 = wide[2:], wide[4:]
     narrow_1, narrow_2, narrow_3 = narrow[1:], narrow[2:], narrow[3:]
-    for x in range(energy.size):
+    for x in range(energy.size - _TAIL_PX):
         outer = wide[x] + wide_4[x] - np.float32(2) * wide_2[x]
         inner = narrow_1[x] + narrow_3[x] + np.float32(2) * narrow_2[x]
         laplacian = outer + np.float32(3) * inner
-        energy[x] = laplacian * laplacian
-
-
-@fast_kernel
-def _mean_energy(rows: LogRows) -> None:
-    """Noise's own energy and the mean of 3 x 3 of L^2."""
-    _sum_of_three(rows.energy[0], rows.energy[1], rows.energy[2], rows.columns)
-    _mean_of_three(rows.columns, rows.mean)
-
-
-@fast_kernel
-def _sum_of_three(a: Float32s, b: Float32s, c: Float32s, out: Float32s) -> None:
-    for x in range(out.size):
-        out[x] = a[x] + b[x] + c[x]
-
-
-@fast_kernel
-def _mean_of_three(columns: Float32s, mean: Float32s) -> None:
-    part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
-    one, two = columns[1:], columns[2:]
-    for x in range(mean.size):
-        value = (columns[x] + one[x] + two[x]) * part + floor
-        mean[x] = value if value < most else most
+        square = laplacian * laplacian
+        columns[x] = above[x] + middle[x] + square
+        energy[x] = square
 
 
 # Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
 
 
-@fast_kernel
-def _enter(bits: Int32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
-    """Take the logarithm of a row into the triangle down the columns; it takes the place of the row that leaves.
+@bare_kernel
+def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
+    """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves.
 
-    bits: the floats' own bits, exponent and mantissa.
+    The exponent of a float32 is the whole part of its logarithm, its mantissa f gives the rest.
     """
     i = np.int32
+    part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
+    half, one, two = np.float32(0.5), columns[1:], columns[2:]
     slope, triangle = rows.slope, rows.triangle
-    half = np.float32(0.5)
-    for x in range(triangle.size):
-        f = np.float32(i(bits[x] & _MANTISSA)) * _PER_MANTISSA
+    for x in range(triangle.size - _TAIL_PX):
+        value = (columns[x] + one[x] + two[x]) * part + floor
+        bits = np.float32(value if value < most else most).view(np.int32)
+        f = np.float32(i(bits & _MANTISSA)) * _PER_MANTISSA
         bow = f * (np.float32(1) - f) * (_C0 + f * (_C1 + f * _C2))
-        new = i((np.float32(i(bits[x] >> i(23))) - _BIAS + f + bow) * unit + half)
+        new = i((np.float32(i(bits >> i(23))) - _BIAS + f + bow) * unit + half)
         old, twice = i(leaving[x]), i(i(middle[x]) + i(middle[x]))
         rise = i(slope[x] + i(i(new + old) - twice))
         leaving[x] = new
@@ -274,10 +276,9 @@ def _enter(bits: Int32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: Lo
         triangle[x] = i(triangle[x] + rise)
 
 
-@fast_kernel
-def _across(window: Whole, unit: Real, rows: LogRows, level: UInt16s) -> None:
-    """The triangle along the row, and the level: threes of the window go in one loop each, the rest by doubling."""
-    scale = np.float32((1 << LEVEL_BITS) / (np.float64(unit) * window**4))
+@bare_kernel
+def _across(window: Whole, scale: Real, rows: LogRows, level: UInt16s) -> None:
+    """The triangle along the row, and the level: the usual window in two loops of five loads."""
     if window == 9:
         _triangle_of_three(rows.triangle, 1, rows.sums)
         _level_of_three(rows.sums, 3, scale, level)
@@ -287,17 +288,17 @@ def _across(window: Whole, unit: Real, rows: LogRows, level: UInt16s) -> None:
     _as_level(rows.sums, scale, level)
 
 
-@fast_kernel
+@bare_kernel
 def _triangle_of_three(values: Int32s, step: Whole, out: Int32s) -> None:
     """[1 2 3 2 1] of pixels `step` apart."""
     i = np.int32
     a, b, c, d = values[step:], values[2 * step :], values[3 * step :], values[4 * step :]
-    for x in range(d.size):
+    for x in range(out.size - _TAIL_PX):
         near = i(i(a[x] + b[x]) + c[x])
         out[x] = i(i(i(values[x] + d[x]) + near) + i(near + b[x]))
 
 
-@fast_kernel
+@bare_kernel
 def _level_of_three(values: Int32s, step: Whole, scale: Real, level: UInt16s) -> None:
     """The last [1 2 3 2 1] of the window of 9, as a level."""
     i = np.int32
@@ -309,25 +310,25 @@ def _level_of_three(values: Int32s, step: Whole, scale: Real, level: UInt16s) ->
         level[x] = i(np.float32(total) * scale + half)
 
 
-@fast_kernel
+@bare_kernel
 def _as_level(sums: Int32s, scale: Real, level: UInt16s) -> None:
     half = np.float32(0.5)
     for x in range(level.size):
         level[x] = np.int32(np.float32(sums[x]) * scale + half)
 
 
-@fast_kernel
+@bare_kernel
 def _box(values: Int32s, window: Whole, power: Int32s, spare: Int32s, sums: Int32s) -> None:
     """Sums of `window` neighbours: sums of 2, 4, 8 ... are made in turn, those that make up the window are added."""
     i = np.int32
     _pairs(values, 1, power)
-    for x in range(sums.size):
+    for x in range(sums.size - _TAIL_PX):
         sums[x] = values[x]
     width, done = 2, 1
     while width <= window:
         if window & width:
             ahead = power[done:]
-            for x in range(ahead.size):
+            for x in range(sums.size - _TAIL_PX):
                 sums[x] = i(sums[x] + ahead[x])
             done += width
         if 2 * width <= window:
@@ -336,15 +337,15 @@ def _box(values: Int32s, window: Whole, power: Int32s, spare: Int32s, sums: Int3
         width *= 2
 
 
-@fast_kernel
+@bare_kernel
 def _pairs(values: Int32s, distance: Whole, out: Int32s) -> None:
     i = np.int32
     ahead = values[distance:]
-    for x in range(ahead.size):
+    for x in range(out.size - _TAIL_PX):
         out[x] = i(values[x] + ahead[x])
 
 
-@fast_kernel
+@bare_kernel
 def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
     for x in range(level.size):
         q, old, at = level[x], best[x], peak[x]
@@ -352,7 +353,7 @@ def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
         peak[x] = k if q > old else at
 
 
-@fast_kernel
+@bare_kernel
 def _count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
     limit = np.int32(clipped_counts)
     for x in range(clipped.size):
