@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.camera_noise import CameraNoise, estimate_camera_noise
 from wafer_viewer.reconstruct.log_laplacian import LogRows, Stabiliser, log_laplacian_block, log_margin_px
+from wafer_viewer.reconstruct.prepare import Frames
+from wafer_viewer.reconstruct.silhouette import SILHOUETTE_MARGIN_PX, SilhouetteRows, half_size, silhouette_block
 
 ROWS, COLS, FRAMES, RUNS = 1080, 1440, 16, 12
 CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
@@ -28,6 +31,9 @@ def main() -> None:
     print(f"window  9, stripes of 96 rows: {measure_ms(9, 96, 0, np.uint8):.2f} ms a frame")
     print(f"window  9, 16 bits:            {measure_ms(9, 48, 0, np.uint16):.2f} ms a frame")
     print(f"window  9, high-pass along z:  {measure_ms(9, 48, 3, np.uint8):.2f} ms a frame")
+    for every in (1, 3):
+        print(f"silhouette of every {every}. frame:   {silhouette_ms(48, every):.2f} ms a frame")
+    print(f"camera's noise:                {camera_noise_ms():.1f} ms a field")
 
 
 def measure_ms(window: int, stripe: int, lag: int, dtype: type, runs: int = RUNS) -> float:
@@ -44,7 +50,21 @@ def measure_ms(window: int, stripe: int, lag: int, dtype: type, runs: int = RUNS
     return least_s(once, runs) * 1000 / FRAMES * ROWS / stripe
 
 
-def least_s(work: Callable[[], None], runs: int) -> float:
+def silhouette_ms(stripe: int, every: int) -> float:
+    margin = SILHOUETTE_MARGIN_PX
+    block = np.random.default_rng(1).integers(0, 256, (FRAMES, stripe + 2 * margin, COLS + 2 * margin), np.uint8)
+    contrast, rows = np.zeros((half_size(stripe), half_size(COLS)), np.float32), SilhouetteRows.make(COLS)
+    once = partial(silhouette_block, block, margin, every, 6.0, rows, contrast)
+    return least_s(once, RUNS) * 1000 / FRAMES * ROWS / stripe
+
+
+def camera_noise_ms() -> float:
+    images = np.random.default_rng(1).normal(100, 3, (FRAMES, ROWS, COLS)).astype(np.uint8)
+    frames = Frames(images, slice(0, FRAMES, 1), np.arange(FRAMES, dtype=np.float64), 250)
+    return least_s(lambda: estimate_camera_noise(frames), RUNS) * 1000
+
+
+def least_s(work: Callable[[], object], runs: int) -> float:
     """The least processor time of some runs: what else the machine does only adds."""
     times: list[float] = []
     for _ in range(runs):

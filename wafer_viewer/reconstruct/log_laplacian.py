@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
 from wafer_viewer.numerics.jit import bare_kernel
+from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 
 LEVEL_BITS = 11
@@ -47,12 +48,6 @@ _UNIT_OF_L = 1 / 48
 _MOST_ENERGY = 2.0**29
 _HIGH_PASS = (math.sqrt(2 / 3), -math.sqrt(1 / 6), -math.sqrt(1 / 6))
 _HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
-
-# log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012.
-_C0, _C1, _C2 = np.float32(0.43872573), np.float32(-0.2390582), np.float32(0.08213066)
-_MANTISSA = np.int32((1 << 23) - 1)
-_PER_MANTISSA = np.float32(2.0**-23)
-_BIAS = np.float32(127 - LEVEL_OFFSET)
 
 
 class Stabiliser(NamedTuple):
@@ -255,20 +250,15 @@ def _squared(
 
 @bare_kernel
 def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
-    """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves.
-
-    The exponent of a float32 is the whole part of its logarithm, its mantissa f gives the rest.
-    """
+    """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves."""
     i = np.int32
     part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
-    half, one, two = np.float32(0.5), columns[1:], columns[2:]
+    offset, half, one, two = np.float32(LEVEL_OFFSET), np.float32(0.5), columns[1:], columns[2:]
     slope, triangle = rows.slope, rows.triangle
     for x in range(triangle.size - _TAIL_PX):
         value = (columns[x] + one[x] + two[x]) * part + floor
-        bits = np.float32(value if value < most else most).view(np.int32)
-        f = np.float32(i(bits & _MANTISSA)) * _PER_MANTISSA
-        bow = f * (np.float32(1) - f) * (_C0 + f * (_C1 + f * _C2))
-        new = i((np.float32(i(bits >> i(23))) - _BIAS + f + bow) * unit + half)
+        log = quick_log2(value if value < most else most)
+        new = i((log + offset) * unit + half)
         old, twice = i(leaving[x]), i(i(middle[x]) + i(middle[x]))
         rise = i(slope[x] + i(i(new + old) - twice))
         leaving[x] = new

@@ -1,0 +1,113 @@
+"""Where bright and dark meet, at every focus: the silhouettes beside which light bleeds over what is dark.
+
+The outline of a die beside a bright trench is a step of grey in all frames, whatever is in focus, and is there before
+any depth is known. With b = ln(mean of 6 x 6 pixels + some dark grey), D is the most that b changes over 6 pixels along
+a row or a column, in any frame. At half the resolution: pixel (i, j) of D stands for the 2 x 2 pixels from (2 i, 2 j).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, Whole
+from wafer_viewer.numerics.jit import bare_kernel
+from wafer_viewer.numerics.logarithm import quick_log2
+
+SILHOUETTE_MARGIN_PX = 7
+"""How far a block must reach beyond the pixels it is for."""
+
+DARK_SHARE_OF_WHITE = 6 / 255
+"""What is added to the grey, as a share of white: below it differences are noise."""
+
+_REACH = 2
+_PIXELS = 36
+_LN_2 = np.float32(math.log(2))
+
+
+class SilhouetteRows(NamedTuple):
+    """The half-resolution rows that the kernel works in, one set for each thread."""
+
+    pairs: Int32s
+    bins: Int32s
+    columns: Int32s
+    log: Float32s
+
+    @classmethod
+    def make(cls, cols: int) -> SilhouetteRows:
+        """Rows for blocks `cols` wide."""
+        half = half_size(cols) + 2 * _REACH
+        return cls(
+            pairs=np.zeros(2 * half + 4, np.int32),
+            bins=np.zeros((3, half + 2), np.int32),
+            columns=np.zeros(half + 2, np.int32),
+            log=np.zeros((5, half), np.float32),
+        )
+
+
+def half_size(pixels: int) -> int:
+    """Pixels of the silhouette map for a number of rows or columns."""
+    return (pixels + 1) // 2
+
+
+@bare_kernel
+def silhouette_block(
+    block: Greys, margin: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, contrast: Float32s
+) -> None:
+    """Raise `contrast` [row / 2, col / 2] to the D of every so-manieth frame of a block.
+
+    block: [k, row + 2 margin, col + 2 margin], the margin at least 7; contrast: natural logarithms, 0 to begin with.
+    The first of the rows must be an even one of the field, so that the maps of stripes fit together.
+    """
+    start = margin - 2 * (_REACH + 1)
+    for k in range(0, block.shape[0], every):
+        for r in range(contrast.shape[0] + 2 * (_REACH + 1)):
+            top = start + 2 * r
+            _bin(block[k, top, start:], block[k, top + 1, start:], rows.pairs, rows.bins[r % 3])
+            if r < 2:
+                continue
+            _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
+            if r >= 6:
+                _contrast_row(rows.log, r, contrast[r - 6])
+
+
+@bare_kernel
+def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
+    """The sums of 2 x 2 pixels of two rows."""
+    i = np.int32
+    for x in range(pairs.size):
+        pairs[x] = i(i(upper[x]) + i(lower[x]))
+    for x in range(bins.size):
+        bins[x] = i(pairs[2 * x] + pairs[2 * x + 1])
+
+
+@bare_kernel
+def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
+    """ln(mean of 6 x 6 pixels + dark)."""
+    i = np.int32
+    above, here, below = bins[0], bins[1], bins[2]
+    for x in range(columns.size):
+        columns[x] = i(i(above[x] + here[x]) + below[x])
+    part, one, two = np.float32(1 / _PIXELS), columns[1:], columns[2:]
+    for x in range(log.size):
+        total = i(i(columns[x] + one[x]) + two[x])
+        log[x] = _LN_2 * quick_log2(np.float32(total) * part + dark_counts)
+
+
+@bare_kernel
+def _contrast_row(log: Float32s, r: Whole, contrast: Float32s) -> None:
+    """The most that the logarithm changes over three half-resolution pixels astride of one, along x and y."""
+    a, b, here, c, d = (
+        log[(r - 4) % 5, 2:],
+        log[(r - 3) % 5, 2:],
+        log[(r - 2) % 5],
+        log[(r - 1) % 5, 2:],
+        log[r % 5, 2:],
+    )
+    left_2, left, right, right_2 = here, here[1:], here[3:], here[4:]
+    for x in range(contrast.size):
+        along = max(abs(right_2[x] - left[x]), abs(right[x] - left_2[x]))
+        down = max(abs(d[x] - b[x]), abs(c[x] - a[x]))
+        contrast[x] = max(contrast[x], max(along, down))
