@@ -16,7 +16,7 @@ from tests.truth.scenes import SCENES, SWEEP_UM
 from tests.truth.views import Camera, Optics, light_of, stack_from
 from wafer_viewer.model.stack import FieldStack
 
-GENERATOR = 1
+GENERATOR = 2
 """Counts the changes of the generator that change pixels: kept light of another generator is not used."""
 
 
@@ -42,6 +42,8 @@ class Taken:
     stack: FieldStack
 
 
+FINE = Optics(0.28, views=500)
+"""Bright thin lines show the single views for longer."""
 PILLBOX, APODISED, WIDE = Optics(0.28), Optics(0.28, apodised=True), Optics(0.40)
 BRIGHT = Camera(clipped_share=0.11)
 A = Layout("A", PILLBOX, 11, about="pillbox pupil NA 0.28, specular trench")
@@ -79,7 +81,7 @@ HELD_OUT: dict[str, Layout] = {
         _other(C, "C-large", 9110, "C, large dies, wide trenches", pitch_px=420.0, trench_px=110.0),
         _other(A, "A-reversed", 9111, "A, dies six times as bright as the trench", die_grey=0.6, trench_grey=0.1),
         _other(A, "A-equal", 9112, "A, both sides equally bright", die_grey=0.35, trench_grey=0.5),
-        replace(R, name="rim", seed=9113, scene="rim", settings={}, about="R, polished rims"),
+        replace(R, name="rim", seed=9113, scene="rim", optics=FINE, settings={}, about="R, polished rims"),
         replace(A, name="A-4ke", seed=9114, camera=Camera(4_000.0), about="A, full well of 4000 electrons"),
         replace(A, name="A-60ke", seed=9115, camera=Camera(60_000.0), about="A, full well of 60000 electrons"),
     )

@@ -19,13 +19,9 @@ BLOCKS_STEP_UM = 399.88
 """The certified step of the paper's gauge blocks."""
 
 _MIDDLE_UM = 201.3
-_STEEPEST_TANGENT = 0.44
+_MARGIN_PX = 290
+"""How far beyond the frame light comes from: 300 um out of focus at NA 0.40, 450 um at NA 0.28."""
 Shape = tuple[int, int]
-
-
-def margin_px(sweep_um: NDArray[np.float64]) -> int:
-    """How far beyond the frame light comes from: across the whole sweep, at NA 0.40."""
-    return int(np.ceil((sweep_um[-1] - sweep_um[0]) * _STEEPEST_TANGENT / PIXEL_UM)) + 8
 
 
 def plane(seed: int, shape: Shape = (320, 320), height_um: float = 40.0, contrast: float = 0.4) -> TruthScene:
@@ -64,7 +60,7 @@ def stair(seed: int, shape: Shape = (320, 320), treads: int = 6, riser_um: float
     heights = [np.full_like(right, first_um + riser_um * n) for n in range(treads)]
     outlines = [(n - treads / 2) * tread_um - right for n in range(1, treads)]
     grey = _grey(0.4, 0.35, np.ones(right.shape, bool), np.random.default_rng(seed))
-    return _layered("stair", shape, heights, outlines, [grey] * treads, np.ones(right.shape, bool), SWEEP_UM)
+    return _layered("stair", shape, heights, outlines, [grey] * treads, np.ones(right.shape, bool))
 
 
 def step(
@@ -74,14 +70,14 @@ def step(
 
     With BLOCKS_STEP_UM it is the paper's pair of gauge blocks, for STEP_SWEEP_UM.
     """
-    sweep = STEP_SWEEP_UM if step_um > 300 else SWEEP_UM
-    down, right = lattice_um(shape, margin_px(sweep), PIXEL_UM)
+    down, right = _points(shape)
     away = -turned(down, right, angle_deg)[1]
-    low = float(sweep[-1] - step_um) / 2 if lower_um is None else lower_um
+    sweep_um = STEP_SWEEP_UM if step_um > 300 else SWEEP_UM
+    low = float(sweep_um[-1] - step_um) / 2 if lower_um is None else lower_um
     heights = [np.full_like(away, low), np.full_like(away, low + step_um)]
     textured = np.abs(away) > 8.0
     grey = np.where(textured, _grey(0.4, 0.35, textured, np.random.default_rng(seed)), 0.02)
-    return _layered("step", shape, heights, [away], [grey, grey], textured, sweep)
+    return _layered("step", shape, heights, [away], [grey, grey], textured)
 
 
 def dies(
@@ -121,7 +117,7 @@ def dies(
         _grey(trench_grey, trench_contrast, textured, rng),
         _grey(die_grey, die_contrast, textured, rng),
     ]
-    scene = _layered("dies", shape, [trench_um, top_um], [outline], greys, textured, SWEEP_UM)
+    scene = _layered("dies", shape, [trench_um, top_um], [outline], greys, textured)
     if glossy:
         _polish(scene, 0, 0.8, rng)
     if rim_gain:
@@ -147,7 +143,7 @@ SCENES: dict[str, Callable[..., TruthScene]] = {
 
 
 def _points(shape: Shape) -> tuple[Array, Array]:
-    return lattice_um(shape, margin_px(SWEEP_UM), PIXEL_UM)
+    return lattice_um(shape, _MARGIN_PX, PIXEL_UM)
 
 
 def _moved(points: tuple[Array, Array], by_um: Array) -> tuple[Array, Array]:
@@ -165,7 +161,7 @@ def _smooth(
 ) -> TruthScene:
     textured = np.ones(height_um.shape, bool) if textured is None else textured
     grey = _grey(0.4, contrast, textured, np.random.default_rng(seed))
-    return _layered(name, shape, [height_um], [], [grey], textured, SWEEP_UM)
+    return _layered(name, shape, [height_um], [], [grey], textured)
 
 
 def _layered(
@@ -175,14 +171,12 @@ def _layered(
     outlines: list[Array],
     greys: list[Array],
     textured: NDArray[np.bool_],
-    sweep: NDArray[np.float64],
 ) -> TruthScene:
     everywhere = np.full_like(heights[0], -1e6)
     height, outline, grey = (np.stack(a).astype(np.float32) for a in (heights, [everywhere, *outlines], greys))
     nothing = (np.zeros_like(height) for _ in range(3))
-    margin = margin_px(sweep)
-    seen = textured[margin:-margin, margin:-margin]
-    return TruthScene(name, height, outline, grey, *nothing, seen, margin)
+    seen = textured[_MARGIN_PX:-_MARGIN_PX, _MARGIN_PX:-_MARGIN_PX]
+    return TruthScene(name, height, outline, grey, *nothing, seen, _MARGIN_PX)
 
 
 def _polish(scene: TruthScene, layer: int, gloss: float, rng: np.random.Generator) -> None:
