@@ -17,7 +17,13 @@ from wafer_viewer.session.state import Snapshot
 FOCUS = {"Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
 PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
 WINDOW = {"auto": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
-SMOOTHING = {"Switching median": "switching_median", "Guided": "guided", "Levy, literal": "literal", "None": "none"}
+SMOOTHING = {
+    "Sigma filter": "sigma_filter",
+    "Switching median": "switching_median",
+    "Levy, guided": "guided",
+    "Levy, literal": "literal",
+    "None": "none",
+}
 OUTLIERS = {"Lattice": "lattice", "Cloud": "cloud", "None": "none"}
 FILL = {"Small gaps": "small_gaps", "All gaps": "all", "None": "none"}
 

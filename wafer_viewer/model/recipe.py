@@ -14,11 +14,16 @@ Window = Annotated[int, Within(3, 25, odd=True)]
 
 
 class Levy(Spec, frozen=True, kw_only=True):
-    """Levy-flight smoothing, eq. 7-14 of the paper; `guided` and `switching_median` are the forms that remove noise."""
+    """Smoothing: Levy flights, eq. 7-14 of the paper, which keep the noise (`literal`), or forms that remove it.
+
+    n_sigma: what is further from its neighbourhood than so many deviations of the field's own noise stands out;
+    alpha: the scale of the flights, in um (`literal`) or in distances to the guide (`guided`).
+    """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    mode: Literal["none", "literal", "guided", "switching_median"] = "switching_median"
-    alpha: Positive = 0.5
+    mode: Literal["none", "literal", "guided", "switching_median", "sigma_filter"] = "sigma_filter"
+    n_sigma: Positive | Auto = "auto"
+    alpha: Positive | Auto = "auto"
     beta: Annotated[float, Within(0, 2, open_low=True)] = 1.5
     iterations: Annotated[int, Within(1, 1000)] | Auto = "auto"
     seed: Annotated[int, Within(0)] = 1
@@ -56,10 +61,12 @@ class Stitching(Spec, frozen=True, kw_only=True):
 class Recipe(Spec, frozen=True, kw_only=True):
     """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose.
 
-    focus_width_um: how wide a focus curve is at half its height; rivals, flanks and edges are judged by it.
+    focus_width_um: how wide a focus curve is at half its height; rivals, flanks and edges are judged by it;
+    drift: whether frames that shifted or grew by more than half a pixel are put right, each field by what it shows.
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
+    drift: Literal["none", "correct"] = "correct"
     focus_measure: Literal["sml", "tenengrad", "glv"] = "tenengrad"
     window: Window | Auto = "auto"
     peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"

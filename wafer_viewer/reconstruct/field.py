@@ -12,11 +12,10 @@ from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
-from wafer_viewer.reconstruct.fill import fill, mark_filled
+from wafer_viewer.reconstruct.clean import clean
+from wafer_viewer.reconstruct.fill import mark_filled
 from wafer_viewer.reconstruct.gate import gate_of, origins
-from wafer_viewer.reconstruct.levy import smooth
 from wafer_viewer.reconstruct.noise import noise_scores
-from wafer_viewer.reconstruct.outliers import find_outliers
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames, prepare
 from wafer_viewer.reconstruct.search import Progress, search_field
@@ -24,9 +23,6 @@ from wafer_viewer.reconstruct.tune import Settled, settle
 
 ENOUGH_TO_SETTLE = 0.2
 """A field of which a fifth is measured can choose for the fields around it."""
-
-LEAST_NOISE_STEPS = 0.05
-"""Smoothing leaves alone what is within a twentieth of a step of its neighbourhood."""
 
 
 def reconstruct(
@@ -65,17 +61,14 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, o
     """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
     recipe, resolution_um = settled.recipe, settled.resolution_um
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
-    smoothed = smooth(raw, recipe.levy, int(_number(recipe.levy.iterations)), LEAST_NOISE_STEPS * resolution_um)
-    dropped = find_outliers(raw, smoothed, stack.pixel_um, recipe)
-    origin = np.where(dropped, np.uint8(Origin.OUTLIER), origin)
-    raw[dropped] = smoothed[dropped] = np.nan
-    z_um = fill(smoothed, recipe.fill, resolution_um)
+    clear = clean(raw, stack.pixel_um, recipe, resolution_um)
+    origin = np.where(clear.dropped, np.uint8(Origin.OUTLIER), origin)
     return HeightMap(
-        z_um=z_um,
-        z_raw_um=raw,
+        z_um=clear.z_um,
+        z_raw_um=clear.raw_um,
         confidence=peaks.confidence,
         all_in_focus=peaks.all_in_focus,
-        origin=mark_filled(origin, z_um),
+        origin=mark_filled(origin, clear.z_um),
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
         y0_um=stack.y0_um,

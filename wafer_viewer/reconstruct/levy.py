@@ -1,117 +1,172 @@
-"""Smoothing by Levy flights, eq. 7-14 of the paper, and the two forms of it that take noise away.
+"""Smoothing: the Levy flights of the paper, eq. 7-14, the two forms of them that take noise away, and the default.
 
 Taken literally the equations cannot remove noise: a flight is kept when it comes nearer to the noisy map itself, so
 the noisy map is the best there is. `guided` flies towards the median of the neighbourhood instead, and only where a
-pixel stands out from it; `switching_median` is where those flights end, without chance.
+pixel stands out from it; `switching_median` is where those flights end, without chance. Both leave the noise of all
+other pixels as it is. `sigma_filter` averages that too, over what agrees with a pixel (after Lee 1983), and it knows
+what stands out by lines instead of squares, so that corners and narrow ridges stay.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Levy
+from wafer_viewer.numerics.lines import REACH_PX, far_along_lines, line_medians_at
 from wafer_viewer.numerics.median import far_from_median, medians_at, pad_with_nan
+from wafer_viewer.numerics.pairs import pair_mean
 
-AUTO_ITERATIONS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6}
+NOISE_LAG_PX = 15
+"""Errors this far apart are strangers: they share little of a focus window."""
+
 _GUIDE_RENEWED_EVERY = 5
-_NOISE_SPREADS = 3.0
 _MAD_TO_DEVIATION = 1.4826
 _SAMPLE_EVERY_PX = 5
+_SPIKE_PASSES = 3
 
 Map = NDArray[np.float32]
-Smoother = Callable[[Map, Levy, int, float], Map]
+Rounds = Callable[[Map, Levy, float], Iterator[Map]]
 
 
-def smooth(z_um: Map, levy: Levy, iterations: int, least_um: float) -> Map:
-    """A smoothed copy of a map; NaN stays NaN. What is within least_um of its neighbourhood is never touched."""
-    return SMOOTHERS[levy.mode](z_um, levy, iterations, least_um)
+def smooth(z_um: Map, levy: Levy, least_um: float) -> Map:
+    """A smoothed copy of a map, by a settled `Levy`; NaN stays NaN.
+
+    What is within least_um of its neighbourhood never stands out, however quiet the map.
+    """
+    rounds = islice(SMOOTHERS[levy.mode](z_um, levy, least_um), int(levy.iterations))
+    return deque(rounds, maxlen=1)[0].copy()
 
 
-def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray[np.float64]:
+def flight_lengths(rng: np.random.Generator, count: int, beta: float) -> NDArray[np.float32]:
     """|Z| of eq. 7, Z = U / |V|^(1 / beta), with the deviation of U from eq. 8 (Mantegna 1994)."""
     top = math.gamma(1 + beta) * math.sin(math.pi * beta / 2)
     bottom = math.gamma((1 + beta) / 2) * beta * 2 ** ((beta - 1) / 2)
-    deviation = max(top / bottom, 0.0) ** (1 / beta)
-    u, v = rng.standard_normal(count) * deviation, rng.standard_normal(count)
-    return np.abs(u) / np.maximum(np.abs(v), 1e-12) ** (1 / beta)
+    deviation = np.float32((top / bottom) ** (1 / beta))
+    u, v = rng.standard_normal(count, np.float32), rng.standard_normal(count, np.float32)
+    return np.abs(u) * deviation / np.maximum(np.abs(v), np.float32(1e-12)) ** np.float32(1 / beta)
 
 
-def _unsmoothed(z_um: Map, levy: Levy, iterations: int, least_um: float) -> Map:
-    return z_um.copy()
+def height_noise_um(z_um: Map) -> float:
+    """The standard deviation of the errors of most pixels, from second differences: slopes do not count as noise."""
+    bends = bends_of(z_um)
+    return _MAD_TO_DEVIATION * float(np.median(np.abs(bends))) if bends.size else 0.0
 
 
-def _literal(z_um: Map, levy: Levy, iterations: int, least_um: float) -> Map:
-    """Eq. 10-14 word for word: the whole map flies, and stays where its mean square distance to z_um falls."""
+def bends_of(z_um: Map) -> NDArray[np.float32]:
+    """Second differences over `NOISE_LAG_PX` along rows and columns, scaled to the deviation of a single pixel."""
+    lag, found = NOISE_LAG_PX, list[NDArray[np.float32]]()
+    for z in (z_um, z_um.T):
+        lines = z[:: 1 + len(z) // 200]
+        bends = lines[:, : -2 * lag] - 2 * lines[:, lag:-lag] + lines[:, 2 * lag :]
+        found.append(bends[np.isfinite(bends)] / np.float32(math.sqrt(6)))
+    return np.concatenate(found)
+
+
+def _unsmoothed(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+    yield z_um
+
+
+def _literal(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+    """Eq. 10-14 word for word: the whole map flies (12), and stays where its mean square distance to z_um falls (14).
+
+    Flights add up: what is accepted is where the next one starts. chi (13) is one number for the whole map.
+    """
     rng = np.random.default_rng(levy.seed)
     measured = np.isfinite(z_um)
-    start = z_um[measured].astype(np.float64)
-    now, misfit = start + _flights(rng, start.size, levy), math.inf
-    for _ in range(iterations):
-        candidate = now + _flights(rng, start.size, levy)
-        if misfit == math.inf:
-            misfit = float(np.mean((start - now) ** 2))
-        new_misfit = float(np.mean((start - candidate) ** 2))
-        if new_misfit < misfit:
-            now, misfit = candidate, new_misfit
-    out = z_um.copy()
-    out[measured] = now
-    return out
+    start, out = z_um[measured], z_um.copy()
+    away = _flights(rng, start.size, levy)
+    chi = _mean_square(away)
+    out[measured] = start + away
+    yield out
+    while True:
+        candidate = away + _flights(rng, start.size, levy)
+        new_chi = _mean_square(candidate)
+        if new_chi < chi:
+            away, chi = candidate, new_chi
+            out[measured] = start + away
+        yield out
 
 
-def _flights(rng: np.random.Generator, count: int, levy: Levy) -> NDArray[np.float64]:
+def _flights(rng: np.random.Generator, count: int, levy: Levy) -> NDArray[np.float32]:
     """L_d = alpha sign(R) |Z| of eq. 10 and 11."""
-    return levy.alpha * np.sign(rng.standard_normal(count)) * flight_lengths(rng, count, levy.beta)
+    signs = np.sign(rng.standard_normal(count, np.float32))
+    return np.float32(levy.alpha) * signs * flight_lengths(rng, count, levy.beta)
 
 
-def _guided(z_um: Map, levy: Levy, iterations: int, least_um: float) -> Map:
+def _mean_square(values: NDArray[np.float32]) -> float:
+    return float(np.mean(np.square(values), dtype=np.float64)) if values.size else 0.0
+
+
+def _guided(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
     """Pixels that stand out fly along their distance to the median; a flight counts when it ends nearer to it."""
     rng = np.random.default_rng(levy.seed)
     padded = pad_with_nan(z_um)
-    limit = _limit(padded, z_um, least_um)
+    limit = _limit_about_median(padded, z_um, levy, least_um)
     inner = padded[2:-2, 2:-2]
-    for done in range(0, iterations, _GUIDE_RENEWED_EVERY):
+    while True:
         rows, cols = np.nonzero(far_from_median(padded, limit))
-        if not rows.size:
-            break
-        guide = medians_at(padded, rows, cols).astype(np.float64)
-        values = inner[rows, cols].astype(np.float64)
-        for _ in range(min(_GUIDE_RENEWED_EVERY, iterations - done)):
+        guide, values = medians_at(padded, rows, cols), inner[rows, cols]
+        for _ in range(_GUIDE_RENEWED_EVERY):
             candidate = values + _flights(rng, values.size, levy) * (values - guide)
             values = np.where(np.abs(candidate - guide) < np.abs(values - guide), candidate, values)
-        inner[rows, cols] = values
-    return inner.copy()
+            inner[rows, cols] = values
+            yield inner
 
 
-def _switching_median(z_um: Map, levy: Levy, iterations: int, least_um: float) -> Map:
-    """Pixels that stand out take the median of their neighbourhood, until none is left or the passes are done."""
+def _switching_median(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+    """Pixels that stand out take the median of their neighbourhood, until none is left."""
     padded = pad_with_nan(z_um)
-    limit = _limit(padded, z_um, least_um)
+    limit = _limit_about_median(padded, z_um, levy, least_um)
     inner = padded[2:-2, 2:-2]
-    for _ in range(iterations):
+    while True:
         rows, cols = np.nonzero(far_from_median(padded, limit))
-        if not rows.size:
-            break
         inner[rows, cols] = medians_at(padded, rows, cols)
-    return inner.copy()
+        yield inner
+        if not rows.size:
+            return
 
 
-def _limit(padded: Map, z_um: Map, least_um: float) -> np.float32:
-    """How far from the median noise goes: three deviations, by the median deviation of a sample of the pixels."""
+def _limit_about_median(padded: Map, z_um: Map, levy: Levy, least_um: float) -> np.float32:
+    """How far from the median noise goes: n_sigma deviations, by the median deviation of a sample of the pixels."""
     rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
     if not rows.size:
         return np.float32(np.inf)
     rows, cols = rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX
     away = np.abs(z_um[rows, cols] - medians_at(padded, rows, cols))
-    return np.float32(max(_NOISE_SPREADS * _MAD_TO_DEVIATION * float(np.median(away)), least_um))
+    return np.float32(max(float(levy.n_sigma) * _MAD_TO_DEVIATION * float(np.median(away)), least_um))
 
 
-SMOOTHERS: dict[str, Smoother] = {
+def _sigma_filter(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+    """What stands out along all lines takes their median; then all are averaged with what agrees with them."""
+    limit_um = max(float(levy.n_sigma) * height_noise_um(z_um), least_um)
+    while True:
+        z_um = pair_mean(_without_spikes(z_um, limit_um), limit_um)
+        yield z_um
+
+
+def _without_spikes(z_um: Map, limit_um: float) -> Map:
+    """Spikes that stood side by side come out one after the other."""
+    padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
+    inner = padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
+    for _ in range(_SPIKE_PASSES):
+        rows, cols = np.nonzero(far_along_lines(padded, limit_um))
+        if not rows.size:
+            break
+        inner[rows, cols] = line_medians_at(padded, rows, cols)
+    return inner
+
+
+SMOOTHERS: dict[str, Rounds] = {
     "none": _unsmoothed,
     "literal": _literal,
     "guided": _guided,
     "switching_median": _switching_median,
+    "sigma_filter": _sigma_filter,
 }
+"""Each gives the map after one round of it, after two, and so on; it may use the same memory again."""

@@ -7,13 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus import mantissa_bits
 from wafer_viewer.reconstruct.gate import auto_min_confidence, gate_of, origins
-from wafer_viewer.reconstruct.levy import AUTO_ITERATIONS
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames
@@ -23,7 +24,6 @@ AUTO_WINDOWS = (5, 9, 13, 17)
 ENOUGH_COVERAGE = 0.92
 """The smallest window is taken that measures 92 % of what the largest does."""
 
-OUTLIER_FLOOR_STEPS = 1.5
 GAP_WIDTHS = 2.0
 REACH_WIDTHS = 0.55
 SUITABLE_WIDTH = 2.5
@@ -54,21 +54,20 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
     search = dataclasses.replace(probe, window=window)
     resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
-    levy, outliers = recipe.levy, recipe.outliers
-    if levy.iterations == "auto":
-        levy = replace(levy, iterations=AUTO_ITERATIONS[levy.mode])
-    if outliers.floor_um == "auto":
-        outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * resolution_um)
     confidence = _min_confidence(recipe, search, frames.n_frames)
-    settled = replace(
-        recipe,
-        window=window,
-        focus_width_um=width_um,
-        min_confidence=confidence,
-        levy=levy,
-        outliers=outliers,
-    )
-    return Settled(settled, search, resolution_um)
+    settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
+    maps = gated_tiles(frames, settled, search) if settled.has_auto else []
+    return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um)
+
+
+def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
+    """The heights of a few tiles, NaN where the gate of the settled recipe keeps them out."""
+    noise = noise_scores(search, frames.n_frames)
+    gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), recipe.clipped_fraction, search.window)
+    return [
+        np.where(origins(peaks, gate, frames.n_frames) == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
+        for _, peaks in _tiles(frames, search)
+    ]
 
 
 def focus_width_um(frames: Frames, recipe: Recipe) -> float:

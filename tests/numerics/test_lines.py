@@ -1,0 +1,60 @@
+"""What stands apart along all four lines is what sorting each of them would find."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.lines import REACH_PX, far_along_lines, line_medians_at
+
+ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
+
+
+def _map(seed: int, holes: float) -> NDArray[np.float32]:
+    rng = np.random.default_rng(seed)
+    z = rng.normal(0, 1, (19, 26)).astype(np.float32)
+    z[rng.random(z.shape) < holes] = np.nan
+    return np.pad(z, REACH_PX, constant_values=np.nan)
+
+
+def _lines(padded: NDArray, row: int, col: int) -> list[NDArray]:
+    steps = np.arange(-REACH_PX, REACH_PX + 1)
+    lines = (padded[row + REACH_PX + steps * down, col + REACH_PX + steps * right] for down, right in ALONG)
+    return [np.sort(line[np.isfinite(line)]) for line in lines]
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.3]), limit=st.floats(0.05, 1.5))
+def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
+    padded = _map(seed, holes)
+    far = far_along_lines(padded, np.float32(limit))
+    for r, c in np.ndindex(far.shape):
+        v = padded[r + REACH_PX, c + REACH_PX]
+        if np.isnan(v):
+            assert not far[r, c]
+            continue
+        middles = [(line[(line.size - 1) // 2], line[line.size // 2]) for line in _lines(padded, r, c)]
+        away = min(max(low - v, v - high, 0) for low, high in middles)
+        if abs(away - limit) > 1e-4:
+            assert far[r, c] == (away > limit)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.5]))
+def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: float) -> None:
+    padded = _map(seed, holes)
+    rows, cols = np.nonzero(np.isfinite(padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]))
+    expected = [np.median([np.median(line) for line in _lines(padded, r, c)]) for r, c in zip(rows, cols, strict=True)]
+    np.testing.assert_allclose(line_medians_at(padded, rows, cols), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("wide", [1, 3, 5])
+def test_a_blob_up_to_five_wide_stands_apart_and_a_wider_one_does_not(wide: int) -> None:
+    for side, apart in ((wide, True), (wide + 6, False)):
+        z = np.zeros((40, 40), np.float32)
+        z[15 : 15 + side, 15 : 15 + side] = 9
+        far = far_along_lines(np.pad(z, REACH_PX, constant_values=np.nan), 1.0)
+        np.testing.assert_array_equal(far, (z > 0) & apart)
