@@ -9,6 +9,7 @@ import io
 import logging
 import logging.handlers
 import os
+import signal
 import socket
 import threading
 from collections.abc import Callable
@@ -50,18 +51,33 @@ def serve(
 
     Raises WaferViewerError when the port is in use.
     """
+    asked = _hear_requests_to_end()
     running = start(session, host, port)
-    announce(f"Wafer Viewer is at {running.address} (ctrl-C ends it)")
-    if open_browser:
-        import webbrowser
-
-        webbrowser.open(running.address)
     try:
-        threading.Event().wait()
-    except KeyboardInterrupt:
+        with contextlib.suppress(KeyboardInterrupt):
+            announce(f"Wafer Viewer is at {running.address} (ctrl-C ends it)")
+            if open_browser:
+                import webbrowser
+
+                webbrowser.open(running.address)
+            asked.wait()
         announce("Wafer Viewer ends.")
     finally:
         running.stop()
+
+
+def _hear_requests_to_end() -> threading.Event:
+    """Ctrl-C and SIGTERM raise KeyboardInterrupt; the event remembers one that a finalizer happened to swallow."""
+    asked = threading.Event()
+
+    def hear(*_: object) -> None:
+        asked.set()
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, hear)
+    return asked
 
 
 def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
