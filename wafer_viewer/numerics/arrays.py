@@ -21,3 +21,14 @@ Greys: TypeAlias = NDArray[Any]
 
 Whole: TypeAlias = int | np.integer[Any]
 Real: TypeAlias = float | np.floating[Any]
+
+_CACHE_LINE_BYTES = 64
+
+
+def aligned(shape: tuple[int, ...], dtype: Any) -> NDArray[Any]:
+    """Zeros that begin with a cache line: vectors that straddle two lines cost twice."""
+    dtype = np.dtype(dtype)
+    n_bytes = dtype.itemsize * int(np.prod(shape))
+    room = np.zeros(n_bytes + _CACHE_LINE_BYTES, np.uint8)
+    start = -room.ctypes.data % _CACHE_LINE_BYTES
+    return room[start : start + n_bytes].view(dtype).reshape(shape)

@@ -59,6 +59,11 @@ def bare_kernel(function: F) -> F:
     return cast(F, numba.njit(cache=True, nogil=True, fastmath=True, **_UNCOUNTED)(function))
 
 
+def lean_kernel(function: F) -> F:
+    """A `bare_kernel` that keeps the order of float arithmetic; what is divided by zero is infinite or NaN."""
+    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", **_UNCOUNTED)(function))
+
+
 def inline_kernel(function: F) -> F:
     """A small function copied into the kernels that call it."""
     return cast(F, numba.njit(inline="always")(function))

@@ -1,9 +1,7 @@
 """How sharp each pixel of each frame is: the focus measures of the paper, written for one pass over the data.
 
-A block of a stack is taken a frame at a time and a row at a time. A row's energy goes into sums over the columns of the
-window (a ring of rows makes them exact: what entered is what leaves), those are added up along the row, and the
-logarithm is kept as 16 bits in the focus volume of the block (eq. 5) while the best frame of each pixel (eq. 6) is
-noted in passing.
+A row's energy goes into sums over the columns of the window (a ring of rows makes them exact: what entered is what
+leaves), those are added up along the row, and the logarithm of the sum is kept as 16 bits.
 """
 
 from __future__ import annotations
@@ -15,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole, Wholes
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Int64s, UInt16s, Whole, Wholes, aligned
+from wafer_viewer.numerics.jit import lean_kernel
+from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
 
 _SML, _TENENGRAD, _GLV = 0, 1, 2
+_LANES = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,38 +44,52 @@ FOCUS_MEASURES: dict[str, FocusMeasure] = {
 
 
 class Rows(NamedTuple):
-    """The rows that the kernels work in: small enough for the first cache, one set for each thread."""
+    """The rows that the kernels work in: small enough for the first caches, one set for each thread.
 
+    grey: three rows of the frame; smooth, slope: half a Sobel operator; ring: what entered the column sums;
+    columns, squares: sums over the window's rows, then over 3 and 9 neighbours, and a spare row; total,
+    square_total: sums over the window; value: the measure; pieces: see `_pieces`.
+    """
+
+    grey: Greys
     smooth: Wholes
     slope: Wholes
-    energy: Wholes
     ring: Wholes
     columns: Wholes
     squares: Wholes
-    doubled: Wholes
-    redoubled: Wholes
-    sums: Wholes
-    square_sums: Wholes
+    total: Wholes
+    square_total: Wholes
     value: Float32s
+    pieces: Int64s
 
     @classmethod
     def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> Rows:
         """Rows for blocks `cols` wide; int32 holds all sums of 8-bit grey up to a window of 25, int64 of 16-bit."""
-        whole = np.int32 if np.dtype(dtype).itemsize == 1 else np.int64
-        wide = cols + window - 1
+        short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
+        wide = -(-(cols + window - 1) // _LANES) * _LANES
         return cls(
-            smooth=np.zeros(wide + 2, whole),
-            slope=np.zeros(wide + 2, whole),
-            energy=np.zeros(wide, whole),
-            ring=np.zeros((window, wide), whole),
-            columns=np.zeros(wide, whole),
-            squares=np.zeros(wide, whole),
-            doubled=np.zeros(wide, whole),
-            redoubled=np.zeros(wide, whole),
-            sums=np.zeros(cols, whole),
-            square_sums=np.zeros(cols, whole),
-            value=np.zeros(cols, np.float32),
+            grey=aligned((3, wide + _LANES), dtype),
+            smooth=aligned((wide + _LANES,), short),
+            slope=aligned((wide + _LANES,), short),
+            ring=aligned((window, wide), whole),
+            columns=aligned((4, wide + _LANES), whole),
+            squares=aligned((4, wide + _LANES), whole),
+            total=aligned((cols,), whole),
+            square_total=aligned((cols,), whole),
+            value=aligned((cols,), np.float32),
+            pieces=_pieces(window),
         )
+
+
+def _pieces(window: int) -> NDArray[np.int64]:
+    """How a window is made of pieces of 9, 3 and 1 neighbours: rows of (power of three, offset), 3 or 5 of them."""
+    found: list[tuple[int, int]] = []
+    done = 0
+    for power in (2, 1, 0):
+        while 3**power < window and done + 3**power <= window:
+            found.append((power, done))
+            done += 3**power
+    return np.array(found, np.int64)
 
 
 def margin_px(window: int) -> int:
@@ -93,118 +107,111 @@ def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
 
     Beyond the border the border pixels repeat.
     """
-    padded = np.pad(image, margin_px(window), mode="edge")
+    source = Source.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
     out = np.empty(image.shape, np.float32)
-    _focus_values(padded, FOCUS_MEASURES[measure].code, window, Rows.make(image.shape[1], window, image.dtype), out)
+    _focus_values(source, FOCUS_MEASURES[measure].code, window, Rows.make(image.shape[1], window, image.dtype), out)
     return out / np.float32(window * window) if measure == "glv" else out
 
 
-@kernel
-def focus_block(
-    block: Greys,
-    measure: Whole,
-    window: Whole,
-    clipped_counts: Whole,
-    rows: Rows,
-    levels: UInt16s,
-    best: UInt16s,
-    peak: UInt16s,
-    clipped: UInt16s,
-) -> None:
-    """Focus volume, best level, best frame and number of clipped frames of a block.
-
-    block: [k, row + 2 margin, col + 2 margin]; levels: [k, row, col]; best, peak, clipped: [row, col].
-    """
-    best[:] = 0
-    peak[:] = 0
-    clipped[:] = 0
-    shift = np.int32(12 if block.itemsize == 1 else 13)
+@lean_kernel
+def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
+    """The volume of a block of frames."""
+    empty(volume)
+    shift = np.int32(12 if source.images.itemsize == 1 else 13)
     bits = rows.value.view(np.int32)
     margin = window // 2 + 1
-    for k in range(block.shape[0]):
-        frame = block[k]
+    n_rows = volume.best.shape[0]
+    for k in range(volume.levels.shape[0]):
         _begin(rows)
-        for r in range(best.shape[0] + window - 1):
-            _take_row(frame, r, measure, window, rows)
-            y = r - window + 1
-            if y >= 0:
+        for r in range(n_rows + 2 * margin):
+            _take_row(source, k, r, measure, window, rows)
+            if margin <= r < n_rows + margin:
+                count_clipped(rows.grey[r % 3, margin:], source.clipped_counts, volume.clipped[r - margin])
+            if r >= 2 * margin:
                 _add_up(measure, window, rows)
-                _note(bits, shift, np.uint16(k), levels[k, y], best[y], peak[y])
-                _count_clipped(frame[y + margin], margin, clipped_counts, clipped[y])
+                _as_levels(bits, shift, volume.levels[k, r - 2 * margin])
+                keep_row(volume, k, r - 2 * margin)
 
 
-@kernel
-def _focus_values(frame: Greys, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
+@lean_kernel
+def _focus_values(source: Source, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
+    margin = window // 2 + 1
     _begin(rows)
-    for r in range(out.shape[0] + window - 1):
-        _take_row(frame, r, measure, window, rows)
-        if r >= window - 1:
+    for r in range(out.shape[0] + 2 * margin):
+        _take_row(source, 0, r, measure, window, rows)
+        if r >= 2 * margin:
             _add_up(measure, window, rows)
-            out[r - window + 1] = rows.value
+            for x in range(out.shape[1]):
+                out[r - 2 * margin, x] = rows.value[x]
 
 
-@kernel
+@lean_kernel
 def _begin(rows: Rows) -> None:
     rows.ring[:] = 0
-    rows.columns[:] = 0
-    rows.squares[:] = 0
+    rows.columns[0] = 0
+    rows.squares[0] = 0
 
 
-@kernel
-def _take_row(frame: Greys, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
-    """Let row r of the frame into the column sums, and the row that leaves the window out of them."""
-    ring = rows.ring[r % window]
-    if measure == _GLV:
-        _slide_grey(frame[r + 1], ring, rows.columns, rows.squares)
+@lean_kernel
+def _take_row(source: Source, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
+    """Read grey row r of a frame; let the energy of the row before it into the column sums, and the oldest row out."""
+    margin = window // 2 + 1
+    above, here, below = rows.grey[(r + 1) % 3], rows.grey[(r + 2) % 3], rows.grey[r % 3]
+    take_grey(source, k, r - margin, margin, rows.value.size, below)
+    if r < 2:
         return
-    if measure == _SML:
-        _sml_row(frame[r], frame[r + 1], frame[r + 2], rows.energy)
+    ring, columns = rows.ring[r % window], rows.columns[0]
+    if measure == _GLV:
+        _slide_grey(here, ring, columns, rows.squares[0])
+    elif measure == _SML:
+        _slide_sml(above, here, below, ring, columns)
     else:
-        _tenengrad_row(frame[r], frame[r + 1], frame[r + 2], rows.smooth, rows.slope, rows.energy)
-    _slide(rows.energy, ring, rows.columns)
+        _halve_sobel(above, here, below, rows.smooth, rows.slope)
+        _slide_tenengrad(rows.smooth, rows.slope, ring, columns)
 
 
 # Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
 
 
-@kernel
-def _sml_row(above: Greys, here: Greys, below: Greys, energy: Wholes) -> None:
+@lean_kernel
+def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
     """|Ixx|^2 + |Iyy|^2 of eq. 2."""
-    i = energy.dtype.type
-    for x in range(energy.size):
+    i = ring.dtype.type
+    for x in range(ring.size):
         twice = i(i(here[x + 1]) + i(here[x + 1]))
         xx = i(i(i(here[x]) + i(here[x + 2])) - twice)
         yy = i(i(i(above[x + 1]) + i(below[x + 1])) - twice)
-        energy[x] = i(i(xx * xx) + i(yy * yy))
-
-
-@kernel
-def _tenengrad_row(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes, energy: Wholes) -> None:
-    """Gx^2 + Gy^2 of eq. 3, the Sobel operator as one pass down the columns and one along the row."""
-    i = energy.dtype.type
-    for x in range(smooth.size):
-        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
-        slope[x] = i(i(below[x]) - i(above[x]))
-    for x in range(energy.size):
-        gx = i(smooth[x + 2] - smooth[x])
-        gy = i(i(slope[x] + slope[x + 2]) + i(slope[x + 1] + slope[x + 1]))
-        energy[x] = i(i(gx * gx) + i(gy * gy))
-
-
-@kernel
-def _slide(energy: Wholes, ring: Wholes, columns: Wholes) -> None:
-    i = columns.dtype.type
-    for x in range(columns.size):
-        new = energy[x]
+        new = i(i(xx * xx) + i(yy * yy))
         columns[x] = i(columns[x] + i(new - ring[x]))
         ring[x] = new
 
 
-@kernel
+@lean_kernel
+def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
+    """The Sobel operator's pass down the columns."""
+    i = smooth.dtype.type
+    for x in range(smooth.size):
+        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
+        slope[x] = i(i(below[x]) - i(above[x]))
+
+
+@lean_kernel
+def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
+    """Gx^2 + Gy^2 of eq. 3."""
+    i = ring.dtype.type
+    for x in range(ring.size):
+        gx = i(i(smooth[x + 2]) - i(smooth[x]))
+        gy = i(i(i(slope[x]) + i(slope[x + 2])) + i(i(slope[x + 1]) + i(slope[x + 1])))
+        new = i(i(gx * gx) + i(gy * gy))
+        columns[x] = i(columns[x] + i(new - ring[x]))
+        ring[x] = new
+
+
+@lean_kernel
 def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
     """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
-    i = columns.dtype.type
-    for x in range(columns.size):
+    i = ring.dtype.type
+    for x in range(ring.size):
         new = i(here[x + 1])
         d = i(new - ring[x])
         s = i(new + ring[x])
@@ -213,66 +220,55 @@ def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> 
         ring[x] = new
 
 
-@kernel
+@lean_kernel
 def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
     """The measure of one row of pixels, in rows.value: for eq. 4 times the number of pixels of the window."""
-    _box(rows.columns, window, rows.doubled, rows.redoubled, rows.sums)
     if measure == _GLV:
-        _box(rows.squares, window, rows.doubled, rows.redoubled, rows.square_sums)
-        _deviations(rows.sums, rows.square_sums, 1.0 / (window * window), rows.value)
+        _box(rows.columns, rows.pieces, rows.total)
+        _box(rows.squares, rows.pieces, rows.square_total)
+        _deviations(rows.total, rows.square_total, window * window, rows.value)
     else:
-        _as_float(rows.sums, rows.value)
+        _box(rows.columns, rows.pieces, rows.value)
 
 
-@kernel
-def _as_float(sums: Wholes, value: Float32s) -> None:
+@lean_kernel
+def _box(sums: Wholes, pieces: Int64s, out: Greys) -> None:
+    """Sums of as many neighbours as the window has, from sums[0]: as few additions as its pieces need."""
+    for power in range(pieces[0, 0]):
+        one = sums[power]
+        _add_three(one, one[3**power :], one[2 * 3**power :], sums[power + 1])
+    first = sums[pieces[0, 0]]
+    last = len(pieces) - 2
+    if last > 1:
+        _add_three(first, sums[pieces[1, 0], pieces[1, 1] :], sums[pieces[2, 0], pieces[2, 1] :], sums[3])
+        first = sums[3]
+    _add_three(first, sums[pieces[last, 0], pieces[last, 1] :], sums[pieces[last + 1, 0], pieces[last + 1, 1] :], out)
+
+
+@lean_kernel
+def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Greys) -> None:
+    i = a.dtype.type
+    for x in range(min(out.size, c.size)):
+        out[x] = i(i(a[x] + b[x]) + c[x])
+
+
+@lean_kernel
+def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
+    """Sum of squared deviations from the mean: in whole numbers from a grey value near it, then what that is off."""
+    i = total.dtype.type
+    n = i(n_pixels)
+    per_pixel = np.float32(1 / n_pixels)
     for x in range(value.size):
-        value[x] = np.float32(sums[x])
+        middle = i(np.float32(total[x]) * per_pixel)
+        rest = i(total[x] - i(n * middle))
+        about = i(square_total[x] - i(middle * i(total[x] + rest)))
+        off = np.float32(rest)
+        value[x] = np.float32(about) - off * off * per_pixel
 
 
-@kernel
-def _box(columns: Wholes, window: Whole, doubled: Wholes, redoubled: Wholes, sums: Wholes) -> None:
-    """Sums of `window` neighbours by doubling: log2(window) additions a pixel instead of window - 1.
-
-    Sums of 2, 4, 8 ... neighbours are made in turn and those that make up an odd window are added.
-    """
-    i = sums.dtype.type
-    power, spare = doubled, redoubled
-    _pairs(columns, 1, power)
-    for x in range(sums.size):
-        sums[x] = columns[x]
-    width, done = 2, 1
-    while width <= window:
-        if window & width:
-            ahead = power[done:]
-            for x in range(sums.size):
-                sums[x] = i(sums[x] + ahead[x])
-            done += width
-        if 2 * width <= window:
-            _pairs(power, width, spare)
-            power, spare = spare, power
-        width *= 2
-
-
-@kernel
-def _pairs(values: Wholes, distance: Whole, out: Wholes) -> None:
-    i = out.dtype.type
-    ahead = values[distance:]
-    for x in range(ahead.size):
-        out[x] = i(values[x] + ahead[x])
-
-
-@kernel
-def _deviations(sums: Wholes, square_sums: Wholes, per_pixel: Real, value: Float32s) -> None:
-    """Sum of squared deviations from the mean: exact in float64 for 16-bit grey and a window of 25."""
-    for x in range(value.size):
-        total = np.float64(sums[x])
-        value[x] = np.float32(np.float64(square_sums[x]) - total * total * per_pixel)
-
-
-@kernel
-def _note(bits: Int32s, shift: Whole, k: Whole, level: UInt16s, best: UInt16s, peak: UInt16s) -> None:
-    """Keep log2 of a row and the best frame so far.
+@lean_kernel
+def _as_levels(bits: Int32s, shift: Whole, level: UInt16s) -> None:
+    """The log2 of a row of float32, as 16 bits.
 
     The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
     they are monotone, and `log2_table` makes them exact.
@@ -281,17 +277,4 @@ def _note(bits: Int32s, shift: Whole, k: Whole, level: UInt16s, best: UInt16s, p
     bias = i(i(127 << 23) - i(1 << (shift - 1)))
     for x in range(level.size):
         q = i(i(bits[x] - bias) >> shift)
-        q = q if q > i(0) else i(0)
-        old = i(best[x])
-        at = peak[x]
-        level[x] = q
-        best[x] = q if q > old else old
-        peak[x] = k if q > old else at
-
-
-@kernel
-def _count_clipped(row: Greys, margin: Whole, clipped_counts: Whole, clipped: UInt16s) -> None:
-    limit = np.int32(clipped_counts)
-    inner = row[margin:]
-    for x in range(clipped.size):
-        clipped[x] += np.uint16(np.int32(inner[x]) >= limit)
+        level[x] = q if q > i(0) else i(0)

@@ -14,6 +14,7 @@ import numpy as np
 from wafer_viewer.reconstruct.focus import margin_px
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.search import Bench, Search, search_block
+from wafer_viewer.reconstruct.volume import Source
 
 _SIDE_PX = 112
 _DEVIATION_COUNTS = 12.0
@@ -33,13 +34,14 @@ class NoiseScores:
 @lru_cache(maxsize=64)
 def noise_scores(search: Search, n_frames: int) -> NoiseScores:
     """Search a patch of white noise of `n_frames` frames, always the same one."""
-    shape = (_SIDE_PX, _SIDE_PX)
-    bench = Bench.make(n_frames, shape, search.window, np.dtype(np.uint8))
-    side = _SIDE_PX + 2 * margin_px(search.window)
+    shape, margin = (_SIDE_PX, _SIDE_PX), margin_px(search.window)
+    side = _SIDE_PX + 2 * margin
     noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
-    bench.block[:] = np.clip(noise * np.float32(_DEVIATION_COUNTS) + np.float32(128.5), 0, 255)
-    peaks = Peaks.empty(shape, np.dtype(np.uint8))
-    search_block(np.arange(n_frames, dtype=np.float64), 256, search, bench, peaks)
+    grey = np.clip(noise * np.float32(_DEVIATION_COUNTS) + np.float32(128.5), 0, 255).astype(np.uint8)
+    source = Source.of(grey, np.arange(n_frames), margin, margin, 256)
+    peaks = Peaks.empty(shape, grey.dtype)
+    bench = Bench.make(n_frames, shape, search.window, grey.dtype)
+    search_block(source, np.arange(n_frames, dtype=np.float64), search, bench, peaks)
     inside = ~peaks.at_end
     lead, fall, contrast = (
         float(np.percentile(score[inside] if inside.any() else score, _PERCENTILE))

@@ -14,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole
-from wafer_viewer.numerics.jit import inline_kernel, kernel
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.jit import inline_kernel, lean_kernel
+from wafer_viewer.reconstruct.volume import COARSE_PX, Source, Volume
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+_LN2 = float(np.log(2))
+_ROUNDER = 1.5 * 2.0**52
+"""A float64 this large has no bits for fractions, and its last ones are a whole number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +42,16 @@ PEAKS: dict[str, PeakEstimator] = {
 
 
 class Curves(NamedTuple):
-    """The focus volume of a block, levels [k, row, col], and of each pixel the peak's frame, its rival, the least."""
+    """The focus volume of a block, levels [k, row, col], the best level of each pixel and its frame."""
 
     levels: UInt16s
+    best: UInt16s
     peak: UInt16s
-    rival: UInt16s
-    least: UInt16s
+
+    @classmethod
+    def make(cls, n_frames: int, shape: tuple[int, int]) -> Curves:
+        """Room for the curves of `shape` pixels."""
+        return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
 
 
 class Placing(NamedTuple):
@@ -53,6 +61,31 @@ class Placing(NamedTuple):
     power: float
     gap: int
     reach: int
+
+
+class Spots(NamedTuple):
+    """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
+
+    bits, table: the bits of a level after the point, and the log2 of 1 + what they say.
+    """
+
+    bits: int
+    rival: UInt16s
+    least: UInt16s
+    below: Float64s
+    z: Float64s
+    above: Float64s
+    left: Float64s
+    top: Float64s
+    right: Float64s
+    table: Float32s
+
+    @classmethod
+    def make(cls, cols: int, bits: int) -> Spots:
+        """Room for rows of `cols` pixels, of levels with `bits` bits after the point."""
+        shorts = (aligned((cols,), np.uint16) for _ in range(2))
+        reals = (aligned((cols,), np.float64) for _ in range(6))
+        return cls(bits, *shorts, *reals, table=log2_table(bits))
 
 
 class Scores(NamedTuple):
@@ -71,7 +104,8 @@ class Peaks:
 
     z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: how far the peak is above
     its highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames
-    in which the pixel is too bright; all_in_focus: grey as in the stack.
+    in which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the
+    levels of the focus volume averaged over 4 x 4 pixels, or of no frame where nobody asks for them.
     """
 
     z_um: NDArray[np.float32]
@@ -81,14 +115,15 @@ class Peaks:
     at_end: NDArray[np.bool_]
     clipped: NDArray[np.uint16]
     all_in_focus: Image
+    coarse: NDArray[np.uint16]
 
     @classmethod
-    def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any]) -> Peaks:
-        """Room for the peaks of a field or of a part of it."""
+    def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
+        """Room for the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
         z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
-        return cls(
-            z_um, lead, fall, contrast, np.empty(shape, bool), np.empty(shape, np.uint16), np.empty(shape, dtype)
-        )
+        coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
+        at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
+        return cls(z_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
 
     @property
     def scores(self) -> Scores:
@@ -101,8 +136,10 @@ class Peaks:
         return np.float32(1) - np.exp2(-self.lead)
 
     def rows(self, part: slice) -> Peaks:
-        """Some of the rows, as views."""
-        return Peaks(*(getattr(self, name)[part] for name in self.__slots__))
+        """Some of the rows, as views; they begin at a row of the coarse volume."""
+        coarse = slice(part.start // COARSE_PX, -(-part.stop // COARSE_PX))
+        fine = {name: getattr(self, name)[part] for name in self.__slots__ if name != "coarse"}
+        return Peaks(**fine, coarse=self.coarse[:, coarse])
 
 
 def confidence_of(lead: float) -> float:
@@ -120,124 +157,156 @@ def log2_table(mantissa_bits: int) -> NDArray[np.float32]:
     return np.log2(1 + np.arange(2**mantissa_bits) / 2**mantissa_bits).astype(np.float32)
 
 
-@kernel
-def find_rivals(curves: Curves, gap: Whole) -> None:
+@lean_kernel
+def describe(volume: Volume, source: Source, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
+    """Height, scores and all-in-focus grey of each pixel, a row at a time while its levels are in the cache."""
+    n_rows, cols = volume.peak.shape
+    for y in range(n_rows):
+        _find_rivals(volume.levels, y, how.gap, volume.peak[y], spots.rival, spots.least)
+        _gather(volume, y, z_um, how, spots, out)
+        _place_row(how, spots, out.z_um[y])
+        row = source.top + y
+        for x in range(cols):
+            out.all_in_focus[y, x] = source.images[source.slots[volume.peak[y, x]], row, source.left + x]
+
+
+@lean_kernel
+def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
     """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
 
     Without a rival the lowest level stands in.
     """
-    levels, peak, rival, least = curves
     last = levels.shape[0] - 1
-    for y in range(peak.shape[0]):
-        rival[y] = 0
-        least[y] = 65535
-        for k in range(last + 1):
-            _rival_row(levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y], k, gap, peak[y], rival[y])
-            _lower(levels[k, y], least[y])
-        _raise(least[y], rival[y])
+    rival[:] = 0
+    least[:] = 65535
+    for k in range(last + 1):
+        before, here, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
+        _rival_row(before, here, after, k, gap, peak, rival, least)
+    for x in range(rival.size):
+        a, b = rival[x], least[x]
+        rival[x] = a if a > b else b
 
 
-@kernel
+@lean_kernel
 def _rival_row(
-    before: UInt16s, here: UInt16s, after: UInt16s, k: Whole, gap: Whole, peak: UInt16s, rival: UInt16s
+    before: UInt16s,
+    here: UInt16s,
+    after: UInt16s,
+    k: Whole,
+    gap: Whole,
+    peak: UInt16s,
+    rival: UInt16s,
+    least: UInt16s,
 ) -> None:
-    i = np.int32
-    frame = i(k)
-    low, high = i(-gap), i(gap)
+    u = np.uint16
+    first, width = u(k - gap + 1), u(2 * gap - 1)
     for x in range(here.size):
-        q = i(here[x])
-        away = i(i(peak[x]) - frame)
-        top = (q >= i(before[x])) & (q >= i(after[x])) & ((away <= low) | (away >= high))
-        candidate = q if top else i(0)
-        old = i(rival[x])
-        rival[x] = candidate if candidate > old else old
+        q, old, low = here[x], rival[x], least[x]
+        far = u(peak[x] - first) >= width
+        higher = far & (q >= before[x]) & (q >= after[x]) & (q > old)
+        rival[x] = q if higher else old
+        least[x] = q if q < low else low
 
 
-@kernel
-def _lower(here: UInt16s, least: UInt16s) -> None:
-    for x in range(here.size):
-        a, b = here[x], least[x]
-        least[x] = a if a < b else b
-
-
-@kernel
-def _raise(floor: UInt16s, values: UInt16s) -> None:
-    for x in range(values.size):
-        a, b = floor[x], values[x]
-        values[x] = a if a > b else b
-
-
-@kernel
-def describe(
-    curves: Curves,
-    block: Greys,
-    margin: Whole,
-    z_um: Float64s,
-    placing: Placing,
-    table: Float32s,
-    out: Scores,
-) -> None:
-    """Height, scores and all-in-focus grey of each pixel, from the levels round its peak."""
-    levels, last = curves.levels, curves.levels.shape[0] - 1
-    bits = 0
-    while 1 << bits < table.size:
-        bits += 1
-    for y in range(levels.shape[1]):
-        for x in range(levels.shape[2]):
-            k = np.int64(curves.peak[y, x])
-            near = min(placing.reach, k, last - k)
-            top = _log2(levels[k, y, x], bits, table)
-            left = _log2(levels[k - near, y, x], bits, table)
-            right = _log2(levels[k + near, y, x], bits, table)
-            before = _log2(levels[max(0, k - placing.gap), y, x], bits, table)
-            after = _log2(levels[min(last, k + placing.gap), y, x], bits, table)
-            out.z_um[y, x] = place(placing, z_um[k - near], z_um[k], z_um[k + near], left, top, right)
-            out.lead[y, x] = top - _log2(curves.rival[y, x], bits, table)
-            out.contrast[y, x] = top - _log2(curves.least[y, x], bits, table)
-            out.fall[y, x] = top - max(before, after)
-            out.all_in_focus[y, x] = block[k, y + margin, x + margin]
+@lean_kernel
+def _gather(volume: Volume, y: Whole, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
+    """The levels at a pixel's peak and about it, as log2, and the scores that are differences of them."""
+    levels, bits, table = volume.levels, spots.bits, spots.table
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        k = np.int64(volume.peak[y, x])
+        near = min(how.reach, k, last - k)
+        top = _log2(volume.best[y, x], bits, table)
+        sides = max(levels[max(0, k - how.gap), y, x], levels[min(last, k + how.gap), y, x])
+        spots.top[x] = top
+        spots.left[x] = _log2(levels[k - near, y, x], bits, table)
+        spots.right[x] = _log2(levels[k + near, y, x], bits, table)
+        spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
+        out.lead[y, x] = top - _log2(spots.rival[x], bits, table)
+        out.contrast[y, x] = top - _log2(spots.least[x], bits, table)
+        out.fall[y, x] = top - _log2(sides, bits, table)
 
 
 @inline_kernel
 def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
     q = np.int64(level)
-    return np.float32(q >> bits) + table[q & ((1 << bits) - 1)]
+    return np.float32(q >> bits) + table[q & (table.size - 1)]
 
 
-@kernel
+@lean_kernel
 def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """The z of the peak from log focus at three z, between the middles of the two intervals."""
-    if how.estimator == _ARGMAX or below == z or above == z:
+    if how.estimator == _ARGMAX:
         return z
     if how.estimator == _TENT:
-        found = _tent(below, z, above, left, top, right)
-    elif how.estimator == _GAUSSIAN:
-        found = _parabola(below, z, above, left, top, right)
+        return _tent(below, z, above, left, top, right)
+    if how.estimator == _BLUR_LAW:
+        left, top, right = _variance(left, top, how.power), -1.0, _variance(right, top, how.power)
+    return _parabola(below, z, above, left, top, right)
+
+
+@lean_kernel
+def _place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
+    """`place` for a row of pixels, in loops without branches."""
+    below, z, above, left, top, right = spots[3:9]
+    if how.estimator == _ARGMAX:
+        for x in range(z_um.size):
+            z_um[x] = z[x]
+    elif how.estimator == _TENT:
+        for x in range(z_um.size):
+            z_um[x] = _tent(below[x], z[x], above[x], left[x], top[x], right[x])
     else:
-        found = _blur_law(how.power, below, z, above, left, top, right)
-    return min(max(found, 0.5 * (below + z)), 0.5 * (z + above))
+        if how.estimator == _BLUR_LAW:
+            for x in range(z_um.size):
+                left[x] = _variance(left[x], top[x], how.power)
+                right[x] = _variance(right[x], top[x], how.power)
+                top[x] = -1.0
+        for x in range(z_um.size):
+            z_um[x] = _parabola(below[x], z[x], above[x], left[x], top[x], right[x])
 
 
-@kernel
+@inline_kernel
 def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """The vertex of the parabola through three points, at any spacing."""
     a = (z - below) * (top - right)
     b = (above - z) * (top - left)
-    return z if a + b <= 0 else z - 0.5 * ((z - below) * a - (above - z) * b) / (a + b)
+    bend = a + b
+    shift = 0.5 * ((z - below) * a - (above - z) * b) / (bend if bend > 0 else 1.0)
+    return _held(z - shift if bend > 0 else z, below, z, above)
 
 
-@kernel
-def _blur_law(power: Real, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """Where the variance of the blur, focus^(-1 / power), has its least value: it is a parabola in z."""
-    return _parabola(below, z, above, -(2 ** ((top - left) / power)), -1.0, -(2 ** ((top - right) / power)))
-
-
-@kernel
+@inline_kernel
 def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
     """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
-    rise, drop = (top - left) / (z - below), (top - right) / (above - z)
-    if max(rise, drop) <= 0:
-        return z
-    if rise >= drop:
-        return 0.5 * (z + above) - (top - right) / (2 * rise)
-    return 0.5 * (below + z) + (top - left) / (2 * drop)
+    rise = (top - left) / (z - below if z > below else 1.0)
+    drop = (top - right) / (above - z if above > z else 1.0)
+    steep = max(rise, drop)
+    slope = 2 * (steep if steep > 0 else 1.0)
+    up, down = 0.5 * (z + above) - (top - right) / slope, 0.5 * (below + z) + (top - left) / slope
+    found = up if rise >= drop else down
+    return _held(found if steep > 0 else z, below, z, above)
+
+
+@inline_kernel
+def _held(found: Real, below: Real, z: Real, above: Real) -> Real:
+    low, high = 0.5 * (below + z), 0.5 * (z + above)
+    found = found if found > low else low
+    return found if found < high else high
+
+
+@inline_kernel
+def _variance(level: Real, top: Real, power: Real) -> Real:
+    """The variance of the blur relative to that at the peak, negative: -focus^(-1 / power) is a parabola in z."""
+    return -_exp2((top - level) / power)
+
+
+@inline_kernel
+def _exp2(exponent: Real) -> Real:
+    """2^exponent to ten digits, in operations that a vector has: the Taylor series about the nearest whole number."""
+    shifted = exponent + _ROUNDER
+    t = (exponent - (shifted - _ROUNDER)) * _LN2
+    series = 1.0
+    for n in (10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0):
+        series = 1.0 + t * series / n
+    whole = np.float64(shifted).view(np.int64) << 52
+    return np.int64(whole + np.float64(series).view(np.int64)).view(np.float64)

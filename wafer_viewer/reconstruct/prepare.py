@@ -46,6 +46,11 @@ class Frames:
         return self.images.dtype.newbyteorder("=")
 
     @property
+    def as_stored(self) -> bool:
+        """Whether the kernels can read the images where they lie: whole rows, with nothing to be done to the pixels."""
+        return self.images.flags.c_contiguous and self.images.dtype.isnative
+
+    @property
     def step_um(self) -> float:
         """The usual distance between neighbouring frames."""
         return float(np.median(np.diff(self.z_um)))

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, Rows, focus_block, mantissa_bits, margin_px
-from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, Placing, describe, find_rivals, log2_table
+from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, Placing, Spots, describe
 from wafer_viewer.reconstruct.prepare import Frames, read_block
+from wafer_viewer.reconstruct.volume import Source, Volume
 
 STRIPE_ROWS = 48
 
@@ -39,31 +40,29 @@ class Search:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What one thread works with: the block it reads, the focus volume of the block, and its small change."""
+    """What one thread works with: a block for pixels that cannot be read where they lie, its curves, and rows."""
 
     block: Image
     curves: Curves
-    best: NDArray[np.uint16]
     rows: Rows
-    table: NDArray[np.float32]
+    spots: Spots
 
     @classmethod
     def make(cls, n_frames: int, shape: tuple[int, int], window: int, dtype: np.dtype[Any]) -> Bench:
-        """A bench for blocks of up to `shape` pixels."""
-        margin = margin_px(window)
-        native = np.dtype(dtype).newbyteorder("=")
-        block = np.zeros((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
-        best, peak, rival, least = (np.empty(shape, np.uint16) for _ in range(4))
-        curves = Curves(np.empty((n_frames, *shape), np.uint16), peak, rival, least)
-        return cls(block, curves, best, Rows.make(shape[1], window, native), log2_table(mantissa_bits(native)))
+        """A bench for blocks of `shape` pixels; its block takes no memory until pixels are copied there."""
+        native, margin = np.dtype(dtype).newbyteorder("="), margin_px(window)
+        block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
+        rows, spots = Rows.make(shape[1], window, native), Spots.make(shape[1], mantissa_bits(native))
+        return cls(block, Curves.make(n_frames, shape), rows, spots)
 
-    def cut(self, n_rows: int, margin: int) -> Bench:
+    def cut(self, n_rows: int) -> Bench:
         """The same bench for a block of fewer rows: the last stripe of a field."""
-        if n_rows == len(self.best):
+        levels, best, peak = self.curves
+        fewer = len(best) - n_rows
+        if not fewer:
             return self
-        levels, *small = self.curves
-        curves = Curves(levels[:, :n_rows].copy(), *(a[:n_rows] for a in small))
-        return Bench(self.block[:, : n_rows + 2 * margin].copy(), curves, self.best[:n_rows], self.rows, self.table)
+        block = _fewer_rows(self.block, self.block.shape[1] - fewer)
+        return Bench(block, Curves(_fewer_rows(levels, n_rows), best[:n_rows], peak[:n_rows]), self.rows, self.spots)
 
 
 def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
@@ -71,7 +70,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 
     progress is told the finished share, from the calling thread; what it raises ends the search.
     """
-    peaks = Peaks.empty(frames.shape, frames.dtype)
+    peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
     stripes = list(_stripes(frames.shape[0]))
     threads = min(threads or _cores(), len(stripes))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
@@ -91,29 +90,34 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 
 def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench, out: Peaks) -> None:
     """The peaks of the pixels [rows, cols] of a field, into `out`."""
-    bench = bench.cut(rows.stop - rows.start, margin_px(search.window))
-    read_block(frames, rows, cols, margin_px(search.window), bench.block)
-    search_block(frames.z_um, frames.clipped_counts, search, bench, out)
+    bench = bench.cut(rows.stop - rows.start)
+    search_block(_source(frames, rows, cols, search, bench), frames.z_um, search, bench, out)
 
 
-def search_block(z_um: NDArray[np.float64], clipped_counts: int, search: Search, bench: Bench, out: Peaks) -> None:
-    """The peaks of the block on a bench, into `out`."""
-    measure, block, curves = FOCUS_MEASURES[search.measure], bench.block, bench.curves
+def search_block(source: Source, z_um: NDArray[np.float64], search: Search, bench: Bench, out: Peaks) -> None:
+    """The peaks of the pixels of a source, into `out`."""
+    measure = FOCUS_MEASURES[search.measure]
+    volume = Volume(*bench.curves, out.clipped, out.coarse)
+    focus_block(source, measure.code, search.window, bench.rows, volume)
     placing = Placing(PEAKS[search.estimator].code, measure.power, search.gap, search.reach)
-    focus_block(
-        block,
-        measure.code,
-        search.window,
-        clipped_counts,
-        bench.rows,
-        curves.levels,
-        bench.best,
-        curves.peak,
-        out.clipped,
-    )
-    find_rivals(curves, search.gap)
-    describe(curves, block, margin_px(search.window), z_um, placing, bench.table, out.scores)
-    out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
+    describe(volume, source, z_um, placing, bench.spots, out.scores)
+    out.at_end[:] = (bench.curves.peak == 0) | (bench.curves.peak == len(z_um) - 1)
+
+
+def _source(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench) -> Source:
+    """Where the kernels read a part of a field: from the images as they lie, or else from the block of the bench."""
+    if frames.as_stored:
+        slots = np.arange(len(frames.images))[frames.index]
+        return Source.of(frames.images, slots, rows.start, cols.start, frames.clipped_counts)
+    margin = margin_px(search.window)
+    read_block(frames, rows, cols, margin, bench.block)
+    return Source.of(bench.block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
+
+
+def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
+    """The same memory as a volume [k, row, col] of fewer rows."""
+    n_frames, _, cols = volume.shape
+    return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
 
 
 def _cores() -> int:

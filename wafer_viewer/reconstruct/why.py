@@ -13,11 +13,11 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
 from wafer_viewer.reconstruct.field import cleaned, gated, settled_recipe
-from wafer_viewer.reconstruct.focus import mantissa_bits, margin_px
+from wafer_viewer.reconstruct.focus import mantissa_bits
 from wafer_viewer.reconstruct.gate import gate_of
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks, lead_of, log2_table
-from wafer_viewer.reconstruct.prepare import Frames, prepare
+from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
 from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part
 from wafer_viewer.reconstruct.tune import Settled, settle
 
@@ -73,8 +73,9 @@ def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArra
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
     bits = mantissa_bits(bench.block.dtype)
     log2 = (levels >> bits) + log2_table(bits)[levels & (2**bits - 1)]
-    margin = margin_px(search.window)
-    return np.exp2(log2 - log2.max()), bench.block[:, margin, margin].astype(np.int64)
+    grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
+    read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
+    return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
 
 
 def verdicts(peaks: Peaks, settled: Settled, frames: Frames, row: int, col: int) -> tuple[Verdict, ...]:
