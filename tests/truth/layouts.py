@@ -16,7 +16,7 @@ from tests.truth.scenes import SCENES, SWEEP_UM
 from tests.truth.views import Camera, Optics, light_of, stack_from
 from wafer_viewer.model.stack import FieldStack
 
-GENERATOR = 2
+GENERATOR = 3
 """Counts the changes of the generator that change pixels: kept light of another generator is not used."""
 
 

@@ -100,6 +100,7 @@ def trace_view(
 ):  # fmt: skip
     """What comes back towards one point of the pupil, into planes [layer, row, col], zero where another layer is seen.
 
+    A second set of planes after these is for where each layer but the last is seen: 1 there, 0 elsewhere.
     Heights are above the plane in which the rays start, at (row0 + row, col0 + col) in pixels of the lattice; tan_row
     and tan_col say where they go as they rise. A ray's radiance is reflectance x (1 - gloss + gloss x lobe).
     """
@@ -110,6 +111,8 @@ def trace_view(
         for c in range(planes.shape[2]):
             row, col = row0 + r, col0 + c
             layer, at_wall, z = _find(heights, outlines, tops, bottoms, row, col, t_row, t_col, slope)
+            if layer < len(heights) - 1:
+                planes[len(heights) + layer, r, c] = 1
             if at_wall:
                 planes[layer, r, c] = wall
                 continue
@@ -142,8 +145,8 @@ def add_shifted(plane, row, col, weight, total):
 
 @njit(cache=True, nogil=True)
 def add_view(planes, rows, cols, weight, totals):
-    """Add a view to every frame: frame k of totals [layer, k, row, col] sees planes from (rows[k], cols[k]) on."""
-    for layer in range(len(planes)):
-        if planes[layer].max() > 0:
+    """Add a view to every frame: frame k of totals [plane, k, row, col] sees planes from (rows[k], cols[k]) on."""
+    for n in range(len(planes)):
+        if planes[n].max() > 0:
             for k in range(len(rows)):
-                add_shifted(planes[layer], rows[k], cols[k], weight, totals[layer, k])
+                add_shifted(planes[n], rows[k], cols[k], weight, totals[n, k])

@@ -117,6 +117,15 @@ class Pinhole(Optics):
         return np.array([self.lean]), np.array([0.0]), np.array([1.0])
 
 
+def test_a_rim_in_focus_is_sharp_before_a_ground_that_is_not():
+    scene = two_halves(90.3, left=0.6, right=0.1)
+    top = float(scene.truth_um[0, -1])
+    edge = light_of(scene, Optics(), np.array([top, top + 1]))[0].mean(axis=0)
+    sigma_px = np.hypot(Optics().diffraction_um / PIXEL_UM, np.sqrt(1 / 12))
+    steepest = (edge[28] - edge[38]) / (np.sqrt(2 * np.pi) * sigma_px)
+    assert np.abs(np.diff(edge)).max() == pytest.approx(steepest, rel=0.15)
+
+
 @pytest.mark.parametrize(("glossy", "alike"), [(False, True), (True, False)])
 def test_a_specular_trench_sends_each_view_something_else(glossy: bool, alike: bool):
     scene = dies(8, (40, 40), glossy=glossy, pitch_px=600, trench_px=400)

@@ -9,6 +9,7 @@ not in focus, a wall takes away a part of the aperture, and a specular surface s
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,10 @@ from wafer_viewer.model.plan import Field
 from wafer_viewer.model.stack import FieldStack
 
 TILE_PX = 320
+TRUNCATE = 3.5
+LEAST_BLUR_PX = 0.05
+LEAST_SHARE = 1e-4
+"""Of the views: a layer that fewer see is not seen."""
 _PIXEL_VARIANCE_PX = 1 / 12
 _SHIFT_VARIANCE_PX = 1 / 6
 """What bilinear shifts by all fractions of a pixel blur by."""
@@ -50,6 +55,10 @@ class Optics:
     def diffraction_um(self) -> float:
         """Sigma of the Gaussian nearest to the Airy disc."""
         return 0.21 * self.wavelength_um / self.na
+
+    def point_px(self, pixel_um: float) -> float:
+        """Sigma of diffraction and of the pixel's area, less what the shifts of the views have blurred already."""
+        return float(np.sqrt((self.diffraction_um / pixel_um) ** 2 + _PIXEL_VARIANCE_PX - _SHIFT_VARIANCE_PX))
 
     @property
     def cell_tangent(self) -> float:
@@ -92,9 +101,10 @@ def light_of(scene: TruthScene, optics: Optics, z_um: NDArray[np.float64]) -> ND
     """The light on the camera, [k, row, col], in units of a white diffuse sheet; float32."""
     n_rows, n_cols = scene.shape
     light = np.empty((len(z_um), n_rows, n_cols), np.float32)
-    for top in range(0, n_rows, TILE_PX):
-        for left in range(0, n_cols, TILE_PX):
-            bottom, right = min(n_rows, top + TILE_PX), min(n_cols, left + TILE_PX)
+    side = TILE_PX if len(scene.height_um) <= 2 else TILE_PX // 2
+    for top in range(0, n_rows, side):
+        for left in range(0, n_cols, side):
+            bottom, right = min(n_rows, top + side), min(n_cols, left + side)
             light[:, top:bottom, left:right] = _tile(scene, optics, np.asarray(z_um, float), top, left, bottom, right)
     return light
 
@@ -127,11 +137,12 @@ def stack_from(
 def _tile(
     scene: TruthScene, optics: Optics, z_um: NDArray[np.float64], top: int, left: int, bottom: int, right: int
 ) -> NDArray[np.float32]:
-    sigma_px = _blur_px(scene, optics, z_um)
-    halo = int(np.ceil(3.5 * sigma_px.max())) + 1
+    cell_px = _cell_px(scene, optics, z_um)
+    halo = int(np.ceil(TRUNCATE * (cell_px.max() + optics.point_px(scene.pixel_um)))) + 1
     n_rows, n_cols = bottom - top + 2 * halo, right - left + 2 * halo
     origin = scene.margin_px + top - halo, scene.margin_px + left - halo
-    totals = np.zeros((len(scene.height_um), len(z_um), n_rows, n_cols), np.float32)
+    n_layers = len(scene.height_um)
+    totals = np.zeros((2 * n_layers - 1, len(z_um), n_rows, n_cols), np.float32)
     plane_um = float(z_um[0] + z_um[-1]) / 2
     tops, bottoms = _extents(scene, plane_um)
     heights = scene.height_um - np.float32(plane_um)
@@ -143,14 +154,44 @@ def _tile(
         cols = (plane_um - z_um) * tan_col / scene.pixel_um
         first_row, first_col = np.floor(rows.min()) - jitter_row, np.floor(cols.min()) - jitter_col
         size = n_rows + int(rows.max() - first_row) + 2, n_cols + int(cols.max() - first_col) + 2
-        planes = np.empty((len(heights), *size), np.float32)
+        planes = np.empty((len(totals), *size), np.float32)
         trace_view(
             heights, scene.outline_um, scene.reflectance, scene.gloss, scene.lean_rows, scene.lean_cols, tops, bottoms,
             scene.wall_reflectance, scene.pixel_um, origin[0] + first_row, origin[1] + first_col, tan_row, tan_col,
             optics.lobe, lobe_gain, planes,
         )  # fmt: skip
         add_view(planes, rows - first_row, cols - first_col, weight, totals)
-    return _blurred(totals, sigma_px)[:, halo : n_rows - halo, halo : n_cols - halo]
+    frames = _without_ghosts(totals[:n_layers], totals[n_layers:], cell_px)
+    point_px = optics.point_px(scene.pixel_um)
+    light = np.stack([gaussian_filter(frame, point_px, truncate=TRUNCATE) for frame in frames])
+    return light[:, halo : n_rows - halo, halo : n_cols - halo]
+
+
+def _without_ghosts(
+    light: NDArray[np.float32], shares: NDArray[np.float32], cell_px: NDArray[np.float64]
+) -> Iterator[NDArray[np.float32]]:
+    """Frames in which each view stands for its part of the pupil, not for a point of it.
+
+    light: [layer, k, row, col]; shares: of the views that see a layer, [layer but the last, k, row, col]; cell_px: what
+    a view's part of the pupil blurs a layer by, [layer, k]. The light of a layer, per view that sees it, is blurred by
+    its own distance, and where one layer hides another by the distance of the layer that hides: a rim in focus is sharp
+    before a ground that is not.
+    """
+    for k in range(light.shape[1]):
+        if len(light) == 1:
+            yield _blurred(light[0, k], cell_px[0, k])
+            continue
+        last = 1 - shares[:, k].sum(axis=0)
+        total = np.zeros_like(last)
+        for layer, share in enumerate((*shares[:, k], last)):
+            seen = _blurred(share, cell_px[layer, k])
+            brightness = _blurred(light[layer, k], cell_px[layer, k]) / np.maximum(seen, LEAST_SHARE)
+            total += brightness * _blurred(share, cell_px[1:, k].min())
+        yield total
+
+
+def _blurred(frame: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    return gaussian_filter(frame, sigma_px, truncate=TRUNCATE) if sigma_px > LEAST_BLUR_PX else frame
 
 
 def _extents(scene: TruthScene, plane_um: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -167,20 +208,11 @@ def _lobe_gain(optics: Optics) -> float:
     return float(1 / np.sum(weight * np.exp(-(tan_row**2 + tan_col**2) / (2 * optics.lobe**2))))
 
 
-def _blur_px(scene: TruthScene, optics: Optics, z_um: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sigma [layer, k] of diffraction, of the pixel's area, and of the part of the pupil that one view stands for.
+def _cell_px(scene: TruthScene, optics: Optics, z_um: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sigma [layer, k] of the part of the pupil that one view stands for: it goes with the distance to the layer.
 
-    The last goes with the distance to the layer; without it two hundred sharp ghosts of the layer would be seen.
+    Without it two hundred sharp ghosts of the layer would be seen.
     """
     tops, bottoms = _extents(scene, 0.0)
     away_um = np.maximum(0, np.maximum(bottoms[:, None] - z_um, z_um - tops[:, None]))
-    optical = (optics.diffraction_um**2 + (optics.cell_tangent * away_um) ** 2) / scene.pixel_um**2
-    return np.sqrt(optical + _PIXEL_VARIANCE_PX - _SHIFT_VARIANCE_PX)
-
-
-def _blurred(totals: NDArray[np.float32], sigma_px: NDArray[np.float64]) -> NDArray[np.float32]:
-    light = np.zeros(totals.shape[1:], np.float32)
-    for layer, frames in enumerate(totals):
-        for k, frame in enumerate(frames):
-            light[k] += gaussian_filter(frame, sigma_px[layer, k], truncate=3.5)
-    return light
+    return optics.cell_tangent * away_um / scene.pixel_um
