@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 
 from wafer_viewer.reconstruct.camera_noise import CameraNoise, estimate_camera_noise
-from wafer_viewer.reconstruct.log_laplacian import LogRows, Stabiliser, log_laplacian_block, log_margin_px
+from wafer_viewer.reconstruct.log_laplacian import LogRows, Stabiliser, log_laplacian_block
 from wafer_viewer.reconstruct.prepare import Frames
-from wafer_viewer.reconstruct.silhouette import SILHOUETTE_MARGIN_PX, SilhouetteRows, half_size, silhouette_block
+from wafer_viewer.reconstruct.silhouette import SilhouetteRows, half_size, silhouette_block
+from wafer_viewer.reconstruct.volume import Source, Volume
 
 ROWS, COLS, FRAMES, RUNS = 1080, 1440, 16, 12
 CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
@@ -37,25 +38,27 @@ def main() -> None:
 
 
 def measure_ms(window: int, stripe: int, lag: int, dtype: type, runs: int = RUNS) -> float:
-    margin = log_margin_px(window)
-    shape = stripe + 2 * margin, COLS + 2 * margin
-    block = np.random.default_rng(1).integers(0, 256, (FRAMES, *shape)).astype(dtype)
-    levels = np.empty((FRAMES, stripe, COLS), np.uint16)
+    source = a_stripe(dtype)
+    levels, coarse = np.empty((FRAMES, stripe, COLS), np.uint16), np.empty((FRAMES, stripe // 4, COLS // 4), np.uint16)
     best, peak, clipped = (np.empty((stripe, COLS), np.uint16) for _ in range(3))
-    rows, stabiliser = LogRows.make(COLS, window), Stabiliser.of(CAMERA)
-
-    def once() -> None:
-        log_laplacian_block(block, window, stabiliser, lag, 250, rows, levels, best, peak, clipped)
-
+    volume = Volume(levels, best, peak, clipped, coarse)
+    rows, stabiliser = LogRows.make(COLS, window, np.dtype(dtype)), Stabiliser.of(CAMERA)
+    once = partial(log_laplacian_block, source, window, stabiliser, lag, rows, volume)
     return least_s(once, runs) * 1000 / FRAMES * ROWS / stripe
 
 
 def silhouette_ms(stripe: int, every: int) -> float:
-    margin = SILHOUETTE_MARGIN_PX
-    block = np.random.default_rng(1).integers(0, 256, (FRAMES, stripe + 2 * margin, COLS + 2 * margin), np.uint8)
-    contrast, rows = np.zeros((half_size(stripe), half_size(COLS)), np.float32), SilhouetteRows.make(COLS)
-    once = partial(silhouette_block, block, margin, every, 6.0, rows, contrast)
+    contrast, rows = (
+        np.zeros((half_size(stripe), half_size(COLS)), np.float32),
+        SilhouetteRows.make(COLS, np.dtype(np.uint8)),
+    )
+    once = partial(silhouette_block, a_stripe(np.uint8), every, 6.0, rows, contrast)
     return least_s(once, RUNS) * 1000 / FRAMES * ROWS / stripe
+
+
+def a_stripe(dtype: type) -> Source:
+    images = np.random.default_rng(1).integers(0, 256, (FRAMES, 200, COLS)).astype(dtype)
+    return Source.of(images, np.arange(FRAMES), 40, 0, 250)
 
 
 def camera_noise_ms() -> float:

@@ -20,6 +20,7 @@ from wafer_viewer.reconstruct.log_laplacian import (
     log_laplacian_block,
     log_margin_px,
 )
+from wafer_viewer.reconstruct.volume import Source, Volume
 
 DTYPES = [np.uint8, np.uint16]
 _CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
@@ -52,16 +53,19 @@ def by_definition(image: NDArray, window: int) -> NDArray:
 
 def by_kernel(
     images: NDArray, window: int, camera: CameraNoise = _CAMERA, lag: int = 0, clipped_counts: int = 250
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Log focus [k, row, col], best level, best frame and clipped count, without the margin."""
+) -> tuple[NDArray, Volume]:
+    """Log focus [k, row, col] without the margin, and the volume it is from."""
     margin = log_margin_px(window)
     k, n_rows, n_cols = images.shape
     shape = n_rows - 2 * margin, n_cols - 2 * margin
-    levels = np.empty((k, *shape), np.uint16)
+    levels, coarse = np.empty((k, *shape), np.uint16), np.empty((0, 1, 1), np.uint16)
     best, peak, clipped = (np.empty(shape, np.uint16) for _ in range(3))
-    rows = LogRows.make(shape[1], window)
-    log_laplacian_block(images, window, Stabiliser.of(camera), lag, clipped_counts, rows, levels, best, peak, clipped)
-    return levels / 2.0**LEVEL_BITS - LEVEL_OFFSET, best, peak, clipped
+    volume = Volume(levels, best, peak, clipped, coarse)
+    source = Source.of(images, np.arange(k), margin, margin, clipped_counts)
+    log_laplacian_block(
+        source, window, Stabiliser.of(camera), lag, LogRows.make(shape[1], window, images.dtype), volume
+    )
+    return levels / 2.0**LEVEL_BITS - LEVEL_OFFSET, volume
 
 
 def random_stack(shape: tuple[int, ...], dtype: type, seed: int) -> NDArray:
@@ -95,8 +99,8 @@ def test_noise_of_a_camera_has_the_energy_that_is_added() -> None:
 def test_the_sharpest_frame_is_that_of_a_float64_focus_volume(plane_stack: FieldStack) -> None:
     images = plane_stack.images
     volume = np.stack([by_definition(v, 9) for v in stabilised(images, _CAMERA)])
-    _, _, peak, _ = by_kernel(images, 9)
-    assert (peak == volume.argmax(axis=0)).mean() > 0.999
+    _, found = by_kernel(images, 9)
+    assert (found.peak == volume.argmax(axis=0)).mean() > 0.999
 
 
 @pytest.mark.parametrize("window", [3, 9, 13, 15, 25])
@@ -105,18 +109,18 @@ def test_neither_the_hardest_contrast_nor_the_least_noise_overflows(window: int)
     rows, cols = np.indices((side, side))
     image = ((rows // 2 + cols // 2) % 2 * 65535).astype(np.uint16)
     noiseless = CameraNoise(gain_counts=1e-6, floor_counts2=1 / 12)
-    log, best, _, _ = by_kernel(np.stack([image, image // 2]), window, noiseless)
+    log, volume = by_kernel(np.stack([image, image // 2]), window, noiseless)
     assert (log > 28).all()
-    np.testing.assert_array_equal(best, (log.max(axis=0) + LEVEL_OFFSET) * 2**LEVEL_BITS)
+    np.testing.assert_array_equal(volume.best, (log.max(axis=0) + LEVEL_OFFSET) * 2**LEVEL_BITS)
 
 
 def test_best_level_frame_and_clipped_count_go_with_the_levels() -> None:
     images = random_stack((7, 40, 45), np.uint8, seed=3)
-    log, best, peak, clipped = by_kernel(images, 5, clipped_counts=240)
+    log, volume = by_kernel(images, 5, clipped_counts=240)
     margin = log_margin_px(5)
-    np.testing.assert_array_equal(peak, log.argmax(axis=0))
-    np.testing.assert_array_equal(best / 2.0**LEVEL_BITS - LEVEL_OFFSET, log.max(axis=0))
-    np.testing.assert_array_equal(clipped, (images >= 240).sum(axis=0)[margin:-margin, margin:-margin])
+    np.testing.assert_array_equal(volume.peak, log.argmax(axis=0))
+    np.testing.assert_array_equal(volume.best / 2.0**LEVEL_BITS - LEVEL_OFFSET, log.max(axis=0))
+    np.testing.assert_array_equal(volume.clipped, (images >= 240).sum(axis=0)[margin:-margin, margin:-margin])
 
 
 def test_what_changes_slowly_along_z_does_not_pass_the_high_pass() -> None:

@@ -10,20 +10,21 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from wafer_viewer.reconstruct.silhouette import (
-    SILHOUETTE_MARGIN_PX,
     SilhouetteRows,
     half_size,
     silhouette_block,
 )
+from wafer_viewer.reconstruct.volume import Source
 
 DARK_COUNTS = 6.0
 
 
-def by_kernel(images: NDArray, every: int = 1, margin: int = SILHOUETTE_MARGIN_PX) -> NDArray:
-    """The map of images whose border pixels repeat beyond the border."""
-    block = np.pad(images, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
-    contrast = np.zeros((half_size(images.shape[1]), half_size(images.shape[2])), np.float32)
-    silhouette_block(block, margin, every, DARK_COUNTS, SilhouetteRows.make(images.shape[2]), contrast)
+def by_kernel(images: NDArray, every: int = 1, top: int = 0, bottom: int | None = None) -> NDArray:
+    """The map of some of the rows of images; beyond their border the border pixels repeat."""
+    k, n_rows, n_cols = images.shape
+    contrast = np.zeros((half_size((bottom or n_rows) - top), half_size(n_cols)), np.float32)
+    source = Source.of(images, np.arange(k), top, 0, 250)
+    silhouette_block(source, every, DARK_COUNTS, SilhouetteRows.make(n_cols, images.dtype), contrast)
     return contrast
 
 
@@ -44,23 +45,19 @@ def by_definition(images: NDArray) -> NDArray:
     rows=st.integers(1, 30),
     cols=st.integers(1, 45),
     dtype=st.sampled_from([np.uint8, np.uint16]),
-    margin=st.integers(7, 12),
     every=st.integers(1, 3),
 )
-def test_the_map_is_its_definition(rows: int, cols: int, dtype: type, margin: int, every: int) -> None:
+def test_the_map_is_its_definition(rows: int, cols: int, dtype: type, every: int) -> None:
     rng = np.random.default_rng(rows * 100 + cols)
     images = (rng.random((4, rows, cols)) ** 3 * np.iinfo(dtype).max).astype(dtype)
-    np.testing.assert_allclose(by_kernel(images, every, margin), by_definition(images[::every]), atol=3e-4)
+    np.testing.assert_allclose(by_kernel(images, every), by_definition(images[::every]), atol=3e-4)
 
 
 def test_stripes_fit_together() -> None:
     images = np.random.default_rng(2).integers(0, 256, (3, 50, 40), np.uint8)
-    whole, margin = by_kernel(images), SILHOUETTE_MARGIN_PX
-    block = np.pad(images, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
+    whole = by_kernel(images)
     for top, bottom in ((0, 18), (18, 50)):
-        part = np.zeros((half_size(bottom - top), 20), np.float32)
-        stripe = np.ascontiguousarray(block[:, top : bottom + 2 * margin])
-        silhouette_block(stripe, margin, 1, DARK_COUNTS, SilhouetteRows.make(40), part)
+        part = by_kernel(images, 1, top, bottom)
         np.testing.assert_array_equal(part, whole[top // 2 : half_size(bottom)])
 
 

@@ -28,10 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import bare_kernel
 from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
 
 LEVEL_BITS = 11
 """Bits of a level that follow the whole part of the logarithm."""
@@ -46,7 +47,7 @@ _TAPS_PX = 3
 _TAIL_PX = 64
 _UNIT_OF_L = 1 / 48
 _MOST_ENERGY = 2.0**29
-_HIGH_PASS = (math.sqrt(2 / 3), -math.sqrt(1 / 6), -math.sqrt(1 / 6))
+_HIGH_PASS = math.sqrt(2 / 3)
 _HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
 
 
@@ -69,6 +70,7 @@ class LogRows(NamedTuple):
     into: columns beyond the block hold nothing of use.
     """
 
+    grey: Greys
     stable: Float32s
     wide: Float32s
     narrow: Float32s
@@ -82,14 +84,15 @@ class LogRows(NamedTuple):
     more: Int32s
 
     @classmethod
-    def make(cls, cols: int, window: int) -> LogRows:
+    def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> LogRows:
         """Rows for blocks `cols` wide."""
         wide = cols + 2 * log_margin_px(window)
 
-        def rows(count: int, kind: type) -> NDArray[Any]:
-            return _aligned_rows(count, -(-wide // _TAIL_PX) * _TAIL_PX + _TAIL_PX, kind)
+        def rows(count: int, kind: Any) -> NDArray[Any]:
+            return aligned((count, -(-wide // _TAIL_PX) * _TAIL_PX + _TAIL_PX), kind)
 
         return cls(
+            grey=rows(3, dtype),
             stable=rows(5, np.float32),
             wide=rows(1, np.float32)[0],
             narrow=rows(1, np.float32)[0],
@@ -104,14 +107,6 @@ class LogRows(NamedTuple):
         )
 
 
-def _aligned_rows(count: int, width: int, kind: type) -> NDArray[Any]:
-    """Zeros [count, width] from a multiple of 64 bytes on."""
-    n_bytes = count * width * np.dtype(kind).itemsize
-    room = np.zeros(n_bytes + 64, np.uint8)
-    start = -room.ctypes.data % 64
-    return room[start : start + n_bytes].view(kind).reshape(count, width)
-
-
 def log_margin_px(window: int) -> int:
     """How far a block must reach beyond the pixels it is for: the triangle, and three pixels for L and its mean."""
     return window - 1 + _TAPS_PX
@@ -119,46 +114,37 @@ def log_margin_px(window: int) -> int:
 
 @bare_kernel
 def log_laplacian_block(
-    block: Greys,
-    window: Whole,
-    stabiliser: Stabiliser,
-    lag: Whole,
-    clipped_counts: Whole,
-    rows: LogRows,
-    levels: UInt16s,
-    best: UInt16s,
-    peak: UInt16s,
-    clipped: UInt16s,
+    source: Source, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
 ) -> None:
-    """Focus volume, best level, best frame and number of clipped frames of a block.
+    """The volume of a block of frames.
 
-    block: [k, row + 2 margin, col + 2 margin]; levels: [k, row, col]; best, peak, clipped: [row, col].
     lag: 0, or frames to the two that are subtracted from each: a high-pass along z, which takes out the light that
     bleeds from far and changes slowly; at most (k - 1) / 2, so that one of the two exists at the ends.
     """
-    best[:] = 0
-    peak[:] = 0
-    clipped[:] = 0
+    empty(volume)
     margin = window - 1 + _TAPS_PX
+    n_rows = volume.best.shape[0]
     unit = _ring_unit(window)
     scale = np.float32((1 << LEVEL_BITS) / (np.float64(unit) * window**4))
-    for k in range(block.shape[0]):
+    for k in range(volume.levels.shape[0]):
         _begin(rows)
-        for r in range(best.shape[0] + 2 * margin):
-            _stabilise(block, k, r, lag, stabiliser, rows.stable[r % 5])
-            if r < 4:
-                continue
-            _energy_row(rows, r)
-            if r < 6:
-                continue
-            _enter(
-                rows.columns, unit, rows.ring[(r - 6) % (2 * window)], rows.ring[(r - 6 + window) % (2 * window)], rows
-            )
-            y = r - 2 * margin
-            if y >= 0:
-                _across(window, scale, rows, levels[k, y])
-                _note(levels[k, y], np.uint16(k), best[y], peak[y])
-                _count_clipped(block[k, y + margin, margin:], clipped_counts, clipped[y])
+        for r in range(n_rows + 2 * margin):
+            _stabilise(source, volume, k, r - margin, margin, lag, stabiliser, rows, rows.stable[r % 5])
+            if margin <= r < n_rows + margin:
+                count_clipped(rows.grey[0, margin:], source.clipped_counts, volume.clipped[r - margin])
+            if r >= 4:
+                _energy_row(rows, r)
+            if r >= 6:
+                _enter(
+                    rows.columns,
+                    unit,
+                    rows.ring[(r - 6) % (2 * window)],
+                    rows.ring[(r - 6 + window) % (2 * window)],
+                    rows,
+                )
+            if r >= 2 * margin:
+                _across(window, scale, rows, volume.levels[k, r - 2 * margin])
+                keep_row(volume, k, r - 2 * margin)
 
 
 @bare_kernel
@@ -178,23 +164,34 @@ def _begin(rows: LogRows) -> None:
 
 
 @bare_kernel
-def _stabilise(block: Greys, k: Whole, r: Whole, lag: Whole, stabiliser: Stabiliser, stable: Float32s) -> None:
-    """Grey in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
-    scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), block.shape[0] - 1
+def _stabilise(
+    source: Source,
+    volume: Volume,
+    k: Whole,
+    y: Whole,
+    margin: Whole,
+    lag: Whole,
+    stabiliser: Stabiliser,
+    rows: LogRows,
+    stable: Float32s,
+) -> None:
+    """Row y in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
+    scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), volume.levels.shape[0] - 1
+    grey, cols = rows.grey, volume.best.shape[1]
+    take_grey(source, k, y, margin, cols, grey[0])
     if lag == 0:
-        _root(block[k, r], scale, offset, stable)
-    elif k - lag < 0 or k + lag > last:
-        other = k + lag if k - lag < 0 else k - lag
-        side = np.float32(_HIGH_PASS_AT_AN_END)
-        _roots(block[k, r], block[other, r], block[other, r], side, np.float32(-0.5) * side, scale, offset, stable)
-    else:
-        here, side = np.float32(_HIGH_PASS[0]), np.float32(_HIGH_PASS[1])
-        _roots(block[k, r], block[k - lag, r], block[k + lag, r], here, side, scale, offset, stable)
+        _root(grey[0], scale, offset, stable)
+        return
+    at_an_end = k - lag < 0 or k + lag > last
+    here = np.float32(_HIGH_PASS_AT_AN_END if at_an_end else _HIGH_PASS)
+    take_grey(source, k - lag if k >= lag else k + lag, y, margin, cols, grey[1])
+    take_grey(source, k + lag if k + lag <= last else k - lag, y, margin, cols, grey[2])
+    _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
 
 
 @bare_kernel
 def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
-    for x in range(grey.size):
+    for x in range(stable.size - _TAIL_PX):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
 
 
@@ -202,7 +199,7 @@ def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
 def _roots(
     grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
 ) -> None:
-    for x in range(grey.size):
+    for x in range(stable.size - _TAIL_PX):
         v = np.sqrt(np.float32(grey[x]) * scale + offset)
         a = np.sqrt(np.float32(before[x]) * scale + offset)
         b = np.sqrt(np.float32(after[x]) * scale + offset)
@@ -333,18 +330,3 @@ def _pairs(values: Int32s, distance: Whole, out: Int32s) -> None:
     ahead = values[distance:]
     for x in range(out.size - _TAIL_PX):
         out[x] = i(values[x] + ahead[x])
-
-
-@bare_kernel
-def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
-    for x in range(level.size):
-        q, old, at = level[x], best[x], peak[x]
-        best[x] = q if q > old else old
-        peak[x] = k if q > old else at
-
-
-@bare_kernel
-def _count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
-    limit = np.int32(clipped_counts)
-    for x in range(clipped.size):
-        clipped[x] += np.uint16(np.int32(grey[x]) >= limit)

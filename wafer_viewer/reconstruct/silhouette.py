@@ -8,16 +8,17 @@ a row or a column, in any frame. At half the resolution: pixel (i, j) of D stand
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, Whole
 from wafer_viewer.numerics.jit import bare_kernel
 from wafer_viewer.numerics.logarithm import quick_log2
+from wafer_viewer.reconstruct.volume import Source, take_grey
 
-SILHOUETTE_MARGIN_PX = 7
-"""How far a block must reach beyond the pixels it is for."""
+SILHOUETTE_MARGIN_PX = 6
+"""How far the map looks beyond the pixels it is for."""
 
 DARK_SHARE_OF_WHITE = 6 / 255
 """What is added to the grey, as a share of white: below it differences are noise."""
@@ -30,16 +31,18 @@ _LN_2 = np.float32(math.log(2))
 class SilhouetteRows(NamedTuple):
     """The half-resolution rows that the kernel works in, one set for each thread."""
 
+    grey: Greys
     pairs: Int32s
     bins: Int32s
     columns: Int32s
     log: Float32s
 
     @classmethod
-    def make(cls, cols: int) -> SilhouetteRows:
+    def make(cls, cols: int, dtype: np.dtype[Any]) -> SilhouetteRows:
         """Rows for blocks `cols` wide."""
         half = half_size(cols) + 2 * _REACH
         return cls(
+            grey=np.zeros((2, 2 * half + 4), dtype),
             pairs=np.zeros(2 * half + 4, np.int32),
             bins=np.zeros((3, half + 2), np.int32),
             columns=np.zeros(half + 2, np.int32),
@@ -53,22 +56,20 @@ def half_size(pixels: int) -> int:
 
 
 @bare_kernel
-def silhouette_block(
-    block: Greys, margin: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, contrast: Float32s
-) -> None:
-    """Raise `contrast` [row / 2, col / 2] to the D of every so-manieth frame of a block.
+def silhouette_block(source: Source, every: Whole, dark_counts: Real, rows: SilhouetteRows, contrast: Float32s) -> None:
+    """Raise `contrast` [row / 2, col / 2] to the D of a block; every: 1 for all frames, 2 for half of them.
 
-    block: [k, row + 2 margin, col + 2 margin], the margin at least 7; contrast: natural logarithms, 0 to begin with.
-    The first of the rows must be an even one of the field, so that the maps of stripes fit together.
+    contrast: natural logarithms, 0 to begin with. The block must begin at an even row and column of the field, so that
+    the maps of blocks fit together.
     """
-    start = margin - 2 * (_REACH + 1)
-    for k in range(0, block.shape[0], every):
-        for r in range(contrast.shape[0] + 2 * (_REACH + 1)):
-            top = start + 2 * r
-            _bin(block[k, top, start:], block[k, top + 1, start:], rows.pairs, rows.bins[r % 3])
-            if r < 2:
-                continue
-            _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
+    margin, cols = SILHOUETTE_MARGIN_PX, 2 * contrast.shape[1]
+    for k in range(0, source.slots.size, every):
+        for r in range(contrast.shape[0] + margin):
+            take_grey(source, k, 2 * r - margin, margin, cols, rows.grey[0])
+            take_grey(source, k, 2 * r - margin + 1, margin, cols, rows.grey[1])
+            _bin(rows.grey[0], rows.grey[1], rows.pairs, rows.bins[r % 3])
+            if r >= 2:
+                _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
             if r >= 6:
                 _contrast_row(rows.log, r, contrast[r - 6])
 
