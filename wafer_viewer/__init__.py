@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.profile import profile
+    from wafer_viewer.measure.quality import Quality, compare_with_truth
     from wafer_viewer.measure.step import step_height
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.errors import WaferViewerError
@@ -49,6 +50,7 @@ _HOMES = {
     "Origin": "model.surface",
     "Profile": "model.findings",
     "ProfileCurve": "model.findings",
+    "Quality": "measure.quality",
     "Recipe": "model.recipe",
     "Region": "model.region",
     "RigConfig": "rigs.config",
@@ -57,6 +59,7 @@ _HOMES = {
     "Session": "session.session",
     "StepHeight": "model.findings",
     "WaferViewerError": "model.errors",
+    "compare_with_truth": "measure.quality",
     "export": "store.exporters",
     "focus_curve": "reconstruct.why",
     "import_dataset": "store.importers",
@@ -84,6 +87,7 @@ __all__ = [
     "Origin",
     "Profile",
     "ProfileCurve",
+    "Quality",
     "Recipe",
     "Region",
     "RigConfig",
@@ -93,6 +97,7 @@ __all__ = [
     "StepHeight",
     "WaferViewerError",
     "__version__",
+    "compare_with_truth",
     "export",
     "focus_curve",
     "import_dataset",
