@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from wafer_viewer.model.recipe import Noise, Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct.camera_noise import QUANTISATION_COUNTS2, CameraNoise, estimate_camera_noise
+from wafer_viewer.reconstruct.field import settled_recipe
 from wafer_viewer.reconstruct.prepare import prepare
 
 from .conftest import a_field
@@ -90,3 +92,11 @@ def test_a_stack_without_noise_gets_the_rounding_of_its_counts() -> None:
     noise = noise_of(images.astype(np.uint8))
     assert noise.floor_counts2 == pytest.approx(QUANTISATION_COUNTS2, rel=0.01)
     assert noise.gain_counts < 255 / 500_000
+
+
+def test_what_the_stack_says_is_written_into_the_recipe_and_what_is_given_stays(plane_stack: FieldStack) -> None:
+    found = noise_of(plane_stack.images)
+    settled = settled_recipe(plane_stack).noise
+    assert settled == Noise(gain_counts=found.gain_counts, floor_counts2=found.floor_counts2)
+    given = settled_recipe(plane_stack, Recipe(noise=Noise(gain_counts=0.5))).noise
+    assert given == Noise(gain_counts=0.5, floor_counts2=found.floor_counts2)

@@ -50,6 +50,14 @@ class Fill(Spec, frozen=True, kw_only=True):
     max_gap_px: Annotated[int, Within(1, 10000)] = 9
 
 
+class Noise(Spec, frozen=True, kw_only=True):
+    """The camera's noise: the variance of a grey is gain_counts x grey + floor_counts2; ``auto`` asks the stack."""
+
+    error: ClassVar[type[WaferViewerError]] = ComputeError
+    gain_counts: Positive | Auto = "auto"
+    floor_counts2: Positive | Auto = "auto"
+
+
 class Stitching(Spec, frozen=True, kw_only=True):
     """How fields become one surface: where they are placed and how overlaps are blended."""
 
@@ -73,6 +81,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
     focus_width_um: Positive | Auto = "auto"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
     clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
+    noise: Noise = Noise()
     levy: Levy = Levy()
     outliers: Outliers = Outliers()
     fill: Fill = Fill()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.recipe import Noise
 from wafer_viewer.numerics.arrays import Greys
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 
@@ -75,6 +76,16 @@ def estimate_camera_noise(frames: Frames) -> CameraNoise:
     if not grey.size:
         return CameraNoise(_white(frames) / _USUAL_ELECTRONS, least.floor_counts2)
     return _line(grey, variance, weight, least)
+
+
+def settled_noise(frames: Frames, noise: Noise) -> Noise:
+    """A recipe's noise with every `auto` replaced by what the stack says."""
+    if "auto" not in (noise.gain_counts, noise.floor_counts2):
+        return noise
+    found = estimate_camera_noise(frames)
+    gain = found.gain_counts if noise.gain_counts == "auto" else noise.gain_counts
+    floor = found.floor_counts2 if noise.floor_counts2 == "auto" else noise.floor_counts2
+    return Noise(gain_counts=gain, floor_counts2=floor)
 
 
 def _sample(frames: Frames) -> Greys:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.camera_noise import settled_noise
 from wafer_viewer.reconstruct.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus import mantissa_bits
 from wafer_viewer.reconstruct.gate import auto_min_confidence, gate_of, origins
@@ -48,6 +49,7 @@ class Settled:
 
 def settle(frames: Frames, recipe: Recipe) -> Settled:
     """Replace every `auto` of a recipe by what the data say."""
+    recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     width_um = focus_width_um(frames, recipe) if recipe.focus_width_um == "auto" else recipe.focus_width_um
     width = width_um / frames.step_um
     probe = _search(frames, recipe, _PROBE_WINDOW, width)
