@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from wafer_viewer.numerics.spline import fill_rows
+from wafer_viewer.numerics.spline import fill_gaps, fill_rows
 
 
 @settings(max_examples=40, deadline=None)
@@ -21,8 +21,7 @@ def test_gaps_take_the_values_of_a_natural_cubic_spline(seed: int, share: float)
         return
     inside = np.arange(known[0], known[-1] + 1)
     expected = CubicSpline(known, z[0, known].astype(float), bc_type="natural")(inside)
-    filled = z.copy()
-    fill_rows(filled, 60, np.inf)
+    filled = fill_rows(z, 60, np.inf)
     np.testing.assert_allclose(filled[0, inside], expected, atol=1e-4)
     assert np.isnan(filled[0, : known[0]]).all()
     assert np.isnan(filled[0, known[-1] + 1 :]).all()
@@ -40,8 +39,7 @@ def test_only_gaps_up_to_the_limit_are_filled(seed: int, max_gap: int) -> None:
         row[at : at + wide] = np.nan
         gaps.append((at, wide))
         at += wide + int(rng.integers(1, 6))
-    z = row[None].copy()
-    fill_rows(z, max_gap, 1.0)
+    z = fill_rows(row[None], max_gap, 1.0)
     for at, wide in gaps:
         assert np.isfinite(z[0, at : at + wide]).all() == (wide <= max_gap and at + wide < 120)
 
@@ -49,6 +47,32 @@ def test_only_gaps_up_to_the_limit_are_filled(seed: int, max_gap: int) -> None:
 def test_empty_and_single_rows_are_left_alone() -> None:
     z = np.full((3, 10), np.nan, np.float32)
     z[1, 4] = 2
-    before = z.copy()
-    fill_rows(z, 9, 1.0)
-    np.testing.assert_array_equal(z, before)
+    np.testing.assert_array_equal(fill_rows(z, 9, 1.0), z)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 500), at=st.integers(5, 25), step=st.sampled_from([-40.0, 7.0, 300.0]))
+def test_no_run_crosses_a_step_and_each_side_is_filled_by_itself(seed: int, at: int, step: float) -> None:
+    rng = np.random.default_rng(seed)
+    z = rng.normal(0, 0.5, (1, 30)).astype(np.float32)
+    z[0, rng.random(30) < 0.3] = np.nan
+    stepped = z.copy()
+    stepped[0, at:] += np.float32(step)
+    sides = [fill_rows(np.ascontiguousarray(part), 9, 5.0) for part in (stepped[:, :at], stepped[:, at:])]
+    np.testing.assert_allclose(fill_rows(stepped, 9, 5.0), np.concatenate(sides, axis=1), rtol=1e-5)
+
+
+def test_rows_and_columns_count_alike() -> None:
+    rng = np.random.default_rng(1)
+    z = rng.normal(0, 1, (40, 50)).astype(np.float32)
+    z[rng.random(z.shape) < 0.4] = np.nan
+    filled = fill_gaps(z, 6, np.inf)
+    np.testing.assert_allclose(filled, fill_gaps(z.T, 6, np.inf).T, rtol=1e-6)
+    np.testing.assert_array_equal(filled[np.isfinite(z)], z[np.isfinite(z)])
+
+
+def test_a_gap_too_long_both_ways_stays_even_where_its_corners_are_short() -> None:
+    rows, cols = np.indices((40, 40)) - 20
+    disc = np.hypot(rows, cols) < 9
+    filled = fill_gaps(np.where(disc, np.nan, 0).astype(np.float32), 9, 1.0)
+    assert np.isnan(filled[disc & (np.abs(rows) < 5) & (np.abs(cols) < 5)]).all()

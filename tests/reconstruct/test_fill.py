@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Fill
@@ -63,3 +64,37 @@ def test_no_filling_is_a_choice() -> None:
     holed = _wave()
     holed[5, 5] = np.nan
     assert np.isnan(fill(holed, Fill(mode="none"), 4.0)[5, 5])
+
+
+def _halves(seed: int) -> NDArray[np.float32]:
+    """Noise with a hole at each border, in each corner and in the middle."""
+    z = np.random.default_rng(seed).normal(0, 0.1, (60, 70)).astype(np.float32)
+    for rows, cols in ((0, 30), (56, 30), (25, 0), (25, 66), (0, 0), (56, 66), (30, 30)):
+        z[rows : rows + 4, cols : cols + 4] = np.nan
+    return z
+
+
+@pytest.mark.parametrize("mode", ["small_gaps", "all"])
+def test_nothing_is_made_up_beyond_what_is_measured_on_both_sides(mode: str) -> None:
+    filled = fill(_halves(1), Fill(mode=mode), 4.0)
+    corners = filled[[0, 0, -1, -1], [0, 3, -1, -4]]
+    assert np.isnan(corners).all()
+    assert np.isfinite(filled[30:34, 30:34]).all()
+    assert np.isfinite(filled[0:4, 30:34]).all()
+    assert np.nanmax(np.abs(filled)) < 1.0
+
+
+def test_the_paper_s_way_fills_whatever_has_measured_sides_and_leaves_the_rest() -> None:
+    z = np.full((40, 50), np.nan, np.float32)
+    z[10:30:19, 5:45] = 7.0
+    filled = fill(z, Fill(mode="all"), 4.0)
+    inside = np.zeros(z.shape, bool)
+    inside[10:30, 5:45] = True
+    np.testing.assert_array_equal(np.isfinite(filled), inside)
+    np.testing.assert_allclose(filled[inside], 7.0)
+
+
+def test_filling_rows_first_is_not_seen_in_the_result() -> None:
+    holed = _wave()
+    holed[np.random.default_rng(2).random(holed.shape) < 0.3] = np.nan
+    np.testing.assert_allclose(fill(holed, Fill(), 4.0), fill(holed.T, Fill(), 4.0).T, rtol=1e-5)

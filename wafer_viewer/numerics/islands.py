@@ -8,79 +8,72 @@ from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 
-@kernel
 def small_islands(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
     """Which finite pixels are in a piece of fewer than `min_pixels`; bool [row, col].
 
-    Two of four neighbours are joined when they differ by at most `max_step`; union-find with path halving.
+    Two of four neighbours are joined when they differ by at most `max_step`.
+    """
+    root = np.arange(z.size, dtype=np.int32)
+    _join_alike(z, np.float32(max_step), root)
+    size = np.bincount(root, minlength=z.size)
+    return np.isfinite(z) & (size[root] < min_pixels).reshape(z.shape)
+
+
+def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
+    """Which finite pixels lie in no square of side x side finite pixels that are joined throughout; bool [row, col].
+
+    Beyond the border the map goes on as it ends: what the border cuts is not narrow for that.
+    """
+    wider = np.pad(z, side, mode="edge")
+    covered = np.zeros(wider.shape, np.bool_)
+    _cover(wider, np.float32(max_step), side, np.zeros((2, wider.shape[1]), np.int32), covered)
+    return np.isfinite(z) & ~covered[side:-side, side:-side]
+
+
+@kernel
+def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
+    """Union-find with path halving; a root is the first pixel of its piece, so that a last sweep needs no search."""
+    n_cols = z.shape[1]
+    for r in range(z.shape[0]):
+        for c in range(n_cols):
+            for back in range(2):
+                r2, c2 = r - back, c - 1 + back
+                if r2 >= 0 and c2 >= 0 and abs(z[r, c] - z[r2, c2]) <= max_step:
+                    a, b = r * n_cols + c, r2 * n_cols + c2
+                    while root[a] != a:
+                        root[a] = root[root[a]]
+                        a = root[a]
+                    while root[b] != b:
+                        root[b] = root[root[b]]
+                        b = root[b]
+                    root[max(a, b)] = min(a, b)
+    for n in range(root.size):
+        root[n] = root[root[n]]
+
+
+@kernel
+def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: Bools) -> None:
+    """Mark what the joined squares cover: from their lower right pixels leftward, then upward.
+
+    squares: the side of the largest joined square whose lower right pixel is each pixel of the row.
     """
     n_rows, n_cols = z.shape
-    root = np.arange(z.size).astype(np.int32)
     for r in range(n_rows):
+        above, squares = scratch[(r + 1) % 2], scratch[r % 2]
         for c in range(n_cols):
-            if c and abs(z[r, c] - z[r, c - 1]) <= max_step:
-                _join(root, r * n_cols + c, r * n_cols + c - 1)
-            if r and abs(z[r, c] - z[r - 1, c]) <= max_step:
-                _join(root, r * n_cols + c, (r - 1) * n_cols + c)
-    size = np.zeros(z.size, np.int32)
-    for n in range(z.size):
-        size[_find(root, n)] += 1
-    small = np.empty(z.shape, np.bool_)
-    for r in range(n_rows):
+            v = z[r, c]
+            squares[c] = v == v
+            if r and c:
+                joined = abs(v - z[r - 1, c]) <= max_step and abs(v - z[r, c - 1]) <= max_step
+                if joined and abs(v - z[r - 1, c - 1]) <= max_step:
+                    squares[c] = 1 + min(above[c], squares[c - 1], above[c - 1])
+        left = 0
+        for c in range(n_cols - 1, -1, -1):
+            left = side if squares[c] >= side else max(left - 1, 0)
+            covered[r, c] = left > 0
+    up = scratch[0]
+    up[:] = 0
+    for r in range(n_rows - 1, -1, -1):
         for c in range(n_cols):
-            small[r, c] = z[r, c] == z[r, c] and size[_find(root, r * n_cols + c)] < min_pixels
-    return small
-
-
-@kernel
-def _find(root: Int32s, n: Whole) -> Whole:
-    while root[n] != n:
-        root[n] = root[root[n]]
-        n = root[n]
-    return n
-
-
-@kernel
-def _join(root: Int32s, a: Whole, b: Whole) -> None:
-    a, b = _find(root, a), _find(root, b)
-    if a != b:
-        root[max(a, b)] = min(a, b)
-
-
-@kernel
-def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
-    """Which finite pixels lie in no square of side x side finite pixels that are joined throughout; bool [row, col]."""
-    covered = np.zeros(z.shape, np.bool_)
-    above, here = np.zeros(z.shape[1], np.int32), np.zeros(z.shape[1], np.int32)
-    for r in range(z.shape[0]):
-        _squares(z, r, max_step, above, here)
-        _cover(here, side, covered[r])
-        above, here = here, above
-    narrow = np.empty(z.shape, np.bool_)
-    left = np.zeros(z.shape[1], np.int32)
-    for r in range(z.shape[0] - 1, -1, -1):
-        for c in range(z.shape[1]):
-            left[c] = side if covered[r, c] else max(left[c] - 1, 0)
-            narrow[r, c] = z[r, c] == z[r, c] and left[c] == 0
-    return narrow
-
-
-@kernel
-def _squares(z: Float32s, r: Whole, max_step: Real, above: Int32s, here: Int32s) -> None:
-    """The side of the largest joined square whose lower right pixel is each pixel of row r."""
-    for c in range(here.size):
-        v = z[r, c]
-        here[c] = 1 if v == v else 0
-        if r and c:
-            up, left, across = abs(v - z[r - 1, c]), abs(v - z[r, c - 1]), abs(v - z[r - 1, c - 1])
-            if up <= max_step and left <= max_step and across <= max_step:
-                here[c] = 1 + min(above[c], here[c - 1], above[c - 1])
-
-
-@kernel
-def _cover(squares: Int32s, side: Whole, covered: Bools) -> None:
-    """The columns that the large squares of a row reach to, from their lower right pixels leftward."""
-    left = 0
-    for c in range(squares.size - 1, -1, -1):
-        left = side if squares[c] >= side else max(left - 1, 0)
-        covered[c] = left > 0
+            up[c] = side if covered[r, c] else max(up[c] - 1, 0)
+            covered[r, c] = up[c] > 0

@@ -4,79 +4,56 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Int64s, Real, Whole
+from wafer_viewer.numerics.arrays import Float32s, Int32s, Int64s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 REACH_PX = 3
 
 
-@kernel
 def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Whole) -> Float32s:
     """The mean distance from each (row, col) to the `neighbours` nearest measured pixels of the 7 x 7 round it.
 
     padded: a map with a border of 3 NaN; inf where fewer than half as many are measured.
     """
     out = np.empty(rows.size, np.float32)
-    nearest = np.empty(neighbours, np.float32)
-    for n in range(rows.size):
-        out[n] = _mean_distance(padded, rows[n], cols[n], nearest)
+    _mean_distances(padded, rows, cols, np.empty(neighbours, np.float32), out)
+    return out
+
+
+def near_counts(padded: Float32s, limit: Real) -> Int32s:
+    """How many other pixels of the 7 x 7 are within the limit of each pixel, of the map before padding; -1 for NaN."""
+    out = np.full((padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX), -1, np.int32)
+    _count_near(padded, np.float32(limit), out)
     return out
 
 
 @kernel
-def beyond(padded: Float32s, neighbours: Whole, threshold_um: Real) -> Bools:
-    """Which measured pixels have a mean distance over the threshold, of the map before padding.
-
-    A pixel with enough neighbours within the threshold is not looked at any further: that leaves a few.
-    """
-    n_rows, n_cols = padded.shape[0] - 2 * REACH_PX, padded.shape[1] - 2 * REACH_PX
-    found = np.zeros((n_rows, n_cols), np.bool_)
-    nearest = np.empty(neighbours, np.float32)
-    near = np.empty(n_cols, np.int32)
-    limit = np.float32(threshold_um)
-    for r in range(n_rows):
-        _count_near(padded, r, limit, near)
-        for c in range(n_cols):
-            z = padded[r + REACH_PX, c + REACH_PX]
-            if z == z and near[c] <= neighbours:
-                found[r, c] = _mean_distance(padded, r, c, nearest) > limit
-    return found
+def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
+    for r in range(out.shape[0]):
+        near, here = out[r], padded[r + REACH_PX, REACH_PX:]
+        for down in range(2 * REACH_PX + 1):
+            for right in range(2 * REACH_PX + 1):
+                other = padded[r + down, right:]
+                for x in range(near.size):
+                    near[x] += np.int32(abs(other[x] - here[x]) <= limit)
 
 
 @kernel
-def _count_near(padded: Float32s, r: Whole, limit: Real, near: Int32s) -> None:
-    """Pixels of the window within the limit, the middle one included."""
-    near[:] = 0
-    here = padded[r + REACH_PX, REACH_PX:]
-    for d in range(2 * REACH_PX + 1):
-        for e in range(2 * REACH_PX + 1):
-            other = padded[r + d, e:]
-            for x in range(near.size):
-                near[x] += np.int32(abs(other[x] - here[x]) <= limit)
-
-
-@kernel
-def _mean_distance(padded: Float32s, row: Whole, col: Whole, nearest: Float32s) -> Real:
-    z = padded[row + REACH_PX, col + REACH_PX]
-    count = 0
-    for d in range(2 * REACH_PX + 1):
-        for e in range(2 * REACH_PX + 1):
-            v = padded[row + d, col + e]
-            if v == v and (d != REACH_PX or e != REACH_PX):
-                count = _keep_nearest(nearest, count, abs(v - z))
-    if 2 * count < nearest.size:
-        return np.float32(np.inf)
-    return np.float32(nearest[:count].mean())
-
-
-@kernel
-def _keep_nearest(nearest: Float32s, count: Whole, distance: Real) -> Whole:
-    """Insert a distance into the sorted list of the nearest ones; the furthest drops out when it is full."""
-    if count == nearest.size and distance >= nearest[count - 1]:
-        return count
-    at = min(count, nearest.size - 1)
-    while at > 0 and nearest[at - 1] > distance:
-        nearest[at] = nearest[at - 1]
-        at -= 1
-    nearest[at] = distance
-    return min(count + 1, nearest.size)
+def _mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, nearest: Float32s, out: Float32s) -> None:
+    """`nearest` holds the sorted list of the nearest so far; the furthest drops out when it is full."""
+    for n in range(rows.size):
+        row, col, count = int(rows[n]), int(cols[n]), 0
+        z = padded[row + REACH_PX, col + REACH_PX]
+        for k in range((2 * REACH_PX + 1) ** 2):
+            v = abs(padded[row + k // (2 * REACH_PX + 1), col + k % (2 * REACH_PX + 1)] - z)
+            if v == v and k != 2 * REACH_PX * (REACH_PX + 1) and (count < nearest.size or v < nearest[count - 1]):
+                count = min(count + 1, nearest.size)
+                at = count - 1
+                while at > 0 and nearest[at - 1] > v:
+                    nearest[at] = nearest[at - 1]
+                    at -= 1
+                nearest[at] = v
+        total = np.float32(0.0)
+        for k in range(count):
+            total += nearest[k]
+        out[n] = total / np.float32(count) if 2 * count >= nearest.size else np.inf

@@ -4,73 +4,68 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Int64s, Real, Whole
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 
-@kernel
-def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> None:
-    """Fill gaps of NaN up to `max_gap` pixels along each row of z, in place.
+def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+    """A copy of z with the gaps of NaN up to `max_gap` pixels along each row filled; nothing beyond the outermost.
 
     A gap whose two sides differ by more than `max_step` is a step: it stays, and no spline runs across it, nor across
     a longer gap. Each run between those is a natural cubic spline of its own, solved by the Thomas algorithm.
     """
-    knots = np.empty(z.shape[1], np.int64)
-    bend = np.empty(z.shape[1], np.float64)
-    factor = np.empty(z.shape[1], np.float64)
+    out = np.array(z, np.float32, order="C")
+    _fill(out, max_gap, float(max_step), np.empty((3, z.shape[1])))
+    return out
+
+
+def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
+    """A copy of z with its gaps filled along rows and along columns, by the mean where both reach.
+
+    Both start from what is measured, so that no direction leaves its streaks and no gap is longer than allowed.
+    """
+    by_row, by_col = fill_rows(z, max_gap, max_step), fill_rows(z.T, max_gap, max_step).T
+    by_row = np.where(np.isnan(by_row), by_col, by_row)
+    return np.float32(0.5) * (by_row + np.where(np.isnan(by_col), by_row, by_col))
+
+
+@kernel
+def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> None:
+    """One run after the other: from its first measured pixel to the last one before a step or a long gap."""
+    at, bend, factor = scratch[0], scratch[1], scratch[2]
     for r in range(z.shape[0]):
-        row = z[r]
-        count = _knots(row, knots)
-        first = 0
-        for n in range(1, count + 1):
-            if n == count or _parted(row, knots[n - 1], knots[n], max_gap, max_step):
-                if _has_gap(knots, first, n):
-                    _bends(row, knots[first:n], bend, factor)
-                    _fill_run(row, knots[first:n], bend)
-                first = n
-
-
-@kernel
-def _knots(row: Float32s, knots: Int64s) -> int:
-    """Write down where the row is measured."""
-    count = 0
-    for x in range(row.size):
-        knots[count] = x
-        if row[x] == row[x]:
+        row, count = z[r], 0
+        for x in range(row.size + 1):
+            ends = x == row.size
+            if not ends and row[x] == row[x]:
+                if count > 0:
+                    last = int(at[count - 1])
+                    ends = x - last - 1 > max_gap or abs(row[x] - row[last]) > max_step
+            elif not ends:
+                continue
+            if ends and count > 1 and at[count - 1] - at[0] > count - 1:
+                _spline(row, at, count, bend, factor)
+            count = 0 if ends else count
+            at[count] = x
             count += 1
-    return count
 
 
 @kernel
-def _parted(row: Float32s, a: Whole, b: Whole, max_gap: Whole, max_step: Real) -> np.bool_ | bool:
-    return b - a - 1 > max_gap or abs(row[b] - row[a]) > max_step
-
-
-@kernel
-def _has_gap(knots: Int64s, first: Whole, stop: Whole) -> bool:
-    return knots[stop - 1] - knots[first] > stop - 1 - first
-
-
-@kernel
-def _bends(row: Float32s, knots: Int64s, bend: Float64s, factor: Float64s) -> None:
-    """Second derivatives at the knots; zero at both ends."""
-    last = knots.size - 1
-    bend[0], factor[0] = 0.0, 0.0
+def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: Float64s) -> None:
+    """Second derivatives at the measured pixels, zero at both ends; then the heights between them."""
+    last = count - 1
+    bend[0], factor[0], bend[last] = 0.0, 0.0, 0.0
     for n in range(1, last):
-        before, after = knots[n] - knots[n - 1], knots[n + 1] - knots[n]
-        rise = (row[knots[n + 1]] - row[knots[n]]) / after - (row[knots[n]] - row[knots[n - 1]]) / before
+        x0, x1, x2 = int(at[n - 1]), int(at[n]), int(at[n + 1])
+        before, after = at[n] - at[n - 1], at[n + 1] - at[n]
+        rise = (row[x2] - row[x1]) / after - (row[x1] - row[x0]) / before
         pivot = 2.0 * (before + after) - before * factor[n - 1]
         factor[n] = after / pivot
         bend[n] = (6.0 * rise - before * bend[n - 1]) / pivot
-    bend[last] = 0.0
     for n in range(last - 1, 0, -1):
         bend[n] -= factor[n] * bend[n + 1]
-
-
-@kernel
-def _fill_run(row: Float32s, knots: Int64s, bend: Float64s) -> None:
-    for n in range(knots.size - 1):
-        a, b = knots[n], knots[n + 1]
+    for n in range(last):
+        a, b = int(at[n]), int(at[n + 1])
         wide = float(b - a)
         for x in range(a + 1, b):
             s, t = (b - x) / wide, (x - a) / wide

@@ -1,4 +1,4 @@
-"""Heights for gaps: cubic splines along the rows, then along the columns, marked as filled and never across a step."""
+"""Heights for gaps: cubic splines along the rows and the columns, marked as filled and never across a step."""
 
 from __future__ import annotations
 
@@ -9,24 +9,25 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Fill
 from wafer_viewer.model.surface import Origin
-from wafer_viewer.numerics.spline import fill_rows
+from wafer_viewer.numerics.spline import fill_gaps, fill_rows
 
-MAX_STEP_FRAMES = 2.0
-"""A gap whose sides differ by more than two steps of the sweep is a step of the surface."""
+MAX_STEP_FRAMES = 1.5
+"""A gap whose sides differ by more than one and a half steps of the sweep is a step of the surface."""
 
 
 def fill(z_um: NDArray[np.float32], how: Fill, step_um: float) -> NDArray[np.float32]:
-    """A filled copy of a map; `all` fills every gap that has measured sides, across steps too, as the paper does."""
-    out = z_um.copy()
+    """A filled copy of a map.
+
+    `small_gaps`: along rows and along columns, the mean where both reach, never across a step. `all`: the paper's way,
+    along the rows and then, through what that gave, along the columns, across whatever lies between; what is measured
+    on one side only, as at the border of the map, stays unmeasured there too.
+    """
     if how.mode == "none":
-        return out
-    everything = how.mode == "all"
-    max_gap = max(out.shape) if everything else how.max_gap_px
-    max_step = math.inf if everything else MAX_STEP_FRAMES * step_um
-    fill_rows(out, max_gap, max_step)
-    columns = np.ascontiguousarray(out.T)
-    fill_rows(columns, max_gap, max_step)
-    return np.ascontiguousarray(columns.T)
+        return z_um.copy()
+    if how.mode == "small_gaps":
+        return fill_gaps(z_um, how.max_gap_px, MAX_STEP_FRAMES * step_um)
+    longest = max(z_um.shape)
+    return np.ascontiguousarray(fill_rows(fill_rows(z_um, longest, math.inf).T, longest, math.inf).T)
 
 
 def mark_filled(origin: NDArray[np.uint8], z_um: NDArray[np.float32]) -> NDArray[np.uint8]:

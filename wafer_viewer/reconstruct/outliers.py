@@ -1,13 +1,13 @@
 """Statistical outlier removal: points that are far from their nearest neighbours.
 
-`lattice` looks for the neighbours among the pixels round a pixel and measures along z, `cloud` looks in the point cloud
-as the paper does; both compare the mean distance to the nearest neighbours with its mean and deviation over the field.
-On a clean field that deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a
-floor.
+`cloud` is the paper's form: neighbours in the point cloud, their mean distance against its mean and deviation over the
+field. `lattice` looks for the neighbours among the pixels round a pixel and measures along z. On a clean field that
+deviation is tiny and the rule would eat the edges of steps, so it never counts as less than a floor.
 
-Three more kinds of pixel stand alone: those that smoothing had to move by more than the floor, those on strips narrower
-than three quarters of the focus window, and those on islands with fewer pixels than the window. Whatever the window
-sees shows as wide as the window; what is smaller was made up by light that bleeds over an edge.
+`lattice` knows three more kinds of pixel that stand alone: those that smoothing had to move by much more than it moves
+most, those on strips narrower than three quarters of the focus window, and those on islands smaller than the square of
+two windows. Whatever the window sees shows as wide as the window; what is smaller was made up by light that bleeds over
+an edge.
 """
 
 from __future__ import annotations
@@ -19,40 +19,71 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Outliers, Recipe
 from wafer_viewer.numerics.islands import narrow_parts, small_islands
-from wafer_viewer.numerics.neighbours import REACH_PX, beyond, mean_distances
+from wafer_viewer.numerics.neighbours import REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.spline import fill_gaps
+
+BRIDGED_PX = 2
+"""A strip is not narrow for a few pixels that happen to be unmeasured in it."""
 
 _SAMPLE_EVERY_PX = 7
+_MOVED_DEVIATIONS = 6.0
+_MOVED_FLOORS = 1 / 3
+_MAD_TO_DEVIATION = 1.4826
 
-Finder = Callable[[NDArray[np.float32], float, Outliers, float], NDArray[np.bool_]]
+Map = NDArray[np.float32]
+Found = NDArray[np.bool_]
 
 
-def find_outliers(
-    raw_um: NDArray[np.float32], smoothed_um: NDArray[np.float32], pixel_um: float, recipe: Recipe
-) -> NDArray[np.bool_]:
+def find_outliers(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
     """Which measured pixels of a map are outliers, by the settled recipe; bool [row, col]."""
-    how, floor_um = recipe.outliers, float(recipe.outliers.floor_um)
-    if how.mode == "none":
-        return np.zeros(raw_um.shape, bool)
-    found = FINDERS[how.mode](smoothed_um, pixel_um, how, floor_um) | (np.abs(smoothed_um - raw_um) > floor_um)
+    return FINDERS[recipe.outliers.mode](raw_um, smoothed_um, pixel_um, recipe)
+
+
+def _none(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    return np.zeros(raw_um.shape, bool)
+
+
+def _lattice(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    """What was moved is judged where it would lie: one wrong pixel does not make a strip of those around it narrow."""
+    floor_um, window = float(recipe.outliers.floor_um), int(recipe.window)
+    found = far_on_lattice(smoothed_um, recipe.outliers) | _moved(raw_um, smoothed_um, floor_um)
+    found |= narrow_parts(fill_gaps(smoothed_um, BRIDGED_PX, floor_um), floor_um, 3 * window // 4)
     rest = np.where(found, np.float32(np.nan), smoothed_um)
-    window = int(recipe.window)
-    rest[narrow_parts(rest, floor_um, 3 * window // 4)] = np.nan
-    rest[small_islands(rest, floor_um, window**2)] = np.nan
-    return np.isfinite(raw_um) & np.isnan(rest)
+    found |= small_islands(rest, floor_um, (2 * window) ** 2)
+    return found & np.isfinite(raw_um)
 
 
-def _lattice(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
-    """The neighbours are the nearest of the 7 x 7 pixels round a pixel; a pixel with too few of them is an outlier."""
+def _cloud(raw_um: Map, smoothed_um: Map, pixel_um: float, recipe: Recipe) -> Found:
+    return far_in_cloud(smoothed_um, pixel_um, recipe.outliers)
+
+
+def _moved(raw_um: Map, smoothed_um: Map, floor_um: float) -> Found:
+    moved_um = np.abs(smoothed_um - raw_um)
+    some = moved_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]
+    usual_um = _MAD_TO_DEVIATION * float(np.median(some[np.isfinite(some)])) if np.isfinite(some).any() else 0.0
+    return moved_um > max(_MOVED_FLOORS * floor_um, _MOVED_DEVIATIONS * usual_um)
+
+
+def far_on_lattice(z_um: Map, how: Outliers) -> Found:
+    """The neighbours are the nearest of the 7 x 7 pixels round a pixel; a pixel with too few of them is an outlier.
+
+    Beyond its border the map goes on as it ends: the border makes no outlier of the edge of a step. A pixel with enough
+    neighbours within the threshold is not looked at any further: that leaves a few.
+    """
     neighbours = min(how.neighbours, (2 * REACH_PX + 1) ** 2 // 2)
-    padded = np.pad(z_um, REACH_PX, constant_values=np.nan)
+    padded = np.pad(z_um, REACH_PX, mode="edge")
+    found = np.zeros(z_um.shape, bool)
     rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
     if not rows.size:
-        return np.zeros(z_um.shape, bool)
+        return found
     usual = mean_distances(padded, rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX, neighbours)
-    return beyond(padded, neighbours, _threshold(usual, how, floor_um))
+    threshold_um = _threshold(usual, how)
+    rows, cols = np.nonzero(np.isfinite(z_um) & (near_counts(padded, threshold_um) < neighbours))
+    found[rows, cols] = mean_distances(padded, rows, cols, neighbours) > threshold_um
+    return found
 
 
-def _cloud(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: float) -> NDArray[np.bool_]:
+def far_in_cloud(z_um: Map, pixel_um: float, how: Outliers) -> Found:
     """The paper's form, through Open3D's neighbour search."""
     import open3d
 
@@ -66,16 +97,17 @@ def _cloud(z_um: NDArray[np.float32], pixel_um: float, how: Outliers, floor_um: 
     tree.knn_index()
     _, squared = tree.knn_search(cloud, how.neighbours + 1)
     distance = np.sqrt(squared.numpy())[:, 1:].mean(axis=1)
-    far = distance > _threshold(distance, how, floor_um)
+    far = distance > _threshold(distance, how)
     found[rows[far], cols[far]] = True
     return found
 
 
-def _threshold(distances: NDArray[np.floating], how: Outliers, floor_um: float) -> float:
-    known = distances[np.isfinite(distances)]
+def _threshold(distances: NDArray[np.floating], how: Outliers) -> float:
+    known, floor_um = distances[np.isfinite(distances)], float(how.floor_um)
     if not known.size:
         return floor_um
     return float(known.mean() + max(how.n_sigma * known.std(), floor_um))
 
 
-FINDERS: dict[str, Finder] = {"lattice": _lattice, "cloud": _cloud}
+FINDERS: dict[str, Callable[[Map, Map, float, Recipe], Found]] = {"none": _none, "lattice": _lattice, "cloud": _cloud}
+"""Each is given the raw and the smoothed map, the size of a pixel and the settled recipe."""
