@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from enum import Enum
 
@@ -42,11 +43,21 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Bracket:
+    """A further exposure of the slots of a stack: images and present as there; exposure_us nan when nobody knows."""
+
+    images: Image
+    present: NDArray[np.bool_]
+    exposure_us: float = np.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FieldStack:
     """The focus stack of one field.
 
     images: [k, row, col], uint8 or uint16, may be memory-mapped; z_um: float64 [k], rising;
-    present: bool [k], False where no frame came (an empty slot is not a black frame).
+    present: bool [k], False where no frame came (an empty slot is not a black frame);
+    brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -60,6 +71,8 @@ class FieldStack:
     simulated: bool = False
     checksum: str = ""
     source: str = ""
+    exposure_us: float = np.nan
+    brackets: tuple[Bracket, ...] = ()
 
     def __post_init__(self) -> None:
         if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):
@@ -72,11 +85,18 @@ class FieldStack:
                 f"The stack of field {self.field.number} has {int(np.count_nonzero(self.present))} frames: "
                 f"at least {MIN_FRAMES} are needed to find a focus peak."
             )
+        for other in self.brackets:
+            self._require_alike(other)
 
     @property
     def n_frames(self) -> int:
         """Slots of the stack, present or not."""
         return len(self.images)
+
+    @property
+    def exposures(self) -> tuple[Bracket, ...]:
+        """All exposures of the slots, `images` first."""
+        return (Bracket(self.images, self.present, self.exposure_us), *self.brackets)
 
     @property
     def z_step_um(self) -> float:
@@ -92,3 +112,15 @@ class FieldStack:
     def y0_um(self) -> float:
         """Stage y of the centre of pixel (0, 0)."""
         return self.field.y_um + (self.images.shape[1] - 1) / 2 * self.pixel_um
+
+    def part(self, rows: slice, cols: slice) -> FieldStack:
+        """The same slots with the pixels [rows, cols] alone, as views; the field keeps its place."""
+        brackets = tuple(dataclasses.replace(b, images=b.images[:, rows, cols]) for b in self.brackets)
+        return dataclasses.replace(self, images=self.images[:, rows, cols], brackets=brackets)
+
+    def _require_alike(self, other: Bracket) -> None:
+        if other.images.shape != self.images.shape or other.images.dtype != self.images.dtype:
+            raise DatasetError(
+                f"The exposures of field {self.field.number} have images of shape {self.images.shape} and "
+                f"{other.images.shape}, of {self.images.dtype} and {other.images.dtype}: they must be alike."
+            )

@@ -14,10 +14,11 @@ from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled
+from wafer_viewer.reconstruct.focus import margin_px
 from wafer_viewer.reconstruct.gate import gate_of, origins
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
-from wafer_viewer.reconstruct.prepare import Frames, prepare
+from wafer_viewer.reconstruct.prepare import Frames, mark_uncovered, prepare
 from wafer_viewer.reconstruct.search import Progress, search_field
 from wafer_viewer.reconstruct.tune import Settled, settle
 
@@ -31,9 +32,10 @@ def reconstruct(
     """The height map of a field, with confidence, all-in-focus image and the reason why a pixel has no height.
 
     progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores when left out.
-    Raises ComputeError for images that are not 8- or 16-bit grey and for frames without a z of their own.
+    Raises ComputeError for images that are not 8- or 16-bit grey, for frames without a z of their own, and for
+    exposures that cannot be compared.
     """
-    frames = prepare(stack)
+    frames = prepare(stack, recipe)
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads, progress)
     origin = gated(peaks, settled, frames)
@@ -42,7 +44,7 @@ def reconstruct(
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
     """The recipe with every `auto` replaced by what this stack says, so that all fields of a scan can share it."""
-    return settle(prepare(stack), recipe).recipe
+    return settle(prepare(stack, recipe), recipe).recipe
 
 
 def speaks_for_scan(surface: HeightMap) -> bool:
@@ -54,7 +56,7 @@ def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
     """The origin of each pixel: measured, or why not."""
     recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
     gate = gate_of(noise, _number(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
-    return origins(peaks, gate, frames.n_frames)
+    return mark_uncovered(origins(peaks, gate, frames.n_frames), frames, margin_px(settled.search.window))
 
 
 def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
@@ -84,7 +86,6 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
 
 
 def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance:
-    missing = stack.n_frames - frames.n_frames
     return Provenance(
         recipe=recipe,
         calibration=stack.calibration,
@@ -92,7 +93,7 @@ def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance
         input_checksum=stack.checksum,
         simulated=stack.simulated,
         z_step_um=frames.step_um,
-        notes=(f"{missing} of {stack.n_frames} frames of field {stack.field.number} are missing",) if missing else (),
+        notes=frames.notes,
     )
 
 

@@ -1,10 +1,13 @@
 """The frames of a stack that a reconstruction uses, in the order of z, and the blocks that the kernels read.
 
-The only place where pixels are touched before a focus measure sees them.
+The only place where pixels are touched before a focus measure sees them: flawed pixels of the sensor are mended,
+exposures fused, frames that drifted put right, all while a block is read, so that no stack is ever whole in memory.
+Where nothing of this is needed a block is a plain copy.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +16,13 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.plan import MIN_FRAMES
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack, Image
+from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.drift import Drift, drift_of, told
+from wafer_viewer.reconstruct.exposures import Fusion, fusion_of
+from wafer_viewer.reconstruct.flaws import Flaws, find_flaws
+from wafer_viewer.reconstruct.motion import sightings
 
 CLIPPED_SHARE_OF_WHITE = 0.98
 """From 98 % of white on a pixel counts as clipped: 250 of 255."""
@@ -23,12 +32,19 @@ _SAMPLED_ROWS = 24
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """The frames in use: images[index] lie at z_um, which rises; from white_counts on a pixel is clipped."""
+    """The frames in use: images[index] lie at z_um, which rises; from clipped_counts on a pixel is clipped.
+
+    fusion, flaws and drift: what is to be done when pixels are read; notes: what was found, a sentence each.
+    """
 
     images: Image
     index: slice | NDArray[np.intp]
     z_um: NDArray[np.float64]
     clipped_counts: int
+    fusion: Fusion | None = None
+    flaws: Flaws | None = None
+    drift: Drift | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def n_frames(self) -> int:
@@ -43,35 +59,62 @@ class Frames:
     @property
     def dtype(self) -> np.dtype[Any]:
         """What `read_block` gives, in the byte order of this machine."""
-        return self.images.dtype.newbyteorder("=")
+        return np.dtype(np.uint16) if self.fusion is not None else self.images.dtype.newbyteorder("=")
+
+    @property
+    def untouched(self) -> bool:
+        """Whether the pixels are used as the camera gave them."""
+        return self.fusion is None and self.flaws is None and self.drift is None
 
     @property
     def as_stored(self) -> bool:
         """Whether the kernels can read the images where they lie: whole rows, with nothing to be done to the pixels."""
-        return self.images.flags.c_contiguous and self.images.dtype.isnative
+        return self.untouched and self.images.flags.c_contiguous and self.images.dtype.isnative
 
     @property
     def step_um(self) -> float:
         """The usual distance between neighbouring frames."""
         return float(np.median(np.diff(self.z_um)))
 
+    @property
+    def slots(self) -> NDArray[np.intp]:
+        """The slots of the stack that the frames are in."""
+        return np.arange(len(self.images))[self.index]
 
-def prepare(stack: FieldStack) -> Frames:
-    """Skip the absent slots and put the others in the order of rising z.
+    def part(self, rows: slice, cols: slice) -> Frames:
+        """The pixels [rows, cols] alone, with what was found on the whole field; its border pixels repeat beyond it."""
+        at = rows.start, cols.start
+        fusion, flaws, drift = self.fusion, self.flaws, self.drift
+        if fusion is not None:
+            fusion = dataclasses.replace(fusion, images=tuple(i[:, rows, cols] for i in fusion.images))
+        if flaws is not None:
+            flaws = flaws.part(rows, cols)
+        if drift is not None:
+            drift = dataclasses.replace(drift, corner=(drift.corner[0] + at[0], drift.corner[1] + at[1]))
+        return dataclasses.replace(self, images=self.images[:, rows, cols], fusion=fusion, flaws=flaws, drift=drift)
+
+
+def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
+    """Skip the absent slots, put the others in the order of rising z, and find out what their pixels need.
 
     Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is no number, for frames that share
-    a z, and for fewer than three frames.
+    a z, for fewer than three frames, and for exposures that cannot be compared.
     """
     if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
         raise ComputeError(
             f"The images of field {stack.field.number} are {stack.images.dtype}: give 8- or 16-bit grey, unsigned."
         )
-    present = np.flatnonzero(stack.present)
+    present = np.flatnonzero(np.logical_and.reduce([one.present for one in stack.exposures]))
     z_um = np.asarray(stack.z_um, np.float64)[present]
     order = np.argsort(z_um, kind="stable")
     _check(stack, z_um[order])
-    index = _as_slice(present[order])
-    return Frames(stack.images, index, z_um[order], _clipped_counts(stack.images[index]))
+    slots = present[order]
+    white = _white_counts(stack, slots)
+    clipped = int(CLIPPED_SHARE_OF_WHITE * white) + (white == 255)
+    frames = Frames(stack.images, _as_slice(slots), z_um[order], clipped, notes=_missing(stack, len(slots)))
+    frames = _fused(stack, frames, white)
+    frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
+    return frames if recipe.drift == "none" else _steadied(stack, frames)
 
 
 def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Image) -> None:
@@ -84,11 +127,86 @@ def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Ima
     left, right = max(0, cols.start - margin), min(n_cols, cols.stop + margin)
     r, c = top - rows.start + margin, left - cols.start + margin
     r_end, c_end = r + bottom - top, c + right - left
-    block[:, r:r_end, c:c_end] = frames.images[frames.index, top:bottom, left:right]
+    if frames.untouched:
+        block[:, r:r_end, c:c_end] = frames.images[frames.index, top:bottom, left:right]
+    else:
+        _develop(frames, slice(top, bottom), slice(left, right), block[:, r:r_end, c:c_end])
     block[:, r:r_end, :c] = block[:, r:r_end, c : c + 1]
     block[:, r:r_end, c_end:] = block[:, r:r_end, c_end - 1 : c_end]
     block[:, :r] = block[:, r : r + 1]
     block[:, r_end:] = block[:, r_end - 1 : r_end]
+
+
+def mark_uncovered(origin: NDArray[np.uint8], frames: Frames, margin: int) -> NDArray[np.uint8]:
+    """The origins of a field, too few frames where a window of `margin` to each side is not whole in every frame."""
+    if frames.drift is None:
+        return origin
+    inside = [_shrunk(frames.drift.covered(axis, length), margin, length) for axis, length in enumerate(origin.shape)]
+    marked = np.full_like(origin, Origin.TOO_FEW_FRAMES)
+    marked[tuple(inside)] = origin[tuple(inside)]
+    return marked
+
+
+def _shrunk(seen: slice, margin: int, length: int) -> slice:
+    """Less a margin where it does not end with the frame."""
+    first = seen.start + (margin if seen.start > 0 else 0)
+    return slice(first, max(first, seen.stop - (margin if seen.stop < length else 0)))
+
+
+def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
+    """The pixels [rows, cols] of every frame into `out`: mended, fused, put right."""
+    drift, (n_rows, n_cols) = frames.drift, frames.shape
+    for k, slot in enumerate(frames.slots):
+        if drift is None:
+            out[k] = _pixels(frames, int(slot), rows, cols)
+            continue
+        there = drift.rows(k, rows.start, rows.stop).clip(0, n_rows - 1)
+        across = drift.cols(k, cols.start, cols.stop).clip(0, n_cols - 1)
+        top, left = int(there[0]), int(across[0])
+        part = _pixels(frames, int(slot), slice(top, int(there[-1]) + 1), slice(left, int(across[-1]) + 1))
+        out[k] = part[there - top].take(across - left, axis=1)
+
+
+def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
+    """The pixels [rows, cols] of one slot, mended and fused."""
+    exposures = (frames.images,) if frames.fusion is None else frames.fusion.images
+    if frames.flaws is None:
+        parts = [images[slot, rows, cols] for images in exposures]
+    else:
+        parts = [frames.flaws.mended(images[slot], rows, cols) for images in exposures]
+    return parts[0] if frames.fusion is None else frames.fusion.fused(parts)
+
+
+def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
+    """With all exposures, where there are several."""
+    if not stack.brackets:
+        return frames
+    images = tuple(one.images for one in stack.exposures)
+    times_us = tuple(one.exposure_us for one in stack.exposures)
+    fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts)
+    apart = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
+    note = f"{len(images)} exposures were fused, the longer ones {apart} as bright as the shortest."
+    clipped = fusion.fused_clipped_counts
+    return dataclasses.replace(frames, fusion=fusion, clipped_counts=clipped, notes=(*frames.notes, note))
+
+
+def _steadied(stack: FieldStack, frames: Frames) -> Frames:
+    """With the drift of the frames, where there is any."""
+
+    def read(rows: slice, cols: slice) -> Image:
+        block = np.empty((frames.n_frames, rows.stop - rows.start, cols.stop - cols.start), frames.dtype)
+        read_block(frames, rows, cols, 0, block)
+        return block
+
+    drift = drift_of(sightings(read, frames.shape, frames.n_frames), frames.n_frames, frames.shape)
+    if drift is None:
+        return frames
+    return dataclasses.replace(frames, drift=drift, notes=(*frames.notes, told(drift, stack.pixel_um)))
+
+
+def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:
+    missing = stack.n_frames - n_frames
+    return (f"{missing} of {stack.n_frames} frames of field {stack.field.number} are missing",) if missing else ()
 
 
 def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
@@ -114,10 +232,11 @@ def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
     return slice(int(index[0]), stop if stop >= 0 else None, step)
 
 
-def _clipped_counts(images: Image) -> int:
-    """The grey value from which a pixel counts as clipped; 16-bit files often hold 10, 12 or 14 bits."""
-    if images.dtype.itemsize == 1:
-        return int(CLIPPED_SHARE_OF_WHITE * 255) + 1
-    step = max(1, images.shape[1] // _SAMPLED_ROWS)
-    bits = max(8, int(images[:, ::step].max()).bit_length())
-    return int(CLIPPED_SHARE_OF_WHITE * (2 ** (bits + bits % 2) - 1))
+def _white_counts(stack: FieldStack, slots: NDArray[np.intp]) -> int:
+    """The highest grey of the camera; 16-bit files often hold 10, 12 or 14 bits."""
+    if stack.images.dtype.itemsize == 1:
+        return 255
+    step = max(1, stack.images.shape[1] // _SAMPLED_ROWS)
+    most = max(int(one.images[slot, ::step].max()) for one in stack.exposures for slot in slots)
+    bits = max(8, most.bit_length())
+    return 2 ** (bits + bits % 2) - 1

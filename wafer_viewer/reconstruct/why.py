@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,8 +34,9 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     """
     row, col = pixel_at(stack, x_um, y_um)
     recipe = settled_recipe(stack, recipe) if recipe.has_auto else recipe
-    part, r, c = _around(stack, row, col)
-    frames = prepare(part)
+    rows, cols = _around(row), _around(col)
+    part, r, c = stack.part(rows, cols), row - rows.start, col - cols.start
+    frames = prepare(stack, recipe).part(rows, cols)
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads=1)
     origin = gated(peaks, settled, frames)
@@ -68,7 +67,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
-    bench = Bench.make(frames.n_frames, (1, 1), search.window, frames.images.dtype)
+    bench = Bench.make(frames.n_frames, (1, 1), search.window, frames.dtype)
     search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
     bits = mantissa_bits(bench.block.dtype)
@@ -119,8 +118,6 @@ def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, 
     return tuple(Rival(z_um=float(z_um[k]), share=float(focus[k] / focus[peak])) for k in found[:MOST_RIVALS])
 
 
-def _around(stack: FieldStack, row: int, col: int) -> tuple[FieldStack, int, int]:
-    """The part of a stack round a pixel, as views, and where the pixel is in it."""
-    top, left = (max(0, n - REACH_PX) // COARSE_PX * COARSE_PX for n in (row, col))
-    part = stack.images[:, top : row + REACH_PX + 1, left : col + REACH_PX + 1]
-    return dataclasses.replace(stack, images=part), row - top, col - left
+def _around(n: int) -> slice:
+    """The rows, or columns, round a pixel."""
+    return slice(max(0, n - REACH_PX) // COARSE_PX * COARSE_PX, n + REACH_PX + 1)

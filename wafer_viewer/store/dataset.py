@@ -12,7 +12,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.stack import Bracket, FieldStack, Image
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun
 from wafer_viewer.store.pages import map_pages
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
@@ -128,25 +128,31 @@ class Dataset:
         """Numbers of the fields that have all their frames."""
         return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
 
-    def stack(self, field_number: int, exposure: int = 0) -> FieldStack:
-        """The focus stack of a field at one exposure, memory-mapped; z as recorded, times the calibrated z scale.
+    def stack(self, field_number: int, exposure: int | None = None) -> FieldStack:
+        """The focus stack of a field, memory-mapped; z as recorded, times the calibrated z scale.
 
-        Raises DatasetError when the field or its file is missing, or fewer than three frames are there.
+        exposure: one of them alone; without it the stack holds them all, the first as its images and the others as its
+        brackets, at the mean of their z. Raises DatasetError when the field, its file or the exposure is missing, or
+        fewer than three frames are there.
         """
         field = self.field(field_number)
-        lines = [self._frames.get(Shot(field_number, k, exposure)) for k in range(self.scan.plan.sweep.n_frames)]
-        present = np.array([line is not None for line in lines])
-        self._require_frames(field, int(present.sum()))
+        wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
+        lines = [self._lines(field_number, e) for e in wanted]
+        pages = map_pages(frames_file(self.path, field), self.scan.pages)
+        first, *others = (self._bracket(pages, e, of_one) for e, of_one in zip(wanted, lines, strict=True))
+        self._require_frames(field, int(first.present.sum()))
         return FieldStack(
             field=field,
-            images=map_pages(frames_file(self.path, field), self.scan.pages)[exposure :: self.n_exposures],
-            z_um=self._z_um(field, lines),
-            present=present,
+            images=first.images,
+            z_um=np.mean([self._z_um(field, of_one) for of_one in lines], axis=0),
+            present=first.present,
             pixel_um=self.scan.pixel_um,
             calibration=self.scan.calibration,
             simulated=self.simulated,
-            checksum=_checksum(line for line in lines if line is not None),
+            checksum=_checksum(line for of_one in lines for line in of_one if line is not None),
             source=f"{self.path.name}, field {field_number}",
+            exposure_us=first.exposure_us,
+            brackets=tuple(others),
         )
 
     def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
@@ -171,6 +177,22 @@ class Dataset:
     def result(self, name: str = "default") -> Result:
         """A reconstruction by its name, made when something is first saved to it."""
         return Result.of(self.path / RESULTS, name)
+
+    def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
+        n_frames = self.scan.plan.sweep.n_frames
+        return [self._frames.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
+
+    def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
+        present = np.array([line is not None for line in lines])
+        return Bracket(pages[exposure :: self.n_exposures], present, self.scan.plan.exposures_us[exposure])
+
+    def _exposure(self, exposure: int) -> int:
+        if not 0 <= exposure < self.n_exposures:
+            raise DatasetError(
+                f"{self.path.name} has {self.n_exposures} exposures at each z and no number {exposure}: "
+                f"choose 0 to {self.n_exposures - 1}."
+            )
+        return exposure
 
     def _shots(self, field: Field) -> list[Shot]:
         n_frames = self.scan.plan.sweep.n_frames

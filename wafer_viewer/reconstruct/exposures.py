@@ -1,0 +1,158 @@
+"""Several exposures of a frame as one: linear radiance in 16 bits, clipped only where the shortest exposure clips.
+
+The camera is taken to be linear: counts = black + gain x light. How much more light one exposure gathers than another,
+and the black level, are told from the pixels that both saw well, because exposure times are not: sensors add some time
+of their own, and a strobe shorter than the exposure ends it early. A pixel is the sum of its counts over black in all
+exposures that are not too bright, over the sum of their gains: the best there is where the photons make the noise, so
+the longest exposure that holds dominates. An exposure fades out as it nears white, lest a small error of its gain make
+a contour. The variance of the result is again a line in grey where all exposures hold; above, where the longer ones
+have faded out, the gain of that line is higher by the share of the light that is missing: three times for x2, nine
+times for x8.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.stack import Image
+from wafer_viewer.numerics.arrays import Float32s, Greys, Real, UInt16s
+from wafer_viewer.numerics.jit import kernel
+
+FULL_COUNTS = 65535
+"""White of the shortest exposure in a fused picture."""
+FADES_FROM = 0.8
+"""An exposure loses weight from four fifths of where a pixel counts as clipped."""
+
+_FRAMES = 12
+_STRIPS = 6
+_CELL_PX = 8
+_ENOUGH_CELLS = 40
+_GROUPS = 10
+_ALIKE = 1.15
+"""Exposures nearer to each other than this tell nothing of the black level."""
+_MOST_BLACK = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fusion:
+    """The exposures of a stack, the shortest first: images [slot, row, col], and their gains, the shortest's 1."""
+
+    images: tuple[Image, ...]
+    gains: tuple[float, ...]
+    black_counts: float
+    white_counts: int
+    clipped_counts: int
+
+    @property
+    def scale(self) -> float:
+        """What a count over black of the shortest exposure is in the fused picture."""
+        return FULL_COUNTS / (self.white_counts - self.black_counts)
+
+    @property
+    def fused_clipped_counts(self) -> int:
+        """From where on a pixel of the fused picture counts as clipped."""
+        return int(self.scale * (self.clipped_counts - self.black_counts)) - 1
+
+    def fused(self, parts: list[Image]) -> NDArray[np.uint16]:
+        """The same part of a frame [row, col] in all exposures, as one."""
+        shape = parts[0].shape
+        light, gain = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        knee = np.float32(FADES_FROM * self.clipped_counts)
+        fade = np.float32(1 / (self.clipped_counts - knee))
+        for part, of_part in zip(parts[1:], self.gains[1:], strict=True):
+            _add(part, np.float32(self.black_counts), np.float32(of_part), knee, fade, light, gain)
+        out = np.empty(shape, np.uint16)
+        _finish(parts[0], np.float32(self.black_counts), np.float32(self.scale), light, gain, out)
+        return out
+
+
+def fusion_of(
+    images: tuple[Image, ...], slots: NDArray[np.intp], nominal: tuple[float, ...], white_counts: int, clipped: int
+) -> Fusion:
+    """How to fuse exposures: their order, gains and black level, measured on a sample of the frames `slots`.
+
+    nominal: exposure times, which stand in where too few pixels are seen well by two exposures; nan when not known.
+    Raises ComputeError where neither tells.
+    """
+    cells = [_cells(one, slots) for one in images]
+    order = np.argsort([mean.mean() for mean, _ in cells], kind="stable")
+    pairs = [_compare(cells[a], cells[b], clipped) for a, b in pairwise(order)]
+    steps = [_step(pair, nominal[b] / nominal[a]) for pair, (a, b) in zip(pairs, pairwise(order), strict=True)]
+    black = [pair[1] for pair in pairs if pair is not None and pair[0] > _ALIKE]
+    black_counts = float(np.clip(np.median(black), 0, _MOST_BLACK * white_counts)) if black else 0.0
+    gains = np.concatenate([[1.0], np.cumprod(steps)])
+    return Fusion(tuple(images[i] for i in order), tuple(gains.tolist()), black_counts, white_counts, clipped)
+
+
+def _cells(images: Image, slots: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean and highest grey of small squares in some strips of some frames."""
+    n_rows, n_cols = images.shape[1:]
+    high, wide = min(_CELL_PX, n_rows), min(_CELL_PX, n_cols)
+    tops = np.unique(np.linspace(0, n_rows - high, _STRIPS).astype(int))
+    picked = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
+    cut = n_cols // wide * wide
+    strips = np.concatenate([images[picked, top : top + high, :cut] for top in tops]).astype(np.float32)
+    squares = strips.reshape(len(strips), high, cut // wide, wide)
+    return squares.mean(axis=(1, 3)).ravel(), squares.max(axis=(1, 3)).ravel()
+
+
+def _compare(
+    short: tuple[NDArray[np.float32], NDArray[np.float32]],
+    long: tuple[NDArray[np.float32], NDArray[np.float32]],
+    clipped_counts: int,
+) -> tuple[float, float] | None:
+    """(how many times as bright the longer exposure is, black level); None where too little is seen well by both.
+
+    A line through the means of groups of cells: groups by the sum of both greys, which noise does not sort wrongly.
+    """
+    seen = long[1] < clipped_counts
+    if np.count_nonzero(seen) < _ENOUGH_CELLS:
+        return None
+    x, y = short[0][seen].astype(np.float64), long[0][seen].astype(np.float64)
+    groups = np.array_split(np.argsort(x * y.mean() / max(x.mean(), 1.0) + y), _GROUPS)
+    means = np.array([(x[g].mean(), y[g].mean()) for g in groups])
+    if np.ptp(means[:, 0]) < 0.05 * clipped_counts:
+        return (y.mean() / x.mean(), 0.0) if x.mean() > 1 else None
+    slope, offset = np.polyfit(means[:, 0], means[:, 1], 1)
+    return float(slope), float(offset / (1 - slope)) if slope > _ALIKE else 0.0
+
+
+def _step(pair: tuple[float, float] | None, nominal: float) -> float:
+    """The gain of an exposure over the next shorter one."""
+    if pair is not None and pair[0] >= 1 / _ALIKE:
+        return pair[0]
+    if np.isfinite(nominal) and nominal > 1:
+        return nominal
+    raise ComputeError(
+        "The exposures of the stack cannot be compared, hardly a pixel is well lit in two of them: "
+        "take them at most 8 times apart, or give their times."
+    )
+
+
+@kernel
+def _add(counts: Greys, black: Real, of_part: Real, knee: Real, fade: Real, light: Float32s, gain: Float32s) -> None:
+    """Add an exposure to the light and the gain that a pixel was seen with."""
+    one, none = np.float32(1), np.float32(0)
+    for r in range(counts.shape[0]):
+        row, light_row, gain_row = counts[r], light[r], gain[r]
+        for x in range(row.size):
+            value = np.float32(row[x])
+            weight = min(one, max(none, one - (value - knee) * fade))
+            light_row[x] += weight * (value - black)
+            gain_row[x] += weight * of_part
+
+
+@kernel
+def _finish(shortest: Greys, black: Real, scale: Real, light: Float32s, gain: Float32s, out: UInt16s) -> None:
+    """Add the shortest exposure, which always counts, and scale to 16 bits."""
+    half, none, full = np.float32(0.5), np.float32(0), np.float32(65535)
+    for r in range(shortest.shape[0]):
+        row, light_row, gain_row, out_row = shortest[r], light[r], gain[r], out[r]
+        for x in range(row.size):
+            whole = (light_row[x] + np.float32(row[x]) - black) / (gain_row[x] + np.float32(1)) * scale
+            out_row[x] = np.uint16(np.int32(min(full, max(none, whole + half))))

@@ -1,0 +1,143 @@
+"""Pixels of the sensor that do not see: hot and dead ones, columns and rows, and what stands in for them.
+
+The optics spread every point over more than a pixel, and focus spreads it further. So a pixel that is brighter (or
+darker) than its neighbours two pixels away on both sides, in every frame from one end of the sweep to the other, is the
+camera's and not the sample's. Left as it is, a hot column is sharpest where its neighbours are darkest: a false ridge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+
+LEAST_FRAMES = 6
+"""In fewer frames a sharp detail of the sample may look the same in all of them."""
+MOST_FLAWED = 0.005
+"""A sensor with more flaws than this is none: what was found is the sample's."""
+LEAST_SHARE_OF_WHITE = 0.016
+"""By how much a flaw differs from its neighbours: 4 of 255."""
+LEAST_NOISE = 6.0
+"""The same, in deviations of the noise."""
+
+_FRAMES = 14
+_APART = 2
+_REACH = 4
+_SAMPLED_ROWS = 16
+
+Places = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flaws:
+    """Flawed pixels sorted by row, and for each two sound ones beside it: [flaw, (row, col)] each."""
+
+    at: Places
+    one: Places
+    other: Places
+
+    def __len__(self) -> int:
+        return len(self.at)
+
+    def part(self, rows: slice, cols: slice) -> Flaws:
+        """Those that lie in the pixels [rows, cols] with what stands in for them, counted from there."""
+        begin, end = np.array([rows.start, cols.start]), np.array([rows.stop, cols.stop])
+        inside = np.all([((p >= begin) & (p < end)).all(axis=1) for p in (self.at, self.one, self.other)], axis=0)
+        return Flaws(self.at[inside] - begin, self.one[inside] - begin, self.other[inside] - begin)
+
+    def mended(self, frame: Image, rows: slice, cols: slice) -> Image:
+        """The pixels [rows, cols] of a frame, flaws replaced by the mean of the sound pixels beside them."""
+        part: Any = frame[rows, cols].copy()
+        first, last = np.searchsorted(self.at[:, 0], (rows.start, rows.stop))
+        inside = (self.at[first:last, 1] >= cols.start) & (self.at[first:last, 1] < cols.stop)
+        at, one, other = (a[first:last][inside] for a in (self.at, self.one, self.other))
+        sum_of_two = frame[tuple(one.T)].astype(np.int32) + frame[tuple(other.T)]
+        part[at[:, 0] - rows.start, at[:, 1] - cols.start] = (sum_of_two + 1) // 2
+        return part
+
+
+def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts: int) -> Flaws | None:
+    """The flawed pixels of the sensor that took the frames `slots` of all exposures; None without any."""
+    if len(slots) < LEAST_FRAMES:
+        return None
+    picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
+    found = [_flawed(images, picked, white_counts) for images in exposures]
+    shape = found[0].shape
+    flawed = np.logical_or.reduce(found)
+    if not flawed.any() or flawed.mean() > MOST_FLAWED or min(shape) <= 2 * _REACH:
+        return None
+    return _with_neighbours(flawed)
+
+
+def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:
+    """Where a pixel stands out in all frames, up or down, along the row or down the column."""
+    first, last = images[slots[0]], images[slots[-1]]
+    least = _least_difference(first, white_counts)
+    flawed = np.zeros(first.shape, bool)
+    if min(first.shape) <= 2 * _REACH or least > white_counts // 2:
+        return flawed
+    for brighter in (True, False):
+        for axis in (0, 1):
+            at = np.argwhere(_stands_out(first, axis, brighter, least) & _stands_out(last, axis, brighter, least))
+            for slot in slots[1:-1]:
+                at = at[_stand_out_at(images[slot], at, axis, brighter, least)]
+            flawed[tuple(at.T)] = True
+    return flawed
+
+
+def _least_difference(frame: Image, white_counts: int) -> int:
+    rows = frame[:: max(1, len(frame) // _SAMPLED_ROWS)].astype(np.float32)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(rows, axis=1)))) / np.sqrt(2) if rows.shape[1] > 1 else 0.0
+    return int(np.ceil(max(LEAST_SHARE_OF_WHITE * white_counts, LEAST_NOISE * noise)))
+
+
+def _stands_out(frame: Image, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
+    """Where a pixel differs by more than `least` from both pixels two further along the axis, to the same side."""
+    turned = frame if axis else frame.T
+    ahead = turned[:, 2 * _APART :]
+    behind, here = turned[:, : -2 * _APART], turned[:, _APART:-_APART]
+    out = np.zeros(turned.shape, bool)
+    inner = out[:, _APART:-_APART]
+    if brighter:
+        top = np.iinfo(frame.dtype).max - least
+        np.greater(here, np.minimum(np.maximum(ahead, behind), top) + frame.dtype.type(least), out=inner)
+    else:
+        np.less(here, np.maximum(np.minimum(ahead, behind), least) - frame.dtype.type(least), out=inner)
+    return out if axis else out.T
+
+
+def _stand_out_at(frame: Image, at: Places, axis: int, brighter: bool, least: int) -> NDArray[np.bool_]:
+    """The same at some pixels alone."""
+    step = np.array([0, _APART] if axis else [_APART, 0])
+    here, ahead, behind = (frame[tuple(p.T)].astype(np.int32) for p in (at, at + step, at - step))
+    return here > np.maximum(ahead, behind) + least if brighter else here < np.minimum(ahead, behind) - least
+
+
+def _with_neighbours(flawed: NDArray[np.bool_]) -> Flaws | None:
+    """The flaws that have sound pixels on both sides within reach, along the row or else down the column."""
+    at = np.argwhere(flawed)
+    one, other = at.copy(), at.copy()
+    sound = np.zeros(len(at), bool)
+    for step in ((0, 1), (1, 0)):
+        for out, sign in ((one, -1), (other, 1)):
+            todo = ~sound
+            out[todo] = _nearest_sound(flawed, at[todo], sign * np.array(step))
+        sound = ~flawed[tuple(one.T)] & ~flawed[tuple(other.T)]
+    return Flaws(at[sound], one[sound], other[sound]) if sound.any() else None
+
+
+def _nearest_sound(flawed: NDArray[np.bool_], at: Places, step: NDArray[np.intp]) -> Places:
+    """The first sound pixel from each in steps, or the pixel itself where there is none within reach."""
+    out = at.copy()
+    for n in range(_REACH, 0, -1):
+        there = at + n * step
+        inside = ((there >= 0) & (there < flawed.shape)).all(axis=1)
+        good = np.zeros(len(at), bool)
+        good[inside] = ~flawed[tuple(there[inside].T)]
+        out[good] = there[good]
+    return out
