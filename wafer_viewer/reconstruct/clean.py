@@ -16,9 +16,6 @@ from wafer_viewer.reconstruct.fill import fill
 from wafer_viewer.reconstruct.levy import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.outliers import find_outliers
 
-LEAST_NOISE_STEPS = 0.05
-"""Smoothing leaves alone what is within a twentieth of a step of its neighbourhood."""
-
 OUTLIER_FLOOR_STEPS = 1.5
 
 MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
@@ -28,6 +25,7 @@ _LEAST_GAIN = 0.02
 _N_SIGMAS = (3.0, 3.5, 4.0, 4.5)
 _MORE_THAN_NOISE = 2.0
 _FLIGHTS_TRIED = 20_001
+_LEAST_FLIGHT_STEPS = 0.05
 
 Map = NDArray[np.float32]
 
@@ -46,7 +44,7 @@ def clean(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> C
 
     resolution_um: what the optics resolve along z, the measure of what counts as a step of the surface.
     """
-    smoothed = smooth(z_um, recipe.levy, LEAST_NOISE_STEPS * resolution_um)
+    smoothed = smooth(z_um, recipe.levy, resolution_um)
     dropped = find_outliers(z_um, smoothed, pixel_um, recipe)
     smoothed[dropped] = np.nan
     raw = np.where(dropped, np.float32(np.nan), z_um)
@@ -58,18 +56,18 @@ def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -
     outliers = recipe.outliers
     if outliers.floor_um == "auto":
         outliers = replace(outliers, floor_um=OUTLIER_FLOOR_STEPS * resolution_um)
-    levy = settle_levy(maps, recipe.levy, LEAST_NOISE_STEPS * resolution_um)
+    levy = settle_levy(maps, recipe.levy, resolution_um)
     return replace(recipe, levy=levy, outliers=outliers)
 
 
-def settle_levy(maps: Sequence[Map], levy: Levy, least_um: float) -> Levy:
+def settle_levy(maps: Sequence[Map], levy: Levy, resolution_um: float) -> Levy:
     """How far noise goes, how long flights are, how many rounds still change something: in this order."""
     if levy.n_sigma == "auto":
         levy = replace(levy, n_sigma=_n_sigma(maps))
     if levy.alpha == "auto":
-        levy = replace(levy, alpha=_alpha(maps, levy, least_um))
+        levy = replace(levy, alpha=_alpha(maps, levy, resolution_um))
     if levy.iterations == "auto":
-        levy = replace(levy, iterations=max((_rounds_that_count(z, levy, least_um) for z in maps), default=1))
+        levy = replace(levy, iterations=max((_rounds_that_count(z, levy, resolution_um) for z in maps), default=1))
     return levy
 
 
@@ -87,20 +85,20 @@ def _n_sigma(maps: Sequence[Map]) -> float:
     return _N_SIGMAS[-1]
 
 
-def _alpha(maps: Sequence[Map], levy: Levy, least_um: float) -> float:
+def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
     """The middle one of all flights ends where it is wanted: at the guide, or as far away as noise goes.
 
     A guided flight is measured by the distance to its guide, a literal one in um.
     """
     middle = float(np.median(flight_lengths(np.random.default_rng(levy.seed), _FLIGHTS_TRIED, levy.beta)))
-    noise_um = max(float(np.median([height_noise_um(z) for z in maps] or [0.0])), least_um)
-    return (noise_um if levy.mode == "literal" else 1.0) / middle
+    noise_um = float(np.median([height_noise_um(z) for z in maps] or [0.0]))
+    return (max(noise_um, _LEAST_FLIGHT_STEPS * resolution_um) if levy.mode == "literal" else 1.0) / middle
 
 
-def _rounds_that_count(z_um: Map, levy: Levy, least_um: float) -> int:
+def _rounds_that_count(z_um: Map, levy: Levy, resolution_um: float) -> int:
     """The last round that moves the map by a fiftieth of what the one that moves it most does."""
     before, moves = z_um, list[float]()
-    for after in islice(SMOOTHERS[levy.mode](z_um, levy, least_um), MOST_ROUNDS[levy.mode]):
+    for after in islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), MOST_ROUNDS[levy.mode]):
         moves.append(float(np.nansum(np.abs(after - before), dtype=np.float64)))
         before = after.copy()
     return max((n for n, move in enumerate(moves, 1) if move > _LEAST_GAIN * max(moves)), default=1)

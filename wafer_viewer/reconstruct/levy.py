@@ -29,17 +29,19 @@ _GUIDE_RENEWED_EVERY = 5
 _MAD_TO_DEVIATION = 1.4826
 _SAMPLE_EVERY_PX = 5
 _SPIKE_PASSES = 3
+_LEAST_STEPS = 0.05
 
 Map = NDArray[np.float32]
 Rounds = Callable[[Map, Levy, float], Iterator[Map]]
 
 
-def smooth(z_um: Map, levy: Levy, least_um: float) -> Map:
+def smooth(z_um: Map, levy: Levy, resolution_um: float) -> Map:
     """A smoothed copy of a map, by a settled `Levy`; NaN stays NaN.
 
-    What is within least_um of its neighbourhood never stands out, however quiet the map.
+    resolution_um: what the optics resolve along z. What is within a twentieth of it never stands out, however quiet
+    the map; what is further off than all of it always does, however much of the map is false.
     """
-    rounds = islice(SMOOTHERS[levy.mode](z_um, levy, least_um), int(levy.iterations))
+    rounds = islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), int(levy.iterations))
     return deque(rounds, maxlen=1)[0].copy()
 
 
@@ -68,11 +70,11 @@ def bends_of(z_um: Map) -> NDArray[np.float32]:
     return np.concatenate(found)
 
 
-def _unsmoothed(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+def _unsmoothed(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     yield z_um
 
 
-def _literal(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+def _literal(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     """Eq. 10-14 word for word: the whole map flies (12), and stays where its mean square distance to z_um falls (14).
 
     Flights add up: what is accepted is where the next one starts. chi (13) is one number for the whole map.
@@ -103,11 +105,11 @@ def _mean_square(values: NDArray[np.float32]) -> float:
     return float(np.mean(np.square(values), dtype=np.float64)) if values.size else 0.0
 
 
-def _guided(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+def _guided(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     """Pixels that stand out fly along their distance to the median; a flight counts when it ends nearer to it."""
     rng = np.random.default_rng(levy.seed)
     padded = pad_with_nan(z_um)
-    limit = _limit_about_median(padded, z_um, levy, least_um)
+    limit = _limit_about_median(padded, z_um, levy, resolution_um)
     inner = padded[2:-2, 2:-2]
     while True:
         rows, cols = np.nonzero(far_from_median(padded, limit))
@@ -119,10 +121,10 @@ def _guided(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
             yield inner
 
 
-def _switching_median(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+def _switching_median(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     """Pixels that stand out take the median of their neighbourhood, until none is left."""
     padded = pad_with_nan(z_um)
-    limit = _limit_about_median(padded, z_um, levy, least_um)
+    limit = _limit_about_median(padded, z_um, levy, resolution_um)
     inner = padded[2:-2, 2:-2]
     while True:
         rows, cols = np.nonzero(far_from_median(padded, limit))
@@ -132,22 +134,26 @@ def _switching_median(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
             return
 
 
-def _limit_about_median(padded: Map, z_um: Map, levy: Levy, least_um: float) -> np.float32:
+def _limit_about_median(padded: Map, z_um: Map, levy: Levy, resolution_um: float) -> np.float32:
     """How far from the median noise goes: n_sigma deviations, by the median deviation of a sample of the pixels."""
     rows, cols = np.nonzero(np.isfinite(z_um[::_SAMPLE_EVERY_PX, ::_SAMPLE_EVERY_PX]))
     if not rows.size:
         return np.float32(np.inf)
     rows, cols = rows * _SAMPLE_EVERY_PX, cols * _SAMPLE_EVERY_PX
     away = np.abs(z_um[rows, cols] - medians_at(padded, rows, cols))
-    return np.float32(max(float(levy.n_sigma) * _MAD_TO_DEVIATION * float(np.median(away)), least_um))
+    return np.float32(_limit_um(_MAD_TO_DEVIATION * float(np.median(away)), levy, resolution_um))
 
 
-def _sigma_filter(z_um: Map, levy: Levy, least_um: float) -> Iterator[Map]:
+def _sigma_filter(z_um: Map, levy: Levy, resolution_um: float) -> Iterator[Map]:
     """What stands out along all lines takes their median; then all are averaged with what agrees with them."""
-    limit_um = max(float(levy.n_sigma) * height_noise_um(z_um), least_um)
+    limit_um = _limit_um(height_noise_um(z_um), levy, resolution_um)
     while True:
         z_um = pair_mean(_without_spikes(z_um, limit_um), limit_um)
         yield z_um
+
+
+def _limit_um(noise_um: float, levy: Levy, resolution_um: float) -> float:
+    return float(np.clip(float(levy.n_sigma) * noise_um, _LEAST_STEPS * resolution_um, resolution_um))
 
 
 def _without_spikes(z_um: Map, limit_um: float) -> Map:
