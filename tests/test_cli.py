@@ -133,6 +133,21 @@ def test_a_scan_is_checked_stitched_measured_and_converted(scan, surface, tmp_pa
     assert (tmp_path / "surface.ply").read_bytes().startswith(b"ply")
 
 
+def test_a_pixel_says_why_it_has_its_height(scan, surface, images):
+    asked = json.loads(viewer("why", scan, "--at", 745, 560).stdout)
+    assert (asked["field"], asked["simulated"]) == (1, True)
+    assert len(asked["z_um"]) == len(asked["focus"]) == 12
+    assert {"gate", "question", "score", "limit", "passed"} <= asked["verdicts"][0].keys()
+    other = json.loads(viewer("why", scan, "--at", 745, 560, "--field", 2, "--recipe.window", 5).stdout)
+    assert (other["field"], other["window"]) == (2, 5)
+    taken = ["why", images, "--z-step-um", 2, "--pixel-um", 0.5]
+    assert json.loads(viewer(*taken, "--at", 3, -4).stdout)["peak_z_um"] == pytest.approx(10, abs=1)
+    assert "lies outside of field 1" in refused(*taken, "--at", 300, -4)
+    assert "lies in no field of scan.wafer" in refused("why", scan, "--at", 0, 0)
+    assert "is a surface without its frames" in refused("why", surface, "--at", 620, 560)
+    assert "--at" in refused("why", scan)
+
+
 def test_a_damaged_page_is_found(scan, tmp_path):
     import shutil
 

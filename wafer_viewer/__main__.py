@@ -19,6 +19,7 @@ COMMANDS: dict[str, str] = {
     "stitch": "make the stitched surface of a dataset",
     "measure step": "the height of one region over another",
     "measure profile": "a section along a line",
+    "why": "why a pixel has its height, or none",
     "check": "test every checksum of a dataset and name missing frames",
     "convert": "write a surface in another format",
     "doctor": "what this machine has and lacks, and the line that mends it",

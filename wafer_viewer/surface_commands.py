@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from wafer_viewer.arguments import DatasetFolder, NewFile, Out, Rectangle, Source, Sources, Um, require_sources
+from wafer_viewer.arguments import DatasetFolder, NewFile, Out, Place, Rectangle, Source, Sources, Um, require_sources
 from wafer_viewer.command_output import print_json, print_surface, progress
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
@@ -113,6 +113,34 @@ def measure_profile(
     if points:
         facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}
     print_json(facts)
+
+
+def why(
+    src: Sources,
+    at: Place,
+    field: int = 0,
+    result: str = "default",
+    recipe: Recipe = Recipe(),
+    z_step_um: Um = None,
+    pixel_um: Um = None,
+) -> None:
+    """Why a pixel has its height, or none: its focus curve, the peak's rivals, every gate's verdict, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer, a folder of images, a multi-page TIFF or image files.
+        at: Where the pixel is.
+        field: The field of a NAME.wafer that is asked; 0 takes the one whose centre is nearest.
+        result: Name of the reconstruction, whose settings are used.
+        recipe: Other settings: --recipe RECIPE.toml gives all, --recipe.FIELD VALUE single ones.
+        z_step_um: Distance between frames, where SRC does not say.
+        pixel_um: Size of a pixel on the sample, where SRC does not say.
+    """
+    from wafer_viewer.session.offline import evidence_of
+
+    require_sources(src)
+    with progress("Reading the frames") as tell:
+        found = evidence_of(src, at, field, result, recipe, z_step_um, pixel_um, tell)
+    print_json(msgspec.to_builtins(found))
 
 
 def convert(src: Source, out: NewFile) -> None:

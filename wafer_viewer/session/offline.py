@@ -7,8 +7,10 @@ from functools import partial
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import summarise
@@ -62,6 +64,30 @@ def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic,
     kept = data.result(result)
     surface = kept.surface(data.field(field_number)) if field_number else kept.mosaic()
     return surface, data.calibration_problem(today()) is None
+
+
+def evidence_of(
+    src: Sequence[Path],
+    at_um: tuple[float, float],
+    field_number: int,
+    result: str,
+    recipe: Recipe,
+    z_step_um: float | None,
+    pixel_um: float | None,
+    tell: Tell,
+) -> FocusCurve:
+    """Why a pixel of images or of a dataset has its height. The default recipe gives way to that of a surface.
+
+    Raises DatasetError for what cannot be read, and for a surface without its frames.
+    """
+    if len(src) == 1 and is_dataset(src[0]):
+        return focus_curve(src[0], result, field_number, *at_um, None if recipe == Recipe() else recipe)
+    if src[0].suffix == ".npz":
+        raise DatasetError(f"{src[0].name} is a surface without its frames: give the dataset or images it was made of.")
+    from wafer_viewer.reconstruct import why
+
+    stack = open_stack(src[0] if len(src) == 1 else tuple(src), z_step_um, pixel_um, progress=tell)
+    return why.focus_curve(stack, *at_um, recipe)
 
 
 def is_dataset(path: Path) -> bool:
