@@ -40,6 +40,8 @@ SCREENS: dict[str, tuple[Callable[[], fake.Snapshot], str]] = {
     "7-uncalibrated": (lambda: fake.measured("no calibration was given"), "surface"),
     "8-fault": (fake.at_fault, "plan"),
 }
+EXPLAINED = {"9-why": True, "10-why-not": False}
+"""Screens of a surface that is seen and clicked: whether the pixel asked about is measured."""
 
 
 def dismiss_viser_warning(page: Page) -> None:
@@ -73,6 +75,34 @@ def still(page: Page, folder: Path, name: str, dark: bool) -> None:
     running.stop()
 
 
+def explained(page: Page, folder: Path, name: str, dark: bool) -> None:
+    """The picture of a click on the surface, and of what it says when it is asked why."""
+    from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
+    from wafer_viewer.gui.app import start
+
+    session = SeenSession()
+    session.answers.append(came_to(a_focus_curve(-12.4, 37.0, EXPLAINED[name])))
+    running = start(session)
+    remember(page, "surface", dark)
+    page.goto(running.address)
+    page.locator("[data-floating-window]", has_text="Height").wait_for()
+    take(page, folder / f"{name}-before.png")
+    ask_why(page)
+    take(page, folder / f"{name}.png")
+    page.goto("about:blank")
+    running.stop()
+    session.close()
+
+
+def ask_why(page: Page) -> None:
+    """Click the middle of the scene and ask."""
+    box = page.locator("canvas").first.bounding_box()
+    if box is not None:
+        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.locator("[data-pick=why]").click()
+    page.locator(".wv-patch img").wait_for()
+
+
 def tour(page: Page, folder: Path, dark: bool) -> None:
     """The pictures of a tour on the virtual rig."""
     from wafer_viewer.gui.app import start
@@ -98,6 +128,8 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             take(page, folder / "6-profile.png", 4 * REST_S)
             page.locator("[data-pick=tool][data-k=step]").click()
             take(page, folder / "7-step.png", 4 * REST_S)
+            ask_why(page)
+            take(page, folder / "8-why.png", 4 * REST_S)
         finally:
             page.goto("about:blank")
             running.stop()
@@ -117,7 +149,7 @@ def main() -> int:
     """Take the pictures asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", default=list(SCREENS))
+    parser.add_argument("names", nargs="*", default=[*SCREENS, *EXPLAINED])
     parser.add_argument("--size", default="1600x1000")
     parser.add_argument("--dark", action="store_true")
     parser.add_argument("--true", action="store_true")
@@ -131,6 +163,8 @@ def main() -> int:
             page.set_default_timeout(120_000)
             if asked.true:
                 tour(page, asked.folder, asked.dark)
+            elif name in EXPLAINED:
+                explained(page, asked.folder, name, asked.dark)
             else:
                 still(page, asked.folder, name, asked.dark)
             page.context.close()

@@ -389,3 +389,17 @@ def test_a_click_beside_the_surface_is_none(browser: Browser, scene: SceneView) 
 def test_fields_are_as_large_as_their_frames() -> None:
     assert GRID.field_width_um == pytest.approx(COLS * PIXEL_UM)
     assert GRID.field_height_um == pytest.approx(ROWS * PIXEL_UM)
+
+
+def test_the_place_that_is_explained_is_marked_on_the_surface(browser: Browser, scene: SceneView) -> None:
+    scene.draw(SNAPSHOT, View(step="surface", why=(-100.0, 50.0), exaggeration=2.0))
+    until(lambda: browser.scene.names("/tools/mark/"))
+    settled(scene)
+    x, y, z = browser.scene.nodes[browser.scene.names("mark/rim")[0]].position
+    assert (x, y) == pytest.approx((-0.1, 0.05), abs=1e-6)
+    assert z > 2.0 * STEP_UM * 1e-3 * 0.9
+    scene.draw(SNAPSHOT, View(step="surface", why=(100.0, 50.0), exaggeration=2.0))
+    settled(scene)
+    assert browser.scene.nodes[browser.scene.names("mark/rim")[0]].position[0] == pytest.approx(0.1)
+    scene.draw(SNAPSHOT, View(step="surface", exaggeration=2.0))
+    until(lambda: not browser.scene.names("/tools/mark/"))

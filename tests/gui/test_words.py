@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.browser import fake_session as fake
-from wafer_viewer.gui import html, measure_words, memory
+from tests.browser import seen_session as seen
+from wafer_viewer.gui import html, measure_words, memory, why_words
+from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.header import STEPS, done, possible
@@ -23,6 +25,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import Length
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Fault
 
 
@@ -203,3 +206,51 @@ def test_with_many_gaps_the_widest_stay_open():
 
 def test_a_curve_without_a_point_has_no_pieces():
     assert not np.isfinite(pieces(np.full(5, np.nan))).any()
+
+
+def test_every_verdict_says_in_words_what_its_sign_says():
+    curve = seen.a_focus_curve(0.0, 0.0, measured=False)
+    said = why_words.verdicts(curve)
+    for words in ("passed", "not passed", "gate is off · nothing clips in this stack", "Is there texture to focus on?"):
+        assert words in said
+    assert said.count("<tr") == 1 + len(curve.verdicts)
+    assert "Not measured" in why_words.answer(curve)
+    assert "Ambiguous peak" in why_words.answer(curve)
+
+
+def test_units_stand_once_where_all_gates_share_them_and_else_with_each():
+    curve = seen.a_focus_curve(0.0, 0.0)
+    assert why_words.verdicts(curve).count("powers of two") == 1
+    *others, last = curve.verdicts
+    mixed = replace(curve, verdicts=(*others, replace(last, unit="µm", score=1.0, limit=2.0)))
+    assert why_words.verdicts(mixed).count("powers of two") == 2
+
+
+@given(st.text())
+def test_what_a_gate_says_does_not_become_markup(text):
+    curve = seen.a_focus_curve(0.0, 0.0)
+    odd = replace(curve, origin=text, verdicts=(replace(curve.verdicts[0], question=text, note=text, unit=text),))
+    said = why_words.verdicts(odd) + why_words.answer(odd)
+    assert stdlib_html.escape(text, quote=True) in said
+
+
+def test_a_simulated_curve_says_so():
+    curve = seen.a_focus_curve(0.0, 0.0)
+    assert why_words.source(curve).startswith("SIMULATED · Tenengrad")
+    assert "SIMULATED" not in why_words.source(replace(curve, simulated=False))
+    assert why_words.source(replace(curve, focus_measure="log_laplacian", simulated=False)).startswith("Log laplacian,")
+
+
+@pytest.mark.parametrize(
+    ("view", "below"),
+    [
+        (View(step="measure", tool="profile"), "profile"),
+        (View(step="measure", tool="profile", why=(1.0, 2.0)), "why"),
+        (View(step="surface", why=(1.0, 2.0)), "why"),
+        (View(step="plan", why=(1.0, 2.0)), "none"),
+        (View(step="surface", tool="profile"), "none"),
+    ],
+)
+def test_one_curve_at_a_time_takes_the_room_below_the_scene(view, below):
+    assert view.below == below
+    assert (room_px(view) > 0) == (below != "none")

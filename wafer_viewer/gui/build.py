@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import viser
 
 from wafer_viewer.gui.acquire_panel import AcquirePanel
+from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, add_commands, looking
 from wafer_viewer.gui.guard import guarded, tell_failure
@@ -18,12 +19,14 @@ from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar, Toolbar
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
-from wafer_viewer.gui.profile_dock import ProfileDock, open_in
+from wafer_viewer.gui.profile_dock import ProfileDock
 from wafer_viewer.gui.scene import SceneView
-from wafer_viewer.gui.style import BRAND, PROFILE_PX, RIGHT_PX, sheet
+from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.welcome import Welcome
+from wafer_viewer.gui.why_dock import WhyDock
+from wafer_viewer.gui.why_panel import WhyPanel
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
@@ -40,7 +43,7 @@ class Frame:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the frame up to date."""
-        self._sheet.show(sheet(view.dark, PROFILE_PX if open_in(view) else 0))
+        self._sheet.show(sheet(view.dark, room_px(view)))
         if view.dark != self._dark:
             self._dark = view.dark
             self._gui.configure_theme(
@@ -82,10 +85,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.gui.main_panel.set_width(RIGHT_PX)
     frame = Frame(page)
     page.add_picks()
-    header = Header(page.gui, lambda step: page.change(step=step))
+    header = Header(page.gui, lambda step: page.change(step=step, why=None))
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault))
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page), MeasurePanel(page)
+    why = WhyPanel(page)
     read_out = ReadOutBox(page)
     parts = [
         *(
@@ -96,11 +100,13 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             acquire,
             surface,
             measure,
+            why,
             LeftPanel(page),
             Toolbar(page),
             Legend(page),
         ),
-        *(ColourLegend(page), ScaleBar(page, scene), read_out, ProfileDock(page, measure), Welcome(page)),
+        *(ColourLegend(page), ScaleBar(page, scene), read_out, ProfileDock(page, measure), WhyDock(page, why)),
+        Welcome(page),
         Drawing(scene),
     ]
     look = scene.look_from
@@ -108,28 +114,33 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
     page.on_pick("tool", measure.use)
     page.on_pick("look", look)
-    _listen_to_scene(page, scene, read_out)
-    add_commands(page, [*looking(look), *_commands(page, plan, acquire, surface, measure)])
+    _listen_to_scene(page, scene, read_out, why)
+    add_commands(page, [*looking(look), *_commands(page, plan, acquire, surface, measure, why)])
     page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)
     return page
 
 
-def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox) -> None:
+def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
     """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
     clicks = Latest("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"
     scene.on_profile(guarded(page, failed)(lambda line: page.change(profile=line, selected=None)))
     scene.on_regions(guarded(page, failed)(lambda upper, lower: page.change(upper=upper, lower=lower, selected=None)))
-    scene.on_pick(lambda x_um, y_um: clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um)))
+
+    def picked(x_um: float, y_um: float) -> None:
+        why.clicked(x_um, y_um)
+        clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um))
+
+    scene.on_pick(picked)
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
 
 
 def _commands(
-    page: Page, plan: PlanPanel, acquire: AcquirePanel, surface: SurfacePanel, measure: MeasurePanel
+    page: Page, plan: PlanPanel, acquire: AcquirePanel, surface: SurfacePanel, measure: MeasurePanel, why: WhyPanel
 ) -> list[Command]:
     session = page.session
 
@@ -143,13 +154,21 @@ def _commands(
         verb = session.undo_findings if page.view.step == "measure" else session.undo
         page.ask("Nothing was undone", verb())
 
+    def leave() -> None:
+        """What was opened last is left first."""
+        if page.view.explains:
+            why.close()
+        else:
+            page.change(tool="none", selected=None)
+
     steps: list[Step] = ["plan", "acquire", "surface", "measure"]
     icon = viser.Icon
     return [
         Command("Scan, pause, go on", "G", scan_or_pause, icon.PLAYER_PLAY),
         Command("Profile", "L", lambda: measure.use("profile"), icon.LINE),
         Command("Step height", "K", lambda: measure.use("step"), icon.STAIRS_UP),
-        Command("Leave the tool", "escape", lambda: page.change(tool="none", selected=None), icon.X),
+        Command("Why this height?", "C", why.toggle, icon.ZOOM_QUESTION),
+        Command("Leave the tool", "escape", leave, icon.X),
         Command("Hillshade", "H", surface.toggle_hillshade, icon.SUN),
         Command("All-in-focus", "U", surface.toggle_all_in_focus, icon.FOCUS_2),
         Command("Undo", "Z", undo, icon.ARROW_BACK_UP, "cmd/ctrl"),
@@ -159,7 +178,9 @@ def _commands(
         Command("Light or dark page", None, lambda: page.change(dark=not page.view.dark), icon.MOON),
         *(
             Command(
-                f"Go to {step.capitalize()}", None, lambda s=step: possible(s, session.snapshot) and page.change(step=s)
+                f"Go to {step.capitalize()}",
+                None,
+                lambda s=step: possible(s, session.snapshot) and page.change(step=s, why=None),
             )
             for step in steps
         ),

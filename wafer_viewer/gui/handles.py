@@ -20,16 +20,19 @@ _WHITE: Rgb = (255, 255, 255)
 
 
 class Knob:
-    """A ball to take hold of, in its colour on a white one, of the same size on the screen at any distance."""
+    """A ball in its colour on a white one, of the same size on the screen at any distance; dragged where asked for."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, colour: Rgb, radius_px: float, dragged: Dragged) -> None:
+    def __init__(
+        self, scene: viser.SceneApi, name: str, colour: Rgb, radius_px: float, dragged: Dragged | None = None
+    ) -> None:
         self.radius_px = radius_px
         self._rim, self._ball = (
             scene.add_icosphere(f"/tools/{name}/{part}", 1.0, tone, cast_shadow=False, receive_shadow=False)
             for part, tone in (("rim", _WHITE), ("ball", colour))
         )
-        for part in (self._rim, self._ball):
-            part.on_drag("left")(_in_order(name, dragged))
+        if dragged is not None:
+            for part in (self._rim, self._ball):
+                part.on_drag("left")(_in_order(name, dragged))
 
     def place(self, at: NDArray[np.float32], mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
         """Stand at a scene point; `towards` the camera, the coloured ball comes out of the white one."""
@@ -116,6 +119,23 @@ class ProfileTool:
         """Take it out of the scene."""
         for part in (self._line, *self._knobs):
             part.remove()
+
+
+class PlaceMark:
+    """A point on the surface that stays where it is put."""
+
+    def __init__(self, scene: viser.SceneApi, colour: Rgb) -> None:
+        self.place: Place = (0.0, 0.0)
+        self._knob = Knob(scene, "mark", colour, 5.0)
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Stand on the surface as it is drawn now."""
+        x, y = (np.array([v]) for v in self.place)
+        self._knob.place(land.scene_points(x, y, 2 * mm_per_pixel)[0], mm_per_pixel, towards)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._knob.remove()
 
 
 class RegionTool:

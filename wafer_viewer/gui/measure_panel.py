@@ -50,8 +50,9 @@ class MeasurePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date, and have the handles' places measured when they moved."""
-        set_prop(self._folder, "visible", view.step == "measure")
-        if view.step != "measure":
+        there = view.step == "measure" and not view.explains
+        set_prop(self._folder, "visible", there)
+        if not there:
             return
         self._measure_if_moved(snapshot, view)
         chosen = next((f for f in snapshot.findings if f.number == view.selected), None)
@@ -84,7 +85,7 @@ class MeasurePanel:
     def use(self, tool: Tool) -> None:
         """Take a tool, in the step where it is used."""
         if self._page.session.snapshot.surface is not None:
-            self._page.change(step="measure", tool=tool, selected=None)
+            self._page.change(step="measure", tool=tool, selected=None, why=None)
 
     def _build(self) -> None:
         gui = self._page.gui

@@ -9,10 +9,9 @@ import viser
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
 from wafer_viewer.gui import html
+from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.profile_dock import open_in
-from wafer_viewer.gui.style import PROFILE_PX
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
 from wafer_viewer.session.questions import ReadOut
@@ -22,6 +21,9 @@ EDGE_PX = 14
 SHORT_NAME = 24
 BAR_PX = 150
 """The scale bar is at most this long."""
+READ_OUT_PX = 60
+NARROW_SCENE_PX = 740
+"""Scale bar with all its words and read-out lie side by side from this width on."""
 WAYS_TO_LOOK = (
     ("top", "Top", "Look from above · T", viser.Icon.SQUARE),
     ("front", "Front", "Look from the front · F", viser.Icon.PERSPECTIVE),
@@ -69,22 +71,23 @@ class ScaleBar:
     """Bottom left: a round length at the point looked at, and how many times z is drawn."""
 
     def __init__(self, page: Page, scene: Any) -> None:
-        self._scene = scene
+        self._scene, self._camera = scene, page.client.camera
         self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the bar up to date."""
         um_per_pixel = self._scene.um_per_pixel()
-        y_px = -(EDGE_PX + (PROFILE_PX if open_in(view) else 0))
-        self._glass.show(_scale_bar(um_per_pixel, _drawn(snapshot, view)) if um_per_pixel else "", y_px=y_px)
+        y_px = -(EDGE_PX + room_px(view))
+        narrow = self._camera.image_width < NARROW_SCENE_PX
+        self._glass.show(_scale_bar(um_per_pixel, _drawn(snapshot, view, narrow)) if um_per_pixel else "", y_px=y_px)
 
 
 class ReadOutBox:
-    """Bottom right: height and confidence where the surface was clicked."""
+    """Bottom right: height and confidence where the surface was clicked, and the way to ask why."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._glass = Overlay(page.gui, -EDGE_PX, -EDGE_PX, 420, 40, align="right")
+        self._glass = Overlay(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
         self._text = ""
         self._of: object = None
 
@@ -94,15 +97,16 @@ class ReadOutBox:
         read = self._page.session.read_out(x_um, y_um, view.show)
         place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
         height = f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;"
-        self._text = f'{place}{height}<span class="dim">{_trust(read)}</span>'
+        self._text = f'{place}{height}<br><span class="dim">{_trust(read)}</span>&ensp;'
         self._of = _surface(self._page.session.snapshot, view)
         self._page.redraw()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show what was read last, as long as the surface is the same."""
         on_surface = view.step in ("surface", "measure") and self._of == _surface(snapshot, view)
-        y_px = -(EDGE_PX + (PROFILE_PX if open_in(view) else 0))
-        shown = self._text if on_surface else ""
+        y_px = -(EDGE_PX + room_px(view))
+        ask = "" if view.explains else f'<span class="wv-link" title="C" {html.pick("why")}>Why this height?</span>'
+        shown = f"{self._text}{ask}" if on_surface else ""
         self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)
 
 
@@ -144,8 +148,8 @@ def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> str:
     )
 
 
-def _drawn(snapshot: Snapshot, view: View) -> str:
-    """What stands beside the bar."""
+def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
+    """What stands beside the bar; in a narrow scene it leaves room for the read-out."""
     if view.step == "plan":
         sample = snapshot.draft.job.sample if snapshot.draft.job else None
         if sample is None or not sample.width_um:
@@ -155,7 +159,7 @@ def _drawn(snapshot: Snapshot, view: View) -> str:
     if view.look == "plan" and view.step != "acquire":
         return "seen from above"
     shape = " (true shape)" if view.exaggeration == 1 else ""
-    light = " · light from the north-west" if view.step == "surface" and view.hillshade else ""
+    light = " · light from the north-west" if view.step == "surface" and view.hillshade and not narrow else ""
     return f"z drawn × {view.exaggeration:g}{shape}{light}"
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.ticks import round_step
 from wafer_viewer.gui import html
-from wafer_viewer.gui.kit import Cell, set_prop
+from wafer_viewer.gui.bottom import BottomPanel
+from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.measure_words import PROFILE_COLOURS, averaging
 from wafer_viewer.gui.page import Page
@@ -24,13 +25,7 @@ MOST_POINTS = 1500
 """More than the plot has pixels; longer curves are thinned by their extremes."""
 MOST_PIECES, PIECES_STEP = 40, 8
 """Most measured pieces that are drawn apart, and the steps in which their number grows: each is a series."""
-FIRST_WIDTH_PX = 892
 PLOT_MARGIN_PX = 48
-
-
-def open_in(view: View) -> bool:
-    """Whether a curve is shown below the scene."""
-    return view.step == "measure" and view.tool == "profile"
 
 
 class ProfileDock:
@@ -39,21 +34,16 @@ class ProfileDock:
     def __init__(self, page: Page, measure: MeasurePanel) -> None:
         self._page, self._measure = page, measure
         self._drawn: object = None
-        self._panel = page.gui.add_panel(visible=False)
-        with self._panel.add_tab("Profile"):
-            page.gui.add_html('<div class="wv-bottom"></div>')
+        self._panel = BottomPanel(page, "profile")
+        with self._panel.tab:
             self._head = Cell(page.gui)
             self._body = page.gui.add_folder(None)
             self._plot: Any = None
             self._plot_kind = False, 0
-        self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
-        self._width = 0
-        page.client.camera.on_update(lambda camera: self._follow(camera.image_width))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the curve up to date."""
-        set_prop(self._panel, "visible", open_in(view))
-        if not open_in(view):
+        if not self._panel.show(view):
             return
         answer = self._measure.answer
         profile = answer.finding if isinstance(answer.finding, Profile) else None
@@ -85,12 +75,6 @@ class ProfileDock:
                 padding=(8, 18, 0, 0),
                 cursor={"drag": {"x": True, "y": False}},
             )
-
-    def _follow(self, width_px: int) -> None:
-        """Be as wide as the scene, which follows the regions beside it."""
-        if width_px != self._width:
-            self._width = width_px
-            self._panel.set_width(width_px)
 
 
 def thinned(

@@ -22,6 +22,7 @@ class SceneColours:
     way: Rgb = (200, 80, 0)
     profile: Rgb = rgb("E8590C")
     region: Rgb = rgb("15202B")
+    mark: Rgb = rgb("0B6E99")
 
 
 LIGHT = SceneColours(

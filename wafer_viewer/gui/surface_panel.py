@@ -45,8 +45,9 @@ class SurfacePanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
-        set_prop(self._folder, "visible", view.step == "surface")
-        if view.step != "surface":
+        there = view.step == "surface" and not view.explains
+        set_prop(self._folder, "visible", there)
+        if not there:
             return
         data, info = snapshot.dataset, snapshot.surface
         self._title.show(html.title("Surface", _below(data, info, view)))

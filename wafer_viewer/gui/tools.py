@@ -12,7 +12,7 @@ import viser
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.handles import ProfileTool, RegionTool
+from wafer_viewer.gui.handles import PlaceMark, ProfileTool, RegionTool
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.scene_colours import colours
@@ -28,6 +28,7 @@ class Tools:
         self._land: Land | None = None
         self._profile: ProfileTool | None = None
         self._regions: dict[str, RegionTool] = {}
+        self._mark: PlaceMark | None = None
         self._lock = threading.RLock()
         self._drags, self._clicks = Latest("drag"), Latest("pick")
         self._told: deque[Region] = deque(maxlen=64)
@@ -70,6 +71,7 @@ class Tools:
                 self._show_profile(view, land)
             elif land is not None and tool == "step":
                 self._show_regions(view, land)
+            self._show_mark(view, land)
 
     def resize(self) -> None:
         """The camera has moved: handles keep their size on the screen."""
@@ -108,6 +110,17 @@ class Tools:
         self._had_regions = view.upper is not None and view.lower is not None
         self._redraw()
 
+    def _show_mark(self, view: View, land: Land | None) -> None:
+        place = view.why if view.explains and land is not None else None
+        if place is None:
+            if self._mark is not None:
+                self._mark.remove()
+                self._mark = None
+            return
+        self._mark = self._mark or PlaceMark(self._client.scene, colours(view.dark).mark)
+        self._mark.place = place
+        self._redraw()
+
     def _is_theirs(self, region: Region, new: bool) -> bool:
         """Whether a view's region was chosen elsewhere; one that was told from here is only an echo of a drag."""
         return new or region.points not in [told.points for told in self._told]
@@ -130,13 +143,13 @@ class Tools:
 
     def _redraw(self) -> None:
         with self._lock:
-            if self._land is None or (self._profile is None and not self._regions):
+            drawn = [t for t in (self._profile, *self._regions.values(), self._mark) if t is not None]
+            if self._land is None or not drawn:
                 return
             pixel_mm, towards = self._eye.um_per_pixel() * 1e-3, self._eye.pose.direction
             with self._client.atomic():
-                for tool in (self._profile, *self._regions.values()):
-                    if tool is not None:
-                        tool.draw(self._land, pixel_mm, towards)
+                for tool in drawn:
+                    tool.draw(self._land, pixel_mm, towards)
 
     # ---------------------------------------------------------------- what the operator does
 

@@ -11,6 +11,7 @@ Step = Literal["plan", "acquire", "surface", "measure"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
 Tool = Literal["none", "profile", "step"]
+Below = Literal["none", "profile", "why"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +20,7 @@ class View:
 
     show: 0 is the stitched surface, a running number is that field. range_um None: the surface's own 0.5 - 99.5 %.
     frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
+    why: the place, stage um, whose height is being explained.
     """
 
     step: Step = "plan"
@@ -38,3 +40,16 @@ class View:
     upper: Region | None = None
     lower: Region | None = None
     selected: int | None = None
+    why: tuple[float, float] | None = None
+
+    @property
+    def explains(self) -> bool:
+        """Whether the page says why a pixel has its height."""
+        return self.why is not None and self.step in ("surface", "measure")
+
+    @property
+    def below(self) -> Below:
+        """Which curve takes the room below the scene."""
+        if self.explains:
+            return "why"
+        return "profile" if self.step == "measure" and self.tool == "profile" else "none"

@@ -1,0 +1,47 @@
+"""A small part of a frame as a picture, to be looked at pixel by pixel."""
+
+from __future__ import annotations
+
+import base64
+import io
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+
+LEAST_SPAN = 1 / 8
+"""Of the range of greys: less contrast is not spread further, so that noise does not look like texture."""
+Greys = tuple[float, float]
+
+
+def patch(image: Image, row: int, col: int, side_px: int) -> Image:
+    """The square of `side_px` round a pixel, cut off at the frame's edges."""
+    top, left = row - side_px // 2, col - side_px // 2
+    return image[max(0, top) : max(0, top + side_px), max(0, left) : max(0, left + side_px)]
+
+
+def greys(image: Image) -> Greys:
+    """The greys drawn black and white so that a patch is well seen: nearly its darkest and its brightest."""
+    low, high = (float(v) for v in np.percentile(image, (0.5, 99.5)))
+    spare = max(0.0, LEAST_SPAN * np.iinfo(image.dtype).max - (high - low)) / 2
+    return low - spare, high + spare
+
+
+def patch_url(image: Image, row: int, col: int, side_px: int, between: Greys) -> str:
+    """The square round a pixel as the address of a PNG picture; what lies beyond the frame is left clear."""
+    from PIL import Image as Pictures
+
+    seen = patch(image, row, col, side_px)
+    low, high = between
+    grey = np.clip((seen - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    whole = np.zeros((side_px, side_px, 2), np.uint8)
+    r, c = max(0, side_px // 2 - row), max(0, side_px // 2 - col)
+    whole[r : r + seen.shape[0], c : c + seen.shape[1]] = _opaque(grey)
+    file = io.BytesIO()
+    Pictures.fromarray(whole, "LA").save(file, "PNG", compress_level=1)
+    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _opaque(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.dstack([grey, np.full_like(grey, 255)])
