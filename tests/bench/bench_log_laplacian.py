@@ -16,7 +16,7 @@ import numpy as np
 from wafer_viewer.reconstruct.camera_noise import CameraNoise, estimate_camera_noise
 from wafer_viewer.reconstruct.log_laplacian import LogRows, Stabiliser, log_laplacian_block
 from wafer_viewer.reconstruct.prepare import Frames
-from wafer_viewer.reconstruct.silhouette import SilhouetteRows, half_size, silhouette_block
+from wafer_viewer.reconstruct.silhouette import Silhouette, SilhouetteRows, silhouette_block
 from wafer_viewer.reconstruct.volume import Source, Volume
 
 ROWS, COLS, FRAMES, RUNS = 1080, 1440, 16, 12
@@ -48,11 +48,8 @@ def measure_ms(window: int, stripe: int, lag: int, dtype: type, runs: int = RUNS
 
 
 def silhouette_ms(stripe: int, every: int) -> float:
-    contrast, rows = (
-        np.zeros((half_size(stripe), half_size(COLS)), np.float32),
-        SilhouetteRows.make(COLS, np.dtype(np.uint8)),
-    )
-    once = partial(silhouette_block, a_stripe(np.uint8), every, 6.0, rows, contrast)
+    rows = SilhouetteRows.make(COLS, np.dtype(np.uint8))
+    once = partial(silhouette_block, a_stripe(np.uint8), every, 6.0, rows, Silhouette.empty((stripe, COLS)))
     return least_s(once, RUNS) * 1000 / FRAMES * ROWS / stripe
 
 

@@ -1,8 +1,10 @@
 """Where bright and dark meet, at every focus: the silhouettes beside which light bleeds over what is dark.
 
-The outline of a die beside a bright trench is a step of grey in all frames, whatever is in focus, and is there before
-any depth is known. With b = ln(mean of 6 x 6 pixels + some dark grey), D is the most that b changes over 6 pixels along
-a row or a column, in any frame. At half the resolution: pixel (i, j) of D stands for the 2 x 2 pixels from (2 i, 2 j).
+With b = ln(mean of 6 x 6 pixels + some dark grey), D is the most that b changes over 6 pixels along a row or a column.
+A pattern in one plane has such a contrast within the depth of focus about that plane, and no longer; the outline of a
+die beside a bright trench has it in all frames from the foot of its wall to the top. So a silhouette that stands
+through many frames is a wall, and is known before any depth is. At half the resolution: pixel (i, j) of a map stands
+for the 2 x 2 pixels from (2 i, 2 j).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, Whole
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
 from wafer_viewer.numerics.jit import bare_kernel
 from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.volume import Source, take_grey
@@ -22,6 +24,9 @@ SILHOUETTE_MARGIN_PX = 6
 
 DARK_SHARE_OF_WHITE = 6 / 255
 """What is added to the grey, as a share of white: below it differences are noise."""
+
+STANDING_CONTRAST = 0.47
+"""The least D of a silhouette: bright is 1.6 times dark."""
 
 _REACH = 2
 _PIXELS = 36
@@ -36,6 +41,7 @@ class SilhouetteRows(NamedTuple):
     bins: Int32s
     columns: Int32s
     log: Float32s
+    change: Float32s
 
     @classmethod
     def make(cls, cols: int, dtype: np.dtype[Any]) -> SilhouetteRows:
@@ -47,7 +53,31 @@ class SilhouetteRows(NamedTuple):
             bins=np.zeros((3, half + 2), np.int32),
             columns=np.zeros(half + 2, np.int32),
             log=np.zeros((5, half), np.float32),
+            change=np.zeros(half_size(cols), np.float32),
         )
+
+
+class Silhouette(NamedTuple):
+    """The silhouettes of a field or of a part of it, all [row / 2, col / 2].
+
+    contrast: the greatest D of any frame, natural logarithm; frame: which frame that is; standing: in how many frames
+    D is at least that of a silhouette.
+    """
+
+    contrast: Float32s
+    frame: UInt16s
+    standing: UInt16s
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Silhouette:
+        """No silhouettes in a field of `shape` pixels."""
+        half = half_size(shape[0]), half_size(shape[1])
+        return cls(np.zeros(half, np.float32), np.zeros(half, np.uint16), np.zeros(half, np.uint16))
+
+    def rows(self, part: slice) -> Silhouette:
+        """The part that stands for some rows of the field, as views; the first of them must be even."""
+        half = slice(part.start // 2, half_size(part.stop))
+        return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
 
 
 def half_size(pixels: int) -> int:
@@ -56,22 +86,23 @@ def half_size(pixels: int) -> int:
 
 
 @bare_kernel
-def silhouette_block(source: Source, every: Whole, dark_counts: Real, rows: SilhouetteRows, contrast: Float32s) -> None:
-    """Raise `contrast` [row / 2, col / 2] to the D of a block; every: 1 for all frames, 2 for half of them.
+def silhouette_block(source: Source, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette) -> None:
+    """Note the silhouettes of a block, in an `out` that is empty to begin with; every: 1 for all frames, 2 for half.
 
-    contrast: natural logarithms, 0 to begin with. The block must begin at an even row and column of the field, so that
-    the maps of blocks fit together.
+    The block must begin at an even row and column of the field, so that the maps of blocks fit together.
     """
-    margin, cols = SILHOUETTE_MARGIN_PX, 2 * contrast.shape[1]
+    margin, cols = SILHOUETTE_MARGIN_PX, 2 * out.contrast.shape[1]
     for k in range(0, source.slots.size, every):
-        for r in range(contrast.shape[0] + margin):
+        for r in range(out.contrast.shape[0] + margin):
             take_grey(source, k, 2 * r - margin, margin, cols, rows.grey[0])
             take_grey(source, k, 2 * r - margin + 1, margin, cols, rows.grey[1])
             _bin(rows.grey[0], rows.grey[1], rows.pairs, rows.bins[r % 3])
             if r >= 2:
                 _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
             if r >= 6:
-                _contrast_row(rows.log, r, contrast[r - 6])
+                y = r - 6
+                _contrast_row(rows.log, r, rows.change)
+                _note(rows.change, k, every, out.contrast[y], out.frame[y], out.standing[y])
 
 
 @bare_kernel
@@ -98,7 +129,7 @@ def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) ->
 
 
 @bare_kernel
-def _contrast_row(log: Float32s, r: Whole, contrast: Float32s) -> None:
+def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
     """The most that the logarithm changes over three half-resolution pixels astride of one, along x and y."""
     a, b, here, c, d = (
         log[(r - 4) % 5, 2:],
@@ -108,7 +139,18 @@ def _contrast_row(log: Float32s, r: Whole, contrast: Float32s) -> None:
         log[r % 5, 2:],
     )
     left_2, left, right, right_2 = here, here[1:], here[3:], here[4:]
-    for x in range(contrast.size):
+    for x in range(change.size):
         along = max(abs(right_2[x] - left[x]), abs(right[x] - left_2[x]))
         down = max(abs(d[x] - b[x]), abs(c[x] - a[x]))
-        contrast[x] = max(contrast[x], max(along, down))
+        change[x] = max(along, down)
+
+
+@bare_kernel
+def _note(change: Float32s, k: Whole, every: Whole, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
+    u, least = np.uint16, np.float32(STANDING_CONTRAST)
+    here, step = u(k), u(every)
+    for x in range(change.size):
+        d, most, at = change[x], contrast[x], frame[x]
+        contrast[x] = d if d > most else most
+        frame[x] = here if d > most else at
+        standing[x] = u(standing[x] + (step if d >= least else u(0)))
