@@ -12,29 +12,34 @@ from typing import NoReturn
 from tyro import _errors as parse_errors
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 from wafer_viewer.model.spec import decode
 
+_NAMES = ", ".join(READY_RECIPES)
 _SAYS_NOTHING = re.compile(r"\s*\(default: (None|False|)\)")
 
 
 def recipe_file(argv: list[str]) -> tuple[Recipe | None, list[str]]:
-    """Take ``--recipe FILE.toml`` out of the arguments and read it; single settings, ``--recipe.window 9``, stay."""
+    """Take ``--recipe FILE.toml`` or ``--recipe NAME`` out of the arguments; settings, ``--recipe.window 9``, stay."""
     for i, word in enumerate(argv):
         if word == "--recipe":
             if i + 1 == len(argv):
-                raise PlanError("--recipe needs a file: give a RECIPE.toml, or single settings as --recipe.window 9.")
-            return _read_recipe(Path(argv[i + 1])), argv[:i] + argv[i + 2 :]
+                raise PlanError(f"--recipe needs a file or a name: give a RECIPE.toml or one of {_NAMES}.")
+            return _read_recipe(argv[i + 1]), argv[:i] + argv[i + 2 :]
         if word.startswith("--recipe="):
-            return _read_recipe(Path(word.removeprefix("--recipe="))), argv[:i] + argv[i + 1 :]
+            return _read_recipe(word.removeprefix("--recipe=")), argv[:i] + argv[i + 1 :]
     return None, argv
 
 
-def _read_recipe(path: Path) -> Recipe:
+def _read_recipe(name: str) -> Recipe:
+    if name in READY_RECIPES:
+        return READY_RECIPES[name]
+    path = Path(name)
     try:
         return decode(path.read_bytes(), Recipe, path.name)
     except OSError as fault:
-        raise PlanError(f"{path} cannot be read: {(fault.strerror or str(fault)).lower()}: check the path.") from fault
+        reason = (fault.strerror or str(fault)).lower()
+        raise PlanError(f"{path} cannot be read: {reason}: check the path, or take a ready one: {_NAMES}.") from fault
 
 
 @contextlib.contextmanager

@@ -88,6 +88,25 @@ class Recipe(Spec, frozen=True, kw_only=True):
     stitching: Stitching = Stitching()
     measure_on: Literal["unsmoothed", "smoothed"] = "unsmoothed"
 
+    @classmethod
+    def paper(cls) -> Recipe:
+        """The paper's method step by step: plain argmax, its filter as printed, outliers by the cloud, all filled.
+
+        The paper leaves window, step size, iterations and thresholds open ("tuned by hand"): these are ours.
+        """
+        return cls(
+            focus_measure="tenengrad",
+            window=9,
+            peak="argmax",
+            drift="none",
+            min_confidence=0.0,
+            clipped_fraction=1.0,
+            levy=Levy(mode="literal", n_sigma=3.0, alpha=0.5, beta=1.5, iterations=30),
+            outliers=Outliers(mode="cloud", n_sigma=1.0, floor_um=0.001),
+            fill=Fill(mode="all"),
+            measure_on="smoothed",
+        )
+
     @property
     def has_auto(self) -> bool:
         """Whether any choice is left to the data."""
@@ -96,3 +115,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
 def _values(data: object) -> list[object]:
     return [v for item in data.values() for v in _values(item)] if isinstance(data, dict) else [data]
+
+
+READY_RECIPES: dict[str, Recipe] = {"default": Recipe(), "paper": Recipe.paper()}
+"""Recipes that go by a name."""
