@@ -2,8 +2,7 @@
 
 All sightings of all tiles are solved at once by robust least squares (Cauchy weights), so that errors do not add up
 from frame to frame. Where nothing is sharp nothing is known: there the frames follow those that are, at their pace if
-it is steady. Frames are put right by whole pixels: no grey value is made up, the noise stays what it is, and half a
-pixel is far less than a window. All frames are laid over their mean, as is usual where a lens focuses by moving.
+it is steady. All frames are laid over their mean, as is usual where a lens focuses by moving.
 """
 
 from __future__ import annotations
@@ -46,24 +45,16 @@ class Drift:
     shape: tuple[int, int]
     corner: tuple[int, int] = (0, 0)
 
-    def rows(self, k: int, first: int, stop: int) -> Wholes:
-        """The rows of frame k in which the rows first ... stop - 1 of the field lie; they may lie beyond it."""
-        return self._places(k, 0, first, stop)
-
-    def cols(self, k: int, first: int, stop: int) -> Wholes:
-        """The same for columns."""
-        return self._places(k, 1, first, stop)
+    def places(self, k: int, axis: int, first: int, stop: int) -> Floats:
+        """The rows (axis 0) or columns (1) of frame k in which those from first to stop - 1 of the field lie."""
+        middle = (self.shape[axis] - 1) / 2 - self.corner[axis]
+        return middle + np.exp(self.growth[k]) * (np.arange(first, stop) - middle) + self.shift_px[k, axis]
 
     def covered(self, axis: int, length: int) -> slice:
-        """The first `length` rows (axis 0) or columns (1) less those that are not in every frame."""
-        there = np.array([self._places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
-        seen = np.flatnonzero(((there >= 0) & (there < self.shape[axis])).all(axis=0))
+        """The first `length` rows or columns less those that are not in every frame."""
+        there = np.array([self.places(k, axis, 0, length) for k in range(len(self.growth))]) + self.corner[axis]
+        seen = np.flatnonzero(((there > -0.5) & (there < self.shape[axis] - 0.5)).all(axis=0))
         return slice(int(seen[0]), int(seen[-1]) + 1) if seen.size else slice(0, 0)
-
-    def _places(self, k: int, axis: int, first: int, stop: int) -> Wholes:
-        middle = (self.shape[axis] - 1) / 2 - self.corner[axis]
-        there = middle + np.exp(self.growth[k]) * (np.arange(first, stop) - middle) + self.shift_px[k, axis]
-        return np.rint(there).astype(np.intp)
 
 
 def drift_of(seen: Sightings, n_frames: int, shape: tuple[int, int]) -> Drift | None:
@@ -89,7 +80,7 @@ def told(drift: Drift, pixel_um: float) -> str:
     shifts = f"the picture shifts by {shift:.1f} px ({shift * pixel_um:.2f} um)" if shift > 0 else ""
     grows = f"its magnification changes by {growth:.2%}" if growth > 0 else ""
     both = " and ".join(part for part in (shifts, grows) if part)
-    return f"{both[0].upper()}{both[1:]} through the stack: every frame was put right by whole pixels."
+    return f"{both[0].upper()}{both[1:]} through the stack: its frames were put right."
 
 
 def _agreed(seen: Sightings, n_frames: int) -> Sightings:

@@ -19,6 +19,7 @@ from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack, Image
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.numerics.resample import Taps, resampled
 from wafer_viewer.reconstruct.drift import Drift, drift_of, told
 from wafer_viewer.reconstruct.exposures import Fusion, fusion_of
 from wafer_viewer.reconstruct.flaws import Flaws, find_flaws
@@ -155,16 +156,20 @@ def _shrunk(seen: slice, margin: int, length: int) -> slice:
 
 def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
     """The pixels [rows, cols] of every frame into `out`: mended, fused, put right."""
-    drift, (n_rows, n_cols) = frames.drift, frames.shape
     for k, slot in enumerate(frames.slots):
-        if drift is None:
+        if frames.drift is None:
             out[k] = _pixels(frames, int(slot), rows, cols)
             continue
-        there = drift.rows(k, rows.start, rows.stop).clip(0, n_rows - 1)
-        across = drift.cols(k, cols.start, cols.stop).clip(0, n_cols - 1)
-        top, left = int(there[0]), int(across[0])
-        part = _pixels(frames, int(slot), slice(top, int(there[-1]) + 1), slice(left, int(across[-1]) + 1))
-        out[k] = part[there - top].take(across - left, axis=1)
+        down = Taps.at(frames.drift.places(k, 0, rows.start, rows.stop))
+        across = Taps.at(frames.drift.places(k, 1, cols.start, cols.stop))
+        window = [_within(taps.span, length) for taps, length in zip((down, across), frames.shape, strict=True)]
+        part = _pixels(frames, int(slot), *window)
+        out[k] = resampled(part, down.seen_from(window[0].start), across.seen_from(window[1].start))
+
+
+def _within(span: tuple[int, int], length: int) -> slice:
+    """What of a span lies in a frame; at least its border."""
+    return slice(min(max(0, span[0]), length - 1), max(1, min(span[1], length)))
 
 
 def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:

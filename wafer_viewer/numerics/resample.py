@@ -1,0 +1,105 @@
+"""A picture read between its pixels, along rows and columns apart, by the windowed sinc of six points (Lanczos).
+
+Shorter kernels smooth more the nearer a place is to the middle between two pixels: frames that drift would look sharper
+and blurrier in turn.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int64s, Real
+from wafer_viewer.numerics.jit import fast_kernel
+
+REACH = 3
+"""Points on each side of a place."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Taps:
+    """The six points around each of n places along an axis: the first one, and the weights [point, place]."""
+
+    first: NDArray[np.int64]
+    weights: NDArray[np.float32]
+
+    @classmethod
+    def at(cls, places: NDArray[np.float64]) -> Taps:
+        """The points around places, which must rise."""
+        floor = np.floor(places)
+        away = places - floor - np.arange(1 - REACH, REACH + 1)[:, None]
+        weights = np.sinc(away) * np.sinc(away / REACH)
+        return cls(floor.astype(np.int64) + 1 - REACH, (weights / weights.sum(axis=0)).astype(np.float32))
+
+    def seen_from(self, start: int) -> Taps:
+        """The same points in a part of the picture that begins at `start`."""
+        return Taps(self.first - start, self.weights)
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """The first point of all, and one past the last."""
+        return int(self.first[0]), int(self.first[-1]) + 2 * REACH
+
+
+def resampled(picture: Greys, rows: Taps, cols: Taps) -> Greys:
+    """The picture at the places of rows x cols, rounded to what it is made of; beyond it its border pixels repeat."""
+    part = _repeated(_repeated(picture, rows.span, 0), cols.span, 1)
+    out = np.empty((len(rows.first), len(cols.first)), picture.dtype)
+    line = np.empty(part.shape[1], np.float32)
+    most = np.float32(np.iinfo(picture.dtype).max)
+    row_first, col_first = rows.first - rows.span[0], cols.first - cols.span[0]
+    _resample(part, row_first, rows.weights, col_first, cols.weights, most, line, out)
+    return out
+
+
+def _repeated(picture: Greys, span: tuple[int, int], axis: int) -> Greys:
+    """The pixels of a span along an axis, which may reach beyond the picture."""
+    length = picture.shape[axis]
+    if span[0] >= 0 and span[1] <= length:
+        return picture[span[0] : span[1]] if axis == 0 else picture[:, span[0] : span[1]]
+    return picture.take(np.arange(*span).clip(0, length - 1), axis=axis)
+
+
+@fast_kernel
+def _resample(
+    part: Greys,
+    row_first: Int64s,
+    row_weights: Float32s,
+    col_first: Int64s,
+    col_weights: Float32s,
+    most: Real,
+    line: Float32s,
+    out: Greys,
+) -> None:
+    for r in range(out.shape[0]):
+        line[:] = 0
+        for i in range(row_weights.shape[0]):
+            weight, row = row_weights[i, r], part[row_first[r] + i]
+            for x in range(line.size):
+                line[x] += weight * np.float32(row[x])
+        start = 0
+        while start < col_first.size:
+            stop = _run(col_first, start)
+            _along(line[col_first[start] :], col_weights[:, start:stop], most, out[r, start:stop])
+            start = stop
+
+
+@fast_kernel
+def _run(first: Int64s, start: int) -> int:
+    """Where the columns that follow each other pixel by pixel end: the loop over them runs in vectors."""
+    stop = start + 1
+    while stop < first.size and first[stop] - first[start] == stop - start:
+        stop += 1
+    return stop
+
+
+@fast_kernel
+def _along(line: Float32s, weights: Float32s, most: Real, out: Greys) -> None:
+    a, b, c, d, e, f = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5]
+    for x in range(out.size):
+        left = a[x] * line[x] + b[x] * line[x + 1] + c[x] * line[x + 2]
+        right = d[x] * line[x + 3] + e[x] * line[x + 4] + f[x] * line[x + 5]
+        value = left + right + np.float32(0.5)
+        out[x] = np.int32(min(most, max(np.float32(0), value)))
