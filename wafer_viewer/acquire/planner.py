@@ -66,6 +66,7 @@ def plan_scan(
         rows=limits.camera.rows,
         cols=limits.camera.cols,
         pixel_um=limits.pixel_um,
+        depth_of_field_um=limits.depth_of_field_um,
     )
 
 

@@ -197,7 +197,10 @@ class Price(Spec, frozen=True, kw_only=True):
 
 
 class ScanPlan(Spec, frozen=True, kw_only=True):
-    """Everything a scan does: fields, sweep, exposures, the legs in order, the predicted time, and all prices."""
+    """Everything a scan does: fields, sweep, exposures, the legs in order, the predicted time, and all prices.
+
+    depth_of_field_um: of the objective; 0 when nobody knows.
+    """
 
     fields: tuple[Field, ...]
     sweep: FocusSweep
@@ -209,6 +212,7 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
     rows: Count
     cols: Count
     pixel_um: Positive
+    depth_of_field_um: NonNegative = 0.0
 
     def field(self, number: int) -> Field:
         """The field with a running number."""

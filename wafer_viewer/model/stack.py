@@ -57,7 +57,8 @@ class FieldStack:
 
     images: [k, row, col], uint8 or uint16, may be memory-mapped; z_um: float64 [k], rising;
     present: bool [k], False where no frame came (an empty slot is not a black frame);
-    brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`.
+    brackets: further exposures of the same slots, in any order: a reconstruction fuses them with `images`;
+    depth_of_field_um: of the objective; 0 when nobody knows.
 
     Raises DatasetError when the shapes disagree or fewer than three frames are present.
     """
@@ -73,6 +74,7 @@ class FieldStack:
     source: str = ""
     exposure_us: float = np.nan
     brackets: tuple[Bracket, ...] = ()
+    depth_of_field_um: float = 0.0
 
     def __post_init__(self) -> None:
         if self.images.ndim != 3 or len(self.z_um) != len(self.images) or len(self.present) != len(self.images):

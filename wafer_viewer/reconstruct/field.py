@@ -19,6 +19,7 @@ from wafer_viewer.reconstruct.gate import gate_of, origins
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames, mark_uncovered, prepare
+from wafer_viewer.reconstruct.sampling import coarse_step
 from wafer_viewer.reconstruct.search import Progress, search_field
 from wafer_viewer.reconstruct.tune import Settled, settle
 
@@ -93,7 +94,7 @@ def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance
         input_checksum=stack.checksum,
         simulated=stack.simulated,
         z_step_um=frames.step_um,
-        notes=frames.notes,
+        notes=(*frames.notes, *coarse_step(frames.step_um, stack.depth_of_field_um, _number(recipe.focus_width_um))),
     )
 
 

@@ -153,6 +153,7 @@ class Dataset:
             source=f"{self.path.name}, field {field_number}",
             exposure_us=first.exposure_us,
             brackets=tuple(others),
+            depth_of_field_um=self.scan.plan.depth_of_field_um,
         )
 
     def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
