@@ -20,6 +20,8 @@ from numba.core import config as numba_config
 
 KERNEL_ROOMS = ("numerics", "reconstruct", "rigs/virtual")
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}  # numba's run time with reference counts, an option its stubs leave out
+_LEAN: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, **_UNCOUNTED}
+_PART: dict[str, Any] = {"no_cpython_wrapper": True, **_LEAN}
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -61,7 +63,21 @@ def bare_kernel(function: F) -> F:
 
 def lean_kernel(function: F) -> F:
     """A `bare_kernel` that keeps the order of float arithmetic; what is divided by zero is infinite or NaN."""
-    return cast(F, numba.njit(cache=True, nogil=True, error_model="numpy", **_UNCOUNTED)(function))
+    return cast(F, numba.njit(cache=True, nogil=True, **_LEAN)(function))
+
+
+def lean_part(function: F) -> F:
+    """A loop over a row that `lean_kernel`s call: without what Python would need to call it."""
+    return cast(F, numba.njit(**_PART)(function))
+
+
+def inlined_part(function: F) -> F:
+    """A part of `lean_kernel`s that hands rows on: called it would copy their descriptions over the stack twice.
+
+    A copy that is read in other pieces than it was written in waits until all that was written before has reached the
+    cache, and what was written before is a row of the focus volume.
+    """
+    return cast(F, numba.njit(forceinline=True, **_PART)(function))
 
 
 def inline_kernel(function: F) -> F:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Int64s, UInt16s, Whole, Wholes, aligned
-from wafer_viewer.numerics.jit import lean_kernel
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
+from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
 
 _SML, _TENENGRAD, _GLV = 0, 1, 2
@@ -46,19 +46,16 @@ FOCUS_MEASURES: dict[str, FocusMeasure] = {
 class Rows(NamedTuple):
     """The rows that the kernels work in: small enough for the first caches, one set for each thread.
 
-    grey: three rows of the frame; smooth, slope: half a Sobel operator; ring: what entered the column sums;
-    columns, squares: sums over the window's rows, then over 3 and 9 neighbours, and a spare row; total,
-    square_total: sums over the window; value: the measure; pieces: see `_pieces`.
+    grey: four rows of the frame; half: the smooth and the slope of half a Sobel operator; ring: what entered the sums;
+    sums: of the energy, or of grey and of its square, over the window's rows, then over 3 and 9 neighbours, and a spare
+    row; total: over the window; value: the measure where it is no sum; pieces: see `_pieces`.
     """
 
     grey: Greys
-    smooth: Wholes
-    slope: Wholes
+    half: Wholes
     ring: Wholes
-    columns: Wholes
-    squares: Wholes
+    sums: Wholes
     total: Wholes
-    square_total: Wholes
     value: Float32s
     pieces: Int64s
 
@@ -68,14 +65,11 @@ class Rows(NamedTuple):
         short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
         wide = -(-(cols + window - 1) // _LANES) * _LANES
         return cls(
-            grey=aligned((3, wide + _LANES), dtype),
-            smooth=aligned((wide + _LANES,), short),
-            slope=aligned((wide + _LANES,), short),
+            grey=aligned((4, wide + _LANES), dtype),
+            half=aligned((2, wide + _LANES), short),
             ring=aligned((window, wide), whole),
-            columns=aligned((4, wide + _LANES), whole),
-            squares=aligned((4, wide + _LANES), whole),
-            total=aligned((cols,), whole),
-            square_total=aligned((cols,), whole),
+            sums=aligned((2, 4, wide + _LANES), whole),
+            total=aligned((2, cols), whole),
             value=aligned((cols,), np.float32),
             pieces=_pieces(window),
         )
@@ -118,62 +112,69 @@ def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volum
     """The volume of a block of frames."""
     empty(volume)
     shift = np.int32(12 if source.images.itemsize == 1 else 13)
-    bits = rows.value.view(np.int32)
     margin = window // 2 + 1
     n_rows = volume.best.shape[0]
     for k in range(volume.levels.shape[0]):
         _begin(rows)
-        for r in range(n_rows + 2 * margin):
+        for r in range(n_rows + 2 * margin + 1):
             _take_row(source, k, r, measure, window, rows)
-            if margin <= r < n_rows + margin:
-                count_clipped(rows.grey[r % 3, margin:], source.clipped_counts, volume.clipped[r - margin])
-            if r >= 2 * margin:
+            here, y = r - margin - 2, r - 2 * margin - 1
+            if 0 <= here < n_rows:
+                count_clipped(rows.grey[(r + 2) % 4, margin:], source.clipped_counts, volume.clipped[here])
+            if y >= 0:
                 _add_up(measure, window, rows)
-                _as_levels(bits, shift, volume.levels[k, r - 2 * margin])
-                keep_row(volume, k, r - 2 * margin)
+                if measure == _GLV:
+                    _as_levels(rows.value, shift, volume.levels[k, y])
+                else:
+                    _as_levels(rows.total[0], shift, volume.levels[k, y])
+                keep_row(volume, k, y)
 
 
 @lean_kernel
 def _focus_values(source: Source, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
     margin = window // 2 + 1
     _begin(rows)
-    for r in range(out.shape[0] + 2 * margin):
+    for r in range(out.shape[0] + 2 * margin + 1):
         _take_row(source, 0, r, measure, window, rows)
-        if r >= 2 * margin:
+        y = r - 2 * margin - 1
+        if y >= 0:
             _add_up(measure, window, rows)
             for x in range(out.shape[1]):
-                out[r - 2 * margin, x] = rows.value[x]
+                out[y, x] = rows.value[x] if measure == _GLV else rows.total[0, x]
 
 
-@lean_kernel
+@inlined_part
 def _begin(rows: Rows) -> None:
     rows.ring[:] = 0
-    rows.columns[0] = 0
-    rows.squares[0] = 0
+    rows.sums[0, 0] = 0
+    rows.sums[1, 0] = 0
 
 
-@lean_kernel
+@inlined_part
 def _take_row(source: Source, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
-    """Read grey row r of a frame; let the energy of the row before it into the column sums, and the oldest row out."""
+    """Read grey row r of a frame; let the energy of row r - 2 into the column sums, and the oldest row out.
+
+    The row that is read is not touched yet: a row that was only just written is slow to read at other alignments.
+    """
     margin = window // 2 + 1
-    above, here, below = rows.grey[(r + 1) % 3], rows.grey[(r + 2) % 3], rows.grey[r % 3]
-    take_grey(source, k, r - margin, margin, rows.value.size, below)
-    if r < 2:
+    take_grey(source, k, r - margin, margin, rows.value.size, rows.grey[r % 4])
+    if r < 3:
         return
-    ring, columns = rows.ring[r % window], rows.columns[0]
+    above, here, below = rows.grey[(r + 1) % 4], rows.grey[(r + 2) % 4], rows.grey[(r + 3) % 4]
+    ring, columns = rows.ring[r % window], rows.sums[0, 0]
     if measure == _GLV:
-        _slide_grey(here, ring, columns, rows.squares[0])
+        _slide_grey(here, ring, columns, rows.sums[1, 0])
     elif measure == _SML:
         _slide_sml(above, here, below, ring, columns)
     else:
-        _halve_sobel(above, here, below, rows.smooth, rows.slope)
-        _slide_tenengrad(rows.smooth, rows.slope, ring, columns)
+        _halve_sobel(above, here, below, rows.half[0], rows.half[1])
+        _slide_tenengrad(rows.half[0], rows.half[1], ring, columns)
 
 
 # Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
 
 
-@lean_kernel
+@lean_part
 def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
     """|Ixx|^2 + |Iyy|^2 of eq. 2."""
     i = ring.dtype.type
@@ -186,7 +187,7 @@ def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: W
         ring[x] = new
 
 
-@lean_kernel
+@lean_part
 def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
     """The Sobel operator's pass down the columns."""
     i = smooth.dtype.type
@@ -195,7 +196,7 @@ def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope:
         slope[x] = i(i(below[x]) - i(above[x]))
 
 
-@lean_kernel
+@lean_part
 def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
     """Gx^2 + Gy^2 of eq. 3."""
     i = ring.dtype.type
@@ -207,7 +208,7 @@ def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Whole
         ring[x] = new
 
 
-@lean_kernel
+@lean_part
 def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
     """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
     i = ring.dtype.type
@@ -220,23 +221,22 @@ def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> 
         ring[x] = new
 
 
-@lean_kernel
+@inlined_part
 def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
-    """The measure of one row of pixels, in rows.value: for eq. 4 times the number of pixels of the window."""
+    """The measure of one row of pixels, in rows.total; that of eq. 4, times the window's pixels, in rows.value."""
+    for n in range(2 if measure == _GLV else 1):
+        _box(rows.sums[n], rows.pieces, rows.total[n])
     if measure == _GLV:
-        _box(rows.columns, rows.pieces, rows.total)
-        _box(rows.squares, rows.pieces, rows.square_total)
-        _deviations(rows.total, rows.square_total, window * window, rows.value)
-    else:
-        _box(rows.columns, rows.pieces, rows.value)
+        _deviations(rows.total[0], rows.total[1], window * window, rows.value)
 
 
-@lean_kernel
-def _box(sums: Wholes, pieces: Int64s, out: Greys) -> None:
+@inlined_part
+def _box(sums: Wholes, pieces: Int64s, out: Wholes) -> None:
     """Sums of as many neighbours as the window has, from sums[0]: as few additions as its pieces need."""
-    for power in range(pieces[0, 0]):
-        one = sums[power]
-        _add_three(one, one[3**power :], one[2 * 3**power :], sums[power + 1])
+    if pieces[0, 0] > 0:
+        _add_neighbours(sums[0], sums[1])
+    if pieces[0, 0] > 1:
+        _add_three(sums[1], sums[1, 3:], sums[1, 6:], sums[2])
     first = sums[pieces[0, 0]]
     last = len(pieces) - 2
     if last > 1:
@@ -245,14 +245,25 @@ def _box(sums: Wholes, pieces: Int64s, out: Greys) -> None:
     _add_three(first, sums[pieces[last, 0], pieces[last, 1] :], sums[pieces[last + 1, 0], pieces[last + 1, 1] :], out)
 
 
-@lean_kernel
-def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Greys) -> None:
+@lean_part
+def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Wholes) -> None:
     i = a.dtype.type
     for x in range(min(out.size, c.size)):
         out[x] = i(i(a[x] + b[x]) + c[x])
 
 
-@lean_kernel
+@lean_part
+def _add_neighbours(row: Wholes, out: Wholes) -> None:
+    """Sums of three neighbours, two of which are still in the registers."""
+    i = row.dtype.type
+    first, second, ahead = row[0], row[1], row[2:]
+    for x in range(ahead.size):
+        third = ahead[x]
+        out[x] = i(i(first + second) + third)
+        first, second = second, third
+
+
+@lean_part
 def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
     """Sum of squared deviations from the mean: in whole numbers from a grey value near it, then what that is off."""
     i = total.dtype.type
@@ -266,9 +277,9 @@ def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Flo
         value[x] = np.float32(about) - off * off * per_pixel
 
 
-@lean_kernel
-def _as_levels(bits: Int32s, shift: Whole, level: UInt16s) -> None:
-    """The log2 of a row of float32, as 16 bits.
+@lean_part
+def _as_levels(values: Wholes, shift: Whole, level: UInt16s) -> None:
+    """The log2 of a row, as 16 bits.
 
     The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
     they are monotone, and `log2_table` makes them exact.
@@ -276,5 +287,5 @@ def _as_levels(bits: Int32s, shift: Whole, level: UInt16s) -> None:
     i = np.int32
     bias = i(i(127 << 23) - i(1 << (shift - 1)))
     for x in range(level.size):
-        q = i(i(bits[x] - bias) >> shift)
+        q = i(i(np.float32(values[x]).view(i) - bias) >> shift)
         level[x] = q if q > i(0) else i(0)

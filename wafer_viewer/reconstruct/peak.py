@@ -15,10 +15,14 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
-from wafer_viewer.numerics.jit import inline_kernel, lean_kernel
+from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.prefetch import prefetch
 from wafer_viewer.reconstruct.volume import COARSE_PX, Source, Volume
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+_AHEAD = 4
+"""Frames from the level that is read to the one that is asked for."""
+
 _LN2 = float(np.log(2))
 _ROUNDER = 1.5 * 2.0**52
 """A float64 this large has no bits for fractions, and its last ones are a whole number."""
@@ -170,7 +174,7 @@ def describe(volume: Volume, source: Source, z_um: Float64s, how: Placing, spots
             out.all_in_focus[y, x] = source.images[source.slots[volume.peak[y, x]], row, source.left + x]
 
 
-@lean_kernel
+@inlined_part
 def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
     """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
 
@@ -180,6 +184,7 @@ def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UI
     rival[:] = 0
     least[:] = 65535
     for k in range(last + 1):
+        prefetch(levels[min(k + _AHEAD, last), y])
         before, here, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
         _rival_row(before, here, after, k, gap, peak, rival, least)
     for x in range(rival.size):
@@ -187,7 +192,7 @@ def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UI
         rival[x] = a if a > b else b
 
 
-@lean_kernel
+@lean_part
 def _rival_row(
     before: UInt16s,
     here: UInt16s,
@@ -208,7 +213,7 @@ def _rival_row(
         least[x] = q if q < low else low
 
 
-@lean_kernel
+@lean_part
 def _gather(volume: Volume, y: Whole, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
     """The levels at a pixel's peak and about it, as log2, and the scores that are differences of them."""
     levels, bits, table = volume.levels, spots.bits, spots.table
@@ -245,7 +250,7 @@ def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real
     return _parabola(below, z, above, left, top, right)
 
 
-@lean_kernel
+@lean_part
 def _place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
     """`place` for a row of pixels, in loops without branches."""
     below, z, above, left, top, right = spots[3:9]

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Greys, Int64s, UInt16s, Whole
-from wafer_viewer.numerics.jit import lean_kernel
+from wafer_viewer.numerics.jit import inlined_part, lean_part
+from wafer_viewer.numerics.prefetch import prefetch
 
 COARSE_PX = 4
 """The coarse focus volume has one level for 4 x 4 pixels."""
@@ -52,7 +53,7 @@ class Volume(NamedTuple):
     coarse: UInt16s
 
 
-@lean_kernel
+@inlined_part
 def empty(volume: Volume) -> None:
     """Make a volume ready for the first frame."""
     volume.best[:] = 0
@@ -60,11 +61,13 @@ def empty(volume: Volume) -> None:
     volume.clipped[:] = 0
 
 
-@lean_kernel
+@inlined_part
 def take_grey(source: Source, k: Whole, y: Whole, margin: Whole, cols: Whole, grey: Greys) -> None:
     """Row y of the block in frame k, `margin` pixels longer at both ends; beyond the image its border repeats."""
     images = source.images
-    row = images[source.slots[k], min(max(source.top + y, 0), images.shape[1] - 1)]
+    at = min(max(source.top + y, 0), images.shape[1] - 1)
+    row = images[source.slots[k], at]
+    prefetch(images[source.slots[min(k + 1, source.slots.size - 1)], at])
     first = source.left - margin
     begin, end = max(0, -first), min(cols + 2 * margin, row.size - first)
     inner, ours = row[begin + first :], grey[begin:]
@@ -76,7 +79,7 @@ def take_grey(source: Source, k: Whole, y: Whole, margin: Whole, cols: Whole, gr
         grey[x] = row[row.size - 1]
 
 
-@lean_kernel
+@lean_part
 def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
     """Count the pixels of a grey row that are too bright."""
     limit = np.uint16(min(clipped_counts, 65535))
@@ -84,7 +87,7 @@ def count_clipped(grey: Greys, clipped_counts: Whole, clipped: UInt16s) -> None:
         clipped[x] = np.uint16(clipped[x] + np.uint16(np.uint16(grey[x]) >= limit))
 
 
-@lean_kernel
+@inlined_part
 def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
     """Note what row y of frame k says, once its levels are in the volume."""
     levels = volume.levels[k]
@@ -101,7 +104,7 @@ def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
         )
 
 
-@lean_kernel
+@lean_part
 def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
     for x in range(level.size):
         q, old, at = level[x], best[x], peak[x]
@@ -109,7 +112,7 @@ def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
         peak[x] = k if q > old else at
 
 
-@lean_kernel
+@lean_part
 def _coarsen(a: UInt16s, b: UInt16s, c: UInt16s, d: UInt16s, coarse: UInt16s) -> None:
     """Means of 4 x 4 levels, rounded; where the row ends early its last level repeats."""
     i = np.int32
