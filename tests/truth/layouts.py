@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.truth.scene import TruthScene
 from tests.truth.scenes import SCENES, SWEEP_UM
-from tests.truth.views import Camera, Optics, light_of, stack_from
+from tests.truth.views import Camera, Optics, light_of, sharp_of, stack_from, white_light_of
 from wafer_viewer.model.stack import FieldStack
 
 GENERATOR = 3
@@ -35,11 +35,12 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A layout with its truth and its focus stack."""
+    """A layout with its truth, its focus stack, and the picture in which all is in focus, in grey of the stack."""
 
     layout: Layout
     scene: TruthScene
     stack: FieldStack
+    sharp_grey: NDArray[np.float32]
 
 
 FINE = Optics(0.28, views=500)
@@ -102,7 +103,10 @@ def take(
     """The truth and the stack of a layout. keep_in: a folder where the light is kept, so that the rays run once."""
     scene = scene_of(layout, shape)
     light = _kept_light(layout, scene, z_um, keep_in) if keep_in else light_of(scene, layout.optics, z_um)
-    return Taken(layout, scene, stack_from(scene, light, z_um, layout.camera, layout.seed))
+    stack = stack_from(scene, light, z_um, layout.camera, layout.seed)
+    white_light = white_light_of(scene, light, z_um, layout.camera.clipped_share)
+    sharp_grey = np.minimum(sharp_of(scene, light, z_um) / white_light, 1) * layout.camera.white
+    return Taken(layout, scene, stack, sharp_grey)
 
 
 def _kept_light(layout: Layout, scene: TruthScene, z_um: NDArray[np.float64], folder: Path) -> NDArray[np.float32]:

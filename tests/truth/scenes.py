@@ -24,11 +24,12 @@ _MARGIN_PX = 290
 Shape = tuple[int, int]
 
 
-def plane(seed: int, shape: Shape = (320, 320), height_um: float = 40.0, contrast: float = 0.4) -> TruthScene:
-    """A tilted plane that rises by height_um over the width of the frame, and by half of it over its height."""
+def plane(
+    seed: int, shape: Shape = (320, 320), tilt: float = 0.1, middle_um: float = _MIDDLE_UM, contrast: float = 0.4
+) -> TruthScene:
+    """A plane that rises by `tilt` along the columns, and by half of it up the rows."""
     down, right = _points(shape)
-    across = right / (shape[1] * PIXEL_UM) - 0.5 * down / (shape[0] * PIXEL_UM)
-    return _smooth("plane", seed, shape, _MIDDLE_UM + height_um * across, contrast)
+    return _smooth("plane", seed, shape, middle_um + tilt * right - tilt / 2 * down, contrast)
 
 
 def cone(seed: int, shape: Shape = (320, 320), height_um: float = 60.0, contrast: float = 0.4) -> TruthScene:

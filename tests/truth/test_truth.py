@@ -44,7 +44,7 @@ def test_an_even_sheet_is_equally_bright_at_every_height():
 
 
 def test_light_is_neither_lost_nor_made_by_defocus():
-    scene = plane(3, (200, 200), height_um=0.0)
+    scene = plane(3, (200, 200), tilt=0.0)
     light = light_of(scene, Optics(views=60), LEVEL_UM + np.array([-20.0, 0.0, 20.0]))[:, 40:-40, 40:-40]
     means = light.mean(axis=(1, 2))
     assert means == pytest.approx(means[1], rel=0.02)
@@ -68,7 +68,7 @@ def test_a_point_out_of_focus_spreads_as_the_aperture_says(off_um: float, na: fl
 
 
 def test_a_surface_is_sharpest_in_the_frame_at_its_height():
-    scene = plane(5, SMALL, height_um=0.0)
+    scene = plane(5, SMALL, tilt=0.0)
     z_um = LEVEL_UM + 2.0 * np.arange(-6, 7)
     sharpness = np.var(np.diff(light_of(scene, Optics(views=80), z_um), axis=2), axis=(1, 2))
     assert sharpness.argmax() == 6
@@ -77,7 +77,7 @@ def test_a_surface_is_sharpest_in_the_frame_at_its_height():
 
 
 def test_focus_does_not_depend_on_where_the_sweep_lies():
-    scene = plane(5, SMALL, height_um=0.0)
+    scene = plane(5, SMALL, tilt=0.0)
     sharp = [light_of(scene, Optics(views=80), z_um)[1] for z_um in (LEVEL_UM + np.array(z) for z in SWEEPS)]
     np.testing.assert_allclose(np.std(sharp[0]), np.std(sharp[1]), rtol=0.01)
     assert np.corrcoef(sharp[0].ravel(), sharp[1].ravel())[0, 1] > 0.998
@@ -170,7 +170,7 @@ def test_noise_is_that_of_the_full_well_and_of_a_third_of_a_grey_level(full_well
 
 
 def test_the_share_that_is_clipped_is_the_one_asked_for():
-    scene = plane(3, SMALL, height_um=0.0)
+    scene = plane(3, SMALL, tilt=0.0)
     z_um = LEVEL_UM + np.array([-4.0, 0.0, 4.0])
     light = light_of(scene, Optics(views=40), z_um)
     stack = stack_from(scene, light, z_um, Camera(clipped_share=0.11))
@@ -215,6 +215,14 @@ def test_every_layout_shows_dies_and_trenches(layout):
 def test_layouts_kept_out_of_the_tuning_share_no_seed_with_those_in_it():
     seeds = [layout.seed for layout in (*TUNING.values(), *HELD_OUT.values())]
     assert len(set(seeds)) == len(seeds)
+
+
+def test_the_sharp_picture_is_the_best_frame_without_its_noise(tmp_path):
+    bright = replace(A, optics=Optics(views=30), scene="plane", settings={"tilt": 0.0}, camera=Camera(1e7))
+    taken = take(bright, SMALL, LEVEL_UM + 4.0 * np.arange(-3, 4))
+    errors = [np.std(frame - taken.sharp_grey) for frame in taken.stack.images]
+    assert int(np.argmin(errors)) == 3
+    assert errors[3] < 0.6
 
 
 def test_kept_light_gives_the_stack_that_new_light_gives(tmp_path):

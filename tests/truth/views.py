@@ -111,9 +111,13 @@ def light_of(scene: TruthScene, optics: Optics, z_um: NDArray[np.float64]) -> ND
 
 def white_light_of(scene: TruthScene, light: NDArray[np.float32], z_um: NDArray[np.float64], share: float) -> float:
     """The light that gives white when a share of the pixels is to be brighter in the frame where it is in focus."""
+    return float(np.quantile(sharp_of(scene, light, z_um), 1 - share))
+
+
+def sharp_of(scene: TruthScene, light: NDArray[np.float32], z_um: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The light of each pixel in the frame nearest to its height, [row, col]."""
     nearest = np.abs(z_um[:, None, None] - scene.truth_um[None]).argmin(axis=0)
-    sharp = np.take_along_axis(light, nearest[None], axis=0)
-    return float(np.quantile(sharp, 1 - share))
+    return np.take_along_axis(light, nearest[None], axis=0)[0]
 
 
 def stack_of(
