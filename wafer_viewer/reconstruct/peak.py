@@ -17,7 +17,7 @@ from wafer_viewer.model.stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
-from wafer_viewer.reconstruct.volume import COARSE_PX, Source, Volume
+from wafer_viewer.reconstruct.volume import COARSE_PX, Source
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
 _AHEAD = 4
@@ -162,16 +162,17 @@ def log2_table(mantissa_bits: int) -> NDArray[np.float32]:
 
 
 @lean_kernel
-def describe(volume: Volume, source: Source, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
+def describe(curves: Curves, source: Source, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
     """Height, scores and all-in-focus grey of each pixel, a row at a time while its levels are in the cache."""
-    n_rows, cols = volume.peak.shape
+    n_rows, cols = curves.peak.shape
     for y in range(n_rows):
-        _find_rivals(volume.levels, y, how.gap, volume.peak[y], spots.rival, spots.least)
-        _gather(volume, y, z_um, how, spots, out)
-        _place_row(how, spots, out.z_um[y])
+        _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
+        gather(curves, y, z_um, how, spots)
+        _score(curves, y, how.gap, spots, out)
+        place_row(how, spots, out.z_um[y])
         row = source.top + y
         for x in range(cols):
-            out.all_in_focus[y, x] = source.images[source.slots[volume.peak[y, x]], row, source.left + x]
+            out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
 
 
 @inlined_part
@@ -214,22 +215,30 @@ def _rival_row(
 
 
 @lean_part
-def _gather(volume: Volume, y: Whole, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
-    """The levels at a pixel's peak and about it, as log2, and the scores that are differences of them."""
-    levels, bits, table = volume.levels, spots.bits, spots.table
+def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+    """z and log2 of focus at the peaks of row y, and on both sides of them."""
+    levels, bits, table = curves.levels, spots.bits, spots.table
     last = levels.shape[0] - 1
     for x in range(spots.top.size):
-        k = np.int64(volume.peak[y, x])
+        k = np.int64(curves.peak[y, x])
         near = min(how.reach, k, last - k)
-        top = _log2(volume.best[y, x], bits, table)
-        sides = max(levels[max(0, k - how.gap), y, x], levels[min(last, k + how.gap), y, x])
-        spots.top[x] = top
         spots.left[x] = _log2(levels[k - near, y, x], bits, table)
+        spots.top[x] = _log2(curves.best[y, x], bits, table)
         spots.right[x] = _log2(levels[k + near, y, x], bits, table)
         spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
-        out.lead[y, x] = top - _log2(spots.rival[x], bits, table)
-        out.contrast[y, x] = top - _log2(spots.least[x], bits, table)
-        out.fall[y, x] = top - _log2(sides, bits, table)
+
+
+@lean_part
+def _score(curves: Curves, y: Whole, gap: Whole, spots: Spots, out: Scores) -> None:
+    """How far the peaks of row y are above their rivals, their flanks and the lowest frame."""
+    levels, bits, table = curves.levels, spots.bits, spots.table
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        k = np.int64(curves.peak[y, x])
+        sides = max(levels[max(0, k - gap), y, x], levels[min(last, k + gap), y, x])
+        out.lead[y, x] = spots.top[x] - _log2(spots.rival[x], bits, table)
+        out.contrast[y, x] = spots.top[x] - _log2(spots.least[x], bits, table)
+        out.fall[y, x] = spots.top[x] - _log2(sides, bits, table)
 
 
 @inline_kernel
@@ -251,7 +260,7 @@ def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real
 
 
 @lean_part
-def _place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
+def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
     """`place` for a row of pixels, in loops without branches."""
     below, z, above, left, top, right = spots[3:9]
     if how.estimator == _ARGMAX:

@@ -37,6 +37,11 @@ class Search:
     gap: int
     reach: int = 1
 
+    @property
+    def placing(self) -> Placing:
+        """What the kernels must know to place a peak."""
+        return Placing(PEAKS[self.estimator].code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
@@ -99,8 +104,7 @@ def search_block(source: Source, z_um: NDArray[np.float64], search: Search, benc
     measure = FOCUS_MEASURES[search.measure]
     volume = Volume(*bench.curves, out.clipped, out.coarse)
     focus_block(source, measure.code, search.window, bench.rows, volume)
-    placing = Placing(PEAKS[search.estimator].code, measure.power, search.gap, search.reach)
-    describe(volume, source, z_um, placing, bench.spots, out.scores)
+    describe(bench.curves, source, z_um, search.placing, bench.spots, out.scores)
     out.at_end[:] = (bench.curves.peak == 0) | (bench.curves.peak == len(z_um) - 1)
 
 

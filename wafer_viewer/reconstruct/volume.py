@@ -92,7 +92,7 @@ def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
     """Note what row y of frame k says, once its levels are in the volume."""
     levels = volume.levels[k]
     last = levels.shape[0] - 1
-    _note(levels[y], np.uint16(k), volume.best[y], volume.peak[y])
+    note(levels[y], np.uint16(k), volume.best[y], volume.peak[y])
     if volume.coarse.size and (y % COARSE_PX == COARSE_PX - 1 or y == last):
         top = y - y % COARSE_PX
         _coarsen(
@@ -105,7 +105,8 @@ def keep_row(volume: Volume, k: Whole, y: Whole) -> None:
 
 
 @lean_part
-def _note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
+def note(level: UInt16s, k: Whole, best: UInt16s, peak: UInt16s) -> None:
+    """Keep the best level of a row and its frame."""
     for x in range(level.size):
         q, old, at = level[x], best[x], peak[x]
         best[x] = q if q > old else old
