@@ -373,6 +373,24 @@ def test_a_click_hits_the_surface_as_it_is_drawn(browser: Browser, scene: SceneV
         assert picked[-1] == pytest.approx((-100.0, 50.0), abs=4.0)
 
 
+@pytest.mark.parametrize(("colour_by", "height_um"), [("height", None), ("origin", 0.0)])
+def test_a_click_into_a_hole_means_what_is_seen_there(
+    browser: Browser, scene: SceneView, colour_by: str, height_um: float | None
+) -> None:
+    picked: list[tuple[float, float]] = []
+    scene.on_pick(lambda x_um, y_um: picked.append((x_um, y_um)))
+    shown: list[OnShow] = []
+    scene.on_scale(lambda on_show: shown.append(on_show) if on_show else None)
+    scene.draw(SNAPSHOT, View(step="surface", exaggeration=20.0, colour_by=colour_by))  # pyright: ignore[reportArgumentType]
+    settled(scene)
+    z = 0.0 if height_um is None else shown[-1].scene_z(height_um)
+    target = np.array([GRID.width_um / 2 - 30, GRID.height_um / 2 - 25, 0]) * 1e-3 + [0, 0, z]
+    origin = target + np.array([0.0, -0.4, 1.0])
+    browser.scene.clicked[0](SimpleNamespace(ray_origin=tuple(origin), ray_direction=tuple(target - origin)))
+    until(lambda: picked)
+    assert picked[0] == pytest.approx(tuple(1e3 * target[:2]), abs=4.0)
+
+
 def test_a_click_beside_the_surface_is_none(browser: Browser, scene: SceneView) -> None:
     picked: list[tuple[float, float]] = []
     scene.on_pick(lambda x_um, y_um: picked.append((x_um, y_um)))

@@ -129,9 +129,10 @@ class PlaceMark:
         self._knob = Knob(scene, "mark", colour, 5.0)
 
     def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
-        """Stand on the surface as it is drawn now."""
+        """Stand on the surface as it is drawn now, or in its hole."""
         x, y = (np.array([v]) for v in self.place)
-        self._knob.place(land.scene_points(x, y, 2 * mm_per_pixel)[0], mm_per_pixel, towards)
+        z = land.on_show.scene_z(float(land.seen_um(x, y)[0])) + 2 * mm_per_pixel
+        self._knob.place(np.array([x[0] * 1e-3, y[0] * 1e-3, z], np.float32), mm_per_pixel, towards)
 
     def remove(self) -> None:
         """Take it out of the scene."""

@@ -19,10 +19,13 @@ _PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
 
 
 class Land:
-    """Heights of one surface, and how they are drawn. Places are stage um, rays are scene mm."""
+    """Heights of one surface, and how they are drawn. Places are stage um, rays are scene mm.
 
-    def __init__(self, relief: Relief, on_show: OnShow) -> None:
-        self._relief, self.on_show = relief, on_show
+    holes: whether the ground is seen where nothing is measured.
+    """
+
+    def __init__(self, relief: Relief, on_show: OnShow, holes: bool = True) -> None:
+        self._relief, self.on_show, self._holes = relief, on_show, holes
         shape = (relief.rows, relief.cols)
         self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(shape)
         self._there = np.frombuffer(relief.there, bool).reshape(shape)
@@ -54,6 +57,11 @@ class Land:
         row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
         return self._there[row, col]
 
+    def seen_um(self, x_um: Floats, y_um: Floats) -> Floats:
+        """What is seen at places: the surface, or the ground through a hole in it."""
+        z = self.z_um(x_um, y_um)
+        return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
+
     def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
         """Places on the drawn surface as scene points, float32 [n, 3]."""
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
@@ -77,7 +85,7 @@ class Land:
         return float(np.percentile(self.z_um(x.ravel(), y.ravel()), 97))
 
     def hit(self, origin: Floats, direction: Floats) -> Place | None:
-        """Where a ray meets the surface first; None when it passes by."""
+        """Where a ray meets the surface first, or the ground through a hole in it; None when it passes by."""
         span = self._crossing(origin, direction)
         if span is None:
             return None
@@ -93,17 +101,20 @@ class Land:
         return self.clamped((float(x) * 1e3, float(y) * 1e3)) if self._inside(np.array([x]), np.array([y]))[0] else None
 
     def _crossing(self, origin: Floats, direction: Floats) -> tuple[float, float] | None:
-        """The part of a ray between the highest and the lowest height drawn."""
+        """The part of a ray between the highest height drawn and the ground."""
         if abs(direction[2]) < 1e-9:
             return None
-        top, foot = self.on_show.scene_z(float(self._z_um.max())), self.on_show.scene_z(float(self._z_um.min()))
+        top, foot = (
+            self.on_show.scene_z(float(self._z_um.max())),
+            min(0.0, self.on_show.scene_z(float(self._z_um.min()))),
+        )
         ends = sorted(((top - origin[2]) / direction[2], (foot - origin[2]) / direction[2]))
         return (max(0.0, float(ends[0])), float(ends[1]) * (1 + 1e-9) + 1e-9) if ends[1] > 0 else None
 
     def _depth(self, origin: Floats, direction: Floats, t: Floats) -> Floats:
         """Height of the ray's points over the surface, in um; beside the surface they never meet it."""
         x, y, z = (origin[k] + direction[k] * t for k in range(3))
-        over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.z_um(x * 1e3, y * 1e3)
+        over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.seen_um(x * 1e3, y * 1e3)
         return np.where(self._inside(x, y), over, np.inf)
 
     def _inside(self, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:

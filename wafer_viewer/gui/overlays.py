@@ -105,8 +105,8 @@ class ReadOutBox:
         """Show what was read last, as long as the surface is the same."""
         on_surface = view.step in ("surface", "measure") and self._of == _surface(snapshot, view)
         y_px = -(EDGE_PX + room_px(view))
-        ask = "" if view.explains else f'<span class="wv-link" title="C" {html.pick("why")}>Why this height?</span>'
-        shown = f"{self._text}{ask}" if on_surface else ""
+        ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
+        shown = f"{self._text}{'' if view.explains else ask}" if on_surface else ""
         self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)
 
 
