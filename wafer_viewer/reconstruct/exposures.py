@@ -36,6 +36,10 @@ _GROUPS = 10
 _ALIKE = 1.15
 """Exposures nearer to each other than this tell nothing of the black level."""
 _MOST_BLACK = 0.1
+_ENOUGH_RANGE = 0.2
+"""The greys of the longer exposure must differ by a fifth of white to tell gain and black level apart."""
+
+Cells = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +85,14 @@ def fusion_of(
     """
     cells = [_cells(one, slots) for one in images]
     order = np.argsort([mean.mean() for mean, _ in cells], kind="stable")
-    pairs = [_compare(cells[a], cells[b], clipped) for a, b in pairwise(order)]
-    steps = [_step(pair, nominal[b] / nominal[a]) for pair, (a, b) in zip(pairs, pairwise(order), strict=True)]
-    black = [pair[1] for pair in pairs if pair is not None and pair[0] > _ALIKE]
+    pairs = [_compare(cells[a], cells[b], nominal[b] / nominal[a], clipped) for a, b in pairwise(order)]
+    black = [pair[1] for pair in pairs if pair[0] > _ALIKE]
     black_counts = float(np.clip(np.median(black), 0, _MOST_BLACK * white_counts)) if black else 0.0
-    gains = np.concatenate([[1.0], np.cumprod(steps)])
+    gains = np.cumprod([1.0, *(pair[0] for pair in pairs)])
     return Fusion(tuple(images[i] for i in order), tuple(gains.tolist()), black_counts, white_counts, clipped)
 
 
-def _cells(images: Image, slots: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _cells(images: Image, slots: NDArray[np.intp]) -> Cells:
     """Mean and highest grey of small squares in some strips of some frames."""
     n_rows, n_cols = images.shape[1:]
     high, wide = min(_CELL_PX, n_rows), min(_CELL_PX, n_cols)
@@ -101,32 +104,32 @@ def _cells(images: Image, slots: NDArray[np.intp]) -> tuple[NDArray[np.float32],
     return squares.mean(axis=(1, 3)).ravel(), squares.max(axis=(1, 3)).ravel()
 
 
-def _compare(
-    short: tuple[NDArray[np.float32], NDArray[np.float32]],
-    long: tuple[NDArray[np.float32], NDArray[np.float32]],
-    clipped_counts: int,
-) -> tuple[float, float] | None:
-    """(how many times as bright the longer exposure is, black level); None where too little is seen well by both.
+def _compare(short: Cells, long: Cells, nominal: float, clipped_counts: int) -> tuple[float, float]:
+    """(how many times as bright the longer exposure is, black level).
 
     A line through the means of groups of cells: groups by the sum of both greys, which noise does not sort wrongly.
+    Where all that both see well is about equally bright, the times say the gain, or else black is taken for 0.
     """
+    known = bool(np.isfinite(nominal)) and nominal > 1
     seen = long[1] < clipped_counts
     if np.count_nonzero(seen) < _ENOUGH_CELLS:
-        return None
+        return _by_times(nominal if known else None), 0.0
     x, y = short[0][seen].astype(np.float64), long[0][seen].astype(np.float64)
     groups = np.array_split(np.argsort(x * y.mean() / max(x.mean(), 1.0) + y), _GROUPS)
     means = np.array([(x[g].mean(), y[g].mean()) for g in groups])
-    if np.ptp(means[:, 0]) < 0.05 * clipped_counts:
-        return (y.mean() / x.mean(), 0.0) if x.mean() > 1 else None
-    slope, offset = np.polyfit(means[:, 0], means[:, 1], 1)
+    if np.ptp(means[:, 1]) > _ENOUGH_RANGE * clipped_counts:
+        slope, offset = np.polyfit(means[:, 0], means[:, 1], 1)
+    else:
+        slope = nominal if known else y.mean() / max(x.mean(), 1.0)
+        offset = y.mean() - slope * x.mean() if known else 0.0
+    if slope < 1 / _ALIKE:
+        return _by_times(nominal if known else None), 0.0
     return float(slope), float(offset / (1 - slope)) if slope > _ALIKE else 0.0
 
 
-def _step(pair: tuple[float, float] | None, nominal: float) -> float:
-    """The gain of an exposure over the next shorter one."""
-    if pair is not None and pair[0] >= 1 / _ALIKE:
-        return pair[0]
-    if np.isfinite(nominal) and nominal > 1:
+def _by_times(nominal: float | None) -> float:
+    """The gain of an exposure over the next shorter one where the pixels do not tell."""
+    if nominal is not None:
         return nominal
     raise ComputeError(
         "The exposures of the stack cannot be compared, hardly a pixel is well lit in two of them: "

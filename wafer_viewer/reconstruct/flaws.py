@@ -18,7 +18,7 @@ from wafer_viewer.model.stack import Image
 
 LEAST_FRAMES = 6
 """In fewer frames a sharp detail of the sample may look the same in all of them."""
-MOST_FLAWED = 0.005
+MOST_FLAWED = 0.02
 """A sensor with more flaws than this is none: what was found is the sample's."""
 LEAST_SHARE_OF_WHITE = 0.016
 """By how much a flaw differs from its neighbours: 4 of 255."""
@@ -68,10 +68,16 @@ def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts
     picked: NDArray[np.intp] = slots[np.unique(np.linspace(0, len(slots) - 1, _FRAMES).astype(int))]
     found = [_flawed(images, picked, white_counts) for images in exposures]
     shape = found[0].shape
-    flawed = np.logical_or.reduce(found)
+    flawed = _whole_lines(np.logical_or.reduce(found))
     if not flawed.any() or flawed.mean() > MOST_FLAWED or min(shape) <= 2 * _REACH:
         return None
     return _with_neighbours(flawed)
+
+
+def _whole_lines(flawed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """With all of a row or column of which half is flawed: texture hides a weak flaw in places."""
+    lines = [flawed.mean(axis=axis, keepdims=True) >= 0.5 for axis in (0, 1)]
+    return flawed | lines[0] | lines[1]
 
 
 def _flawed(images: Image, slots: NDArray[np.intp], white_counts: int) -> NDArray[np.bool_]:

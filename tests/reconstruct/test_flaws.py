@@ -1,0 +1,65 @@
+"""Pixels of the sensor that do not see are found and mended."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.prepare import prepare, read_block
+
+FLAWS = {
+    "hot column": (slice(None), 60, 255),
+    "warm column": (slice(None), 60, "+25"),
+    "dead column": (slice(None), 60, 0),
+    "hot row": (40, slice(None), 255),
+    "two hot columns": (slice(None), slice(60, 62), 255),
+    "hot pixel": (30, 70, 255),
+    "dead pixel": (30, 70, 0),
+}
+
+
+def flawed(stack: FieldStack, rows: slice | int, cols: slice | int, value: int | str) -> FieldStack:
+    images = stack.images.copy()
+    seen = images[:, rows, cols].astype(int)
+    images[:, rows, cols] = np.clip(seen + int(value), 0, 255) if isinstance(value, str) else value
+    return dataclasses.replace(stack, images=images)
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_flaws_are_found_and_nothing_else(plane_stack: FieldStack, name: str) -> None:
+    rows, cols, value = FLAWS[name]
+    there = np.zeros(plane_stack.images.shape[1:], bool)
+    there[rows, cols] = True
+    flaws = prepare(flawed(plane_stack, rows, cols, value)).flaws
+    assert flaws is not None
+    found = np.zeros_like(there)
+    found[tuple(flaws.at.T)] = True
+    assert np.mean(found[there]) > 0.95
+    assert not found[~there].any()
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_flaws_do_not_raise_ridges(plane_stack: FieldStack, plane_um: NDArray, name: str) -> None:
+    height = reconstruct(flawed(plane_stack, *FLAWS[name]))
+    error = np.abs(height.z_raw_um - plane_um)[height.measured]
+    assert np.mean(error > 4) < 0.002
+    assert height.measured.mean() > 0.9
+
+
+def test_a_sound_sensor_has_none(plane_stack: FieldStack) -> None:
+    assert prepare(plane_stack).flaws is None
+
+
+def test_blocks_and_parts_are_mended_alike(plane_stack: FieldStack) -> None:
+    frames = prepare(flawed(plane_stack, slice(None), 60, 255))
+    whole = np.empty((21, *frames.shape), np.uint8)
+    read_block(frames, slice(0, 96), slice(0, 128), 0, whole)
+    assert whole[:, :, 60].max() < 255
+    part = np.empty((21, 20, 40), np.uint8)
+    read_block(frames.part(slice(30, 60), slice(40, 100)), slice(5, 25), slice(10, 50), 0, part)
+    np.testing.assert_array_equal(part, whole[:, 35:55, 50:90])
