@@ -26,7 +26,9 @@ def _levy(mode: str, **settings: float) -> Levy:
 def test_the_literal_equations_raise_the_error_of_a_noisy_map(step: tuple[NDArray, NDArray]) -> None:
     truth, z = step
     assert rmse(z, truth) == pytest.approx(14.90, abs=0.05)
-    assert rmse(z, truth) < rmse(smooth(z, _levy("literal"), 10.0), truth) < 17.5
+    after = [rmse(smooth(z, _levy("literal", seed=seed), 10.0), truth) for seed in range(5)]
+    assert min(after) > rmse(z, truth) + 0.2
+    assert np.median(after) < 18
 
 
 @pytest.mark.parametrize(("mode", "left_um"), [("guided", 1.80), ("switching_median", 1.58), ("sigma_filter", 0.55)])

@@ -43,7 +43,10 @@ class Outliers(Spec, frozen=True, kw_only=True):
 
 
 class Fill(Spec, frozen=True, kw_only=True):
-    """Spline fill of gaps up to `max_gap_px`, rows then columns; never across a step; filled pixels are marked."""
+    """Spline fill of gaps up to `max_gap_px` along rows and columns, never across a step; `all`: as the paper does.
+
+    Filled pixels are marked.
+    """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     mode: Literal["none", "small_gaps", "all"] = "small_gaps"

@@ -21,7 +21,7 @@ OUTLIER_FLOOR_STEPS = 1.5
 MOST_ROUNDS = {"none": 1, "literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
 """Two rounds of averages reach 8 px: what is 20 px wide, the smallest to trust at a window of 9, keeps its height."""
 
-_LEAST_GAIN = 0.02
+_LEAST_GAIN = 1e-4
 _N_SIGMAS = (3.0, 3.5, 4.0, 4.5)
 _MORE_THAN_NOISE = 2.0
 _FLIGHTS_TRIED = 20_001
@@ -96,7 +96,7 @@ def _alpha(maps: Sequence[Map], levy: Levy, resolution_um: float) -> float:
 
 
 def _rounds_that_count(z_um: Map, levy: Levy, resolution_um: float) -> int:
-    """The last round that moves the map by a fiftieth of what the one that moves it most does."""
+    """The last round that moves the map by more than a ten-thousandth of what the one that moves it most does."""
     before, moves = z_um, list[float]()
     for after in islice(SMOOTHERS[levy.mode](z_um, levy, resolution_um), MOST_ROUNDS[levy.mode]):
         moves.append(float(np.nansum(np.abs(after - before), dtype=np.float64)))
