@@ -1,0 +1,258 @@
+"""How fast a field becomes a surface, beside plain OpenCV and scikit-image in the same run, and the paper's figures.
+
+    python tests/bench/speed.py [--quick]
+
+A full-size field, 1080 x 1440, memory-mapped from a file: 126 frames, 24 with --quick, which takes at most a minute.
+Times on one thread are the least processor time of several runs, so that what else the machine does counts little;
+times on two threads are by the clock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.bench import paper
+from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
+from tests.bench.tables import met, show
+from wafer_viewer.model.plan import Field
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.reconstruct.blend import stitch
+from wafer_viewer.reconstruct.clean import clean
+from wafer_viewer.reconstruct.field import reconstruct, warm_up
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
+from wafer_viewer.reconstruct.prepare import prepare
+from wafer_viewer.reconstruct.search import search_field
+from wafer_viewer.reconstruct.tune import settle
+from wafer_viewer.rigs.virtual.optics import Optics
+from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
+
+ROWS, COLS, PIXEL_UM, WINDOW = 1080, 1440, 0.46729, 9
+PLAIN_FRAMES = 4
+DEFAULT_GOAL_MS, CLEANING_GOAL_S, MEMORY_GOAL_MB, THREADS_GOAL = 8.0, 0.5, 600.0, 1.7
+COLD_GOAL_S, WARM_GOAL_S = 6.0, 0.5
+FIRST_CALL = """
+import time
+began = time.perf_counter()
+from wafer_viewer.reconstruct.field import warm_up
+imported, busy = time.perf_counter(), time.process_time()
+warm_up()
+print(imported - began, time.perf_counter() - imported, time.process_time() - busy)
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How fast a field becomes a surface.")
+    parser.add_argument("--quick", action="store_true", help="a short field, under a minute")
+    quick = parser.parse_args().quick
+    show_first_call()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "field.npy"
+        stack = field_on_disk(file, 24 if quick else 126)
+        show_measures(stack, runs=3 if quick else 7)
+        show_field(stack, runs=2 if quick else 5)
+        show_memory(file)
+    show_stitch(2 if quick else 4)
+
+
+def show_first_call() -> None:
+    """A process that never compiled a kernel, and one whose kernels were compiled before."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold_s, warm_s = (first_call_s(cache) for _ in range(2))
+    rows = [
+        (name, *times, f"{goal:g} {met(times[2], goal)}")
+        for name, times, goal in (
+            ("nothing compiled before", cold_s, COLD_GOAL_S),
+            ("kernels compiled before", warm_s, WARM_GOAL_S),
+        )
+    ]
+    header = ("first call in a new process, default recipe, s", "imports", "first call", "its processor time", "goal")
+    show("Cold and warm", header, rows)
+
+
+def first_call_s(cache: str) -> tuple[float, ...]:
+    environment = {**os.environ, "WAFER_VIEWER_CACHE": cache}
+    done = subprocess.run([sys.executable, "-c", FIRST_CALL], env=environment, capture_output=True, check=True)
+    return tuple(map(float, done.stdout.split()))
+
+
+def show_measures(stack: FieldStack, runs: int) -> None:
+    """The search with tent, confidence and all-in-focus image, all frames of a field, against plain libraries."""
+    goal_ms = 1.7 if has_avx512() else 2.7
+    rows: list[tuple[str | float | None, ...]] = []
+    for measure in FOCUS_MEASURES:
+        one, one_clock, two_clock = search_ms(stack, measure, runs)
+        plain = [plain_ms(stack, measure, sharpness) for sharpness in (opencv_sharpness, skimage_sharpness)]
+        ratios = [None if ms is None else f"{ms / one:.1f} x" for ms in plain]
+        goal = goal_ms if measure in ("sml", "tenengrad", "glv") else DEFAULT_GOAL_MS
+        faster = one_clock / two_clock
+        rows.append((measure, one, f"{goal:g} {met(one, goal)}", two_clock, f"{faster:.2f} x", *plain, *ratios))
+    header = ("measure", "1 thread", "goal", "2 threads", "faster", "OpenCV", "scikit-image", "ratio", "ratio")
+    title = f"Search of a field, window {WINDOW}, tent, confidence and all-in-focus: ms a frame of 1.56 Mpx"
+    show(title, header, rows)
+    header = ("the paper, its machine", *paper.METHODS)
+    show("Table 5, gauge blocks, 126 frames", header, paper.rows(paper.BLOCKS_TIME))
+    show("Table 6, wafer, 101 frames", header, paper.rows(paper.WAFER_TIME))
+
+
+def search_ms(stack: FieldStack, measure: str, runs: int) -> tuple[float, float, float]:
+    """One thread by its processor time, one by the clock, two by the clock: the least of the runs."""
+    frames = prepare(stack)
+    search = settle(frames, Recipe(focus_measure=measure, window=WINDOW, peak="tent")).search
+    search_field(frames, search, 1)
+    clock, processor = least(lambda: search_field(frames, search, 1), runs)
+    two_clock, _ = least(lambda: search_field(frames, search, 2), runs)
+    return tuple(1e3 * seconds / stack.n_frames for seconds in (processor, clock, two_clock))
+
+
+def plain_ms(stack: FieldStack, measure: str, sharpness_of: Callable[[str], Sharpness]) -> float | None:
+    """A plain program's frame: the measure and keeping the best; None where there is no plain form or no library."""
+    try:
+        sharpness = sharpness_of(measure)
+    except (ImportError, KeyError):
+        return None
+    best, frame, picture = (np.zeros((ROWS, COLS), t) for t in (np.float32, np.uint16, np.uint8))
+
+    def one(k: int, image: NDArray[np.uint8]) -> None:
+        sharp = sharpness(image)
+        better = sharp > best
+        np.copyto(best, sharp, where=better)
+        np.copyto(frame, k, where=better)
+        np.copyto(picture, image, where=better)
+
+    images = [np.ascontiguousarray(image) for image in stack.images[:PLAIN_FRAMES]]
+    return 1e3 * min(least(functools.partial(one, k, image), 2)[1] for k, image in enumerate(images))
+
+
+def show_field(stack: FieldStack, runs: int) -> None:
+    """The default recipe from frames to a clean surface, and its parts."""
+    frames = prepare(stack)
+    settling, _ = least(lambda: settle(frames, Recipe()), 1)
+    settled = settle(frames, Recipe())
+    height = reconstruct(stack, settled.recipe, threads=1)
+    cleaning = least(lambda: clean(height.z_raw_um, PIXEL_UM, settled.recipe, settled.resolution_um), runs)[1]
+    whole = least(lambda: reconstruct(stack, settled.recipe, threads=1), 2)[1]
+    two = least(lambda: reconstruct(stack, settled.recipe, threads=2), 2)[0]
+    a_frame = 1e3 / stack.n_frames
+    rows = [
+        ("settling what is auto, s a field", settling, ""),
+        ("cleaning, s a field", cleaning, f"{CLEANING_GOAL_S:g} {met(cleaning, CLEANING_GOAL_S)}"),
+        ("all, settled recipe, 1 thread, ms a frame", whole * a_frame,
+         f"{DEFAULT_GOAL_MS:g} {met(whole * a_frame, DEFAULT_GOAL_MS)}"),
+        ("all, settled recipe, 2 threads, ms a frame", two * a_frame, ""),
+    ]  # fmt: skip
+    show(f"The default recipe on a field of {stack.n_frames} frames", ("", "measured", "goal"), rows)
+
+
+def show_memory(file: Path) -> None:
+    """A worker's own memory: what is mapped from the file is the system's."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as worker:
+        peak_mb = worker.submit(peak_memory_mb, file).result()
+    print(f"\nWorker's own memory at most: {peak_mb:.0f} MB (goal {MEMORY_GOAL_MB:g} {met(peak_mb, MEMORY_GOAL_MB)})")
+
+
+def peak_memory_mb(file: Path) -> float:
+    """The most anonymous memory of this process in MB while it reconstructs a field (Linux; nan elsewhere)."""
+    warm_up()
+    stack = mapped(file)
+    done, most = threading.Event(), [own_memory_mb()]
+
+    def watch() -> None:
+        while not done.wait(0.01):
+            most[0] = max(most[0], own_memory_mb())
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    reconstruct(stack, threads=1)
+    done.set()
+    watcher.join()
+    return most[0]
+
+
+def own_memory_mb() -> float:
+    if not sys.platform.startswith("linux"):
+        return float("nan")
+    status = Path(f"/proc/{os.getpid()}/status").read_text()
+    return int(status.split("RssAnon:")[1].split()[0]) / 1024
+
+
+def show_stitch(side: int) -> None:
+    """Fields of random height, 10 % overlap; the blend alone, as when it is written shard by shard."""
+    z = np.random.default_rng(1).normal(0, 1, (ROWS, COLS)).astype(np.float32)
+    maps = [
+        flat_map(z, col * 0.9 * COLS * PIXEL_UM, -row * 0.9 * ROWS * PIXEL_UM)
+        for row in range(side)
+        for col in range(side)
+    ]
+    mosaic = stitch(maps)
+    mosaic.window()
+    _, seconds = least(mosaic.window, 2)
+    pixels = mosaic.shape[0] * mosaic.shape[1]
+    size = f"{side} x {side} fields, {pixels / 1e6:.1f} Mpx"
+    print(f"Stitch of {size}: {seconds:.2f} s of processor time, {seconds / pixels * 1e9:.0f} ns a pixel")
+
+
+def flat_map(z: NDArray[np.float32], x0_um: float, y0_um: float) -> HeightMap:
+    grey, measured = np.zeros(z.shape, np.uint8), np.zeros(z.shape, np.uint8)
+    return HeightMap(z, z, np.ones_like(z), grey, measured, PIXEL_UM, x0_um, y0_um, Provenance(z_step_um=4.0))
+
+
+def field_on_disk(file: Path, n_frames: int) -> FieldStack:
+    """A full-size stack of the virtual wafer, memory-mapped from a file."""
+    scene = SCENES["wafer"]
+    renderer = FrameRenderer(scene, Optics(), Sensor(ROWS, COLS))
+    x_um, y_um = scene.tour_center_um
+    images = np.lib.format.open_memmap(file, "w+", np.uint8, (n_frames, ROWS, COLS))
+    for k, z_um in enumerate(heights_um(n_frames)):
+        images[k] = renderer.frame(x_um, y_um, min(z_um, 120.0), 100.0, k + 1)
+    images.flush()
+    return mapped(file)
+
+
+def mapped(file: Path) -> FieldStack:
+    images = np.load(file, mmap_mode="r")
+    z_um = heights_um(len(images))
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=float(z_um[0]))
+    return FieldStack(field, images, z_um, np.ones(len(images), bool), PIXEL_UM)
+
+
+def heights_um(n_frames: int) -> NDArray[np.float64]:
+    return -40.0 + 4.0 * np.arange(n_frames)
+
+
+def has_avx512() -> bool:
+    cpu = Path("/proc/cpuinfo")
+    return cpu.exists() and "avx512f" in cpu.read_text()
+
+
+def least(work: Callable[[], object], runs: int) -> tuple[float, float]:
+    """Seconds by the clock and of processor time, each the least of some runs."""
+    return tuple(min(times) for times in zip(*(spent(work) for _ in range(runs)), strict=True))
+
+
+def spent(work: Callable[[], object]) -> tuple[float, float]:
+    clock, processor = time.perf_counter(), time.process_time()
+    work()
+    return time.perf_counter() - clock, time.process_time() - processor
+
+
+if __name__ == "__main__":
+    main()
