@@ -14,10 +14,11 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import PROFILE_PX
 from wafer_viewer.gui.view import View
-from wafer_viewer.gui.why_panel import READING, WhyPanel
+from wafer_viewer.gui.why_panel import FAILED, WhyPanel
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.session.state import Snapshot
 
+READING = "Reading the frames …"
 PATCH_PX = 96
 """Side of the part of a frame that is shown, in its own pixels."""
 PICTURE_PX = 176
@@ -51,7 +52,8 @@ class WhyDock:
         curve = evidence.curve
         self._head.show(_head(curve, evidence.reading))
         if curve is None:
-            self._plot.show(html.empty(html.micro(evidence.problem) or READING))
+            problem = evidence.problem and html.note("attention", FAILED, evidence.problem)
+            self._plot.show(problem or html.empty(READING))
             self._frame.show("")
             return
         if curve is not self._curve:

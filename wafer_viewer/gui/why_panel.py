@@ -18,7 +18,6 @@ from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.session.state import Snapshot
 
 TITLE = "Why this height?"
-READING = "Reading the frames …"
 FAILED = "The frames were not read"
 
 
@@ -59,7 +58,7 @@ class WhyPanel:
             return
         self._ask_if_new(snapshot, view)
         curve = self.evidence.curve
-        self._title.show(html.title(TITLE, words.where(curve) if curve else "", words.closing()))
+        self._title.show(html.title(TITLE, words.where(curve) if curve else words.place(view.why), words.closing()))
         self._notes.show(self._page.notes(snapshot))
         self._body.show(self._said())
 
@@ -85,13 +84,11 @@ class WhyPanel:
         self._page.change(why=None)
 
     def _said(self) -> str:
-        evidence = self.evidence
-        if evidence.problem:
-            return html.empty(html.micro(evidence.problem))
-        if evidence.curve is None:
-            return html.empty(READING)
-        said = "".join(part(evidence.curve) for part in (words.answer, words.verdicts, words.rivals))
-        return f'<div class="wv-pale">{said}</div>' if evidence.reading else said
+        curve = self.evidence.curve
+        if curve is None:
+            return ""
+        said = "".join(part(curve) for part in (words.answer, words.verdicts, words.rivals))
+        return f'<div class="wv-pale">{said}</div>' if self.evidence.reading else said
 
     def _ask_if_new(self, snapshot: Snapshot, view: View) -> None:
         asked = (view.why, view.show, _stamp(snapshot, view))

@@ -18,10 +18,14 @@ def closing(word: str = "Close") -> str:
     return f"<span {told}>{html.icon(viser.Icon.X)}{word}</span>"
 
 
+def place(at_um: tuple[float, float] | None) -> str:
+    """A place on the stage, as text."""
+    return "" if at_um is None else f"x {number(at_um[0], 1)}, y {with_unit(at_um[1], 1)}"
+
+
 def where(curve: FocusCurve) -> str:
     """The pixel's place, as text."""
-    place = f"x {number(curve.x_um, 1)}, y {with_unit(curve.y_um, 1)}"
-    return f"{place} · field {curve.field}, row {curve.row}, column {curve.col}"
+    return f"{place((curve.x_um, curve.y_um))} · field {curve.field}, row {curve.row}, column {curve.col}"
 
 
 def answer(curve: FocusCurve) -> str:
