@@ -136,7 +136,7 @@ def test_small_and_odd_frames_are_welcome(make_stack: MakeStack, shape: tuple[in
 
 
 def test_warming_up_compiles_what_a_reconstruction_needs(plane_stack: FieldStack) -> None:
-    from wafer_viewer.reconstruct.focus import focus_block
+    from wafer_viewer.reconstruct.paper_measures import focus_block
 
     warm_up()
     compiled = len(focus_block.signatures)

@@ -11,7 +11,7 @@ from scipy.ndimage import convolve, uniform_filter
 
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct import search as search_module
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, focus_image
+from wafer_viewer.reconstruct.focus import PAPER_MEASURES, focus_image
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.search import Search, search_field
 
@@ -36,7 +36,7 @@ def by_the_equation(image: NDArray, measure: str, window: int) -> NDArray:
     return total[margin:-margin, margin:-margin]
 
 
-@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("measure", PAPER_MEASURES)
 @settings(max_examples=12, deadline=None)
 @given(half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), seed=st.integers(0, 99))
 def test_a_measure_is_its_equation(measure: str, half: int, dtype: type, seed: int) -> None:
@@ -46,7 +46,7 @@ def test_a_measure_is_its_equation(measure: str, half: int, dtype: type, seed: i
     np.testing.assert_allclose(focus_image(image, measure, window), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("measure", PAPER_MEASURES)
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_the_hardest_contrast_does_not_overflow(measure: str, dtype: type) -> None:
     rows, cols = np.indices((60, 60))
@@ -55,7 +55,7 @@ def test_the_hardest_contrast_does_not_overflow(measure: str, dtype: type) -> No
     np.testing.assert_allclose(focus_image(image, measure, 25), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("measure", FOCUS_MEASURES)
+@pytest.mark.parametrize("measure", PAPER_MEASURES)
 def test_the_sharpest_frame_is_that_of_a_float64_focus_volume(measure: str, plane_stack: FieldStack) -> None:
     frames = prepare(plane_stack)
     peaks = search_field(frames, Search(measure, 9, "argmax", 4), threads=1)

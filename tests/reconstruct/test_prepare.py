@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.focus import focus_block
+from wafer_viewer.reconstruct.paper_measures import focus_block
 from wafer_viewer.reconstruct.prepare import prepare, read_block
 
 

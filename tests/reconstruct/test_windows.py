@@ -28,7 +28,7 @@ def stack(request: pytest.FixtureRequest, plane_stack: FieldStack) -> FieldStack
 
 def _levels(stack: FieldStack, search: Search) -> NDArray[np.uint16]:
     frames = prepare(stack)
-    bench = Bench.make(frames.n_frames, frames.shape, search.window, frames.dtype)
+    bench = Bench.make(frames.n_frames, frames.shape, search, frames.dtype)
     out = Peaks.empty(frames.shape, frames.dtype)
     search_part(frames, slice(0, frames.shape[0]), slice(0, frames.shape[1]), search, bench, out)
     return bench.curves.levels

@@ -88,6 +88,11 @@ def settled_noise(frames: Frames, noise: Noise) -> Noise:
     return Noise(gain_counts=gain, floor_counts2=floor)
 
 
+def camera_of(noise: Noise) -> CameraNoise:
+    """The camera of a recipe whose noise is settled."""
+    return CameraNoise(float(noise.gain_counts), float(noise.floor_counts2))
+
+
 def _sample(frames: Frames) -> Greys:
     """Strips of a few frames, two rows of cells and their neighbours each: [strip, row, col]."""
     n_rows, n_cols = frames.shape

@@ -14,7 +14,6 @@ from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled
-from wafer_viewer.reconstruct.focus import margin_px
 from wafer_viewer.reconstruct.gate import gate_of, origins
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
@@ -57,7 +56,7 @@ def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
     """The origin of each pixel: measured, or why not."""
     recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
     gate = gate_of(noise, _number(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
-    return mark_uncovered(origins(peaks, gate, frames.n_frames), frames, margin_px(settled.search.window))
+    return mark_uncovered(origins(peaks, gate, frames.n_frames), frames, settled.search.margin_px)
 
 
 def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:

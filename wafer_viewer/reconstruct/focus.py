@@ -1,291 +1,120 @@
-"""How sharp each pixel of each frame is: the focus measures of the paper, written for one pass over the data.
-
-A row's energy goes into sums over the columns of the window (a ring of rows makes them exact: what entered is what
-leaves), those are added up along the row, and the logarithm of the sum is kept as 16 bits.
-"""
+"""How sharp each pixel of each frame is: the focus measures to choose from, and what the search needs of each."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
-from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.log_laplacian import (
+    LEVEL_BITS,
+    LogRows,
+    Stabiliser,
+    log_laplacian_block,
+    log_margin_px,
+)
+from wafer_viewer.reconstruct.paper_measures import (
+    GLV,
+    SML,
+    TENENGRAD,
+    Rows,
+    focus_block,
+    focus_values,
+    paper_margin_px,
+)
+from wafer_viewer.reconstruct.volume import Source, Volume
 
-_SML, _TENENGRAD, _GLV = 0, 1, 2
-_LANES = 64
+Table = NDArray[np.float32]
+
+USUAL_CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)
+"""8 bits over 13 000 electrons, and noise of a third of a grey level."""
+
+
+@dataclass(frozen=True, slots=True)
+class Focusing:
+    """What a measure is to do: its window, and, for those that ask, the camera's noise and the high-pass along z."""
+
+    window: int
+    camera: CameraNoise = USUAL_CAMERA
+    lag: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class FocusMeasure:
-    """A focus measure: the kernels' code for it, what it is, and where it is from.
+    """A focus measure: what it is, where it is from, and what the search needs of it.
 
     power: it falls as the blur's variance to minus this power. The energy of white texture under a Gaussian blur of
     variance v goes as 1 / v^2 for first and 1 / v^3 for second derivatives; that of the variance in a window, which
-    takes the mean out, was measured.
+    takes the mean out, was measured, and that of a mean of logarithms agrees with its energy's.
+    margin_px: how far a window looks beyond a pixel. table: what the lower bits of a level add to log2, the others are
+    its whole part. make_rows: the rows that its kernel works in, for a number of columns, a window and a dtype.
+    fill: measures the frames of a source into a volume.
     """
 
-    code: int
     title: str
     source: str
     power: float
+    margin_px: Callable[[int], int]
+    table: Callable[[np.dtype[Any]], Table]
+    make_rows: Callable[[int, int, np.dtype[Any]], Any]
+    fill: Callable[[Source, Focusing, Any, Volume], None]
+
+
+def _of_the_paper(title: str, equation: str, power: float, code: int) -> FocusMeasure:
+    fill = partial(_fill_by_energy, code)
+    return FocusMeasure(title, equation, power, paper_margin_px, _mantissa_table, Rows.make, fill)
+
+
+def _fill_by_energy(code: int, source: Source, how: Focusing, rows: Rows, volume: Volume) -> None:
+    focus_block(source, code, how.window, rows, volume)
+
+
+def _fill_by_logarithm(source: Source, how: Focusing, rows: LogRows, volume: Volume) -> None:
+    log_laplacian_block(source, how.window, Stabiliser.of(how.camera), how.lag, rows, volume)
+
+
+def _mantissa_table(dtype: np.dtype[Any]) -> Table:
+    """Levels that are the bits of a float32, five or six of them before the point: log2(1 + fraction)."""
+    bits = 11 if np.dtype(dtype).itemsize == 1 else 10
+    return np.log2(1 + np.arange(2**bits) / 2**bits).astype(np.float32)
+
+
+def _linear_table(dtype: np.dtype[Any]) -> Table:
+    """Levels that are a logarithm with as many bits after the point for every dtype."""
+    return (np.arange(2**LEVEL_BITS) / 2**LEVEL_BITS).astype(np.float32)
 
 
 FOCUS_MEASURES: dict[str, FocusMeasure] = {
-    "sml": FocusMeasure(_SML, "Sum of the squared second derivatives", "eq. 2", 3.0),
-    "tenengrad": FocusMeasure(_TENENGRAD, "Sum of the squared Sobel gradients", "eq. 3", 2.0),
-    "glv": FocusMeasure(_GLV, "Variance of the grey levels", "eq. 4", 1.7),
+    "sml": _of_the_paper("Sum of the squared second derivatives", "eq. 2", 3.0, SML),
+    "tenengrad": _of_the_paper("Sum of the squared Sobel gradients", "eq. 3", 2.0, TENENGRAD),
+    "glv": _of_the_paper("Variance of the grey levels", "eq. 4", 1.7, GLV),
+    "log_laplacian": FocusMeasure(
+        "Mean logarithm of a Laplacian's energy over the camera's noise",
+        "log_laplacian.py",
+        3.0,
+        log_margin_px,
+        _linear_table,
+        LogRows.make,
+        _fill_by_logarithm,
+    ),
 }
 
-
-class Rows(NamedTuple):
-    """The rows that the kernels work in: small enough for the first caches, one set for each thread.
-
-    grey: four rows of the frame; half: the smooth and the slope of half a Sobel operator; ring: what entered the sums;
-    sums: of the energy, or of grey and of its square, over the window's rows, then over 3 and 9 neighbours, and a spare
-    row; total: over the window; value: the measure where it is no sum; pieces: see `_pieces`.
-    """
-
-    grey: Greys
-    half: Wholes
-    ring: Wholes
-    sums: Wholes
-    total: Wholes
-    value: Float32s
-    pieces: Int64s
-
-    @classmethod
-    def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> Rows:
-        """Rows for blocks `cols` wide; int32 holds all sums of 8-bit grey up to a window of 25, int64 of 16-bit."""
-        short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
-        wide = -(-(cols + window - 1) // _LANES) * _LANES
-        return cls(
-            grey=aligned((4, wide + _LANES), dtype),
-            half=aligned((2, wide + _LANES), short),
-            ring=aligned((window, wide), whole),
-            sums=aligned((2, 4, wide + _LANES), whole),
-            total=aligned((2, cols), whole),
-            value=aligned((cols,), np.float32),
-            pieces=_pieces(window),
-        )
-
-
-def _pieces(window: int) -> NDArray[np.int64]:
-    """How a window is made of pieces of 9, 3 and 1 neighbours: rows of (power of three, offset), 3 or 5 of them."""
-    found: list[tuple[int, int]] = []
-    done = 0
-    for power in (2, 1, 0):
-        while 3**power < window and done + 3**power <= window:
-            found.append((power, done))
-            done += 3**power
-    return np.array(found, np.int64)
-
-
-def margin_px(window: int) -> int:
-    """How far a block must reach beyond the pixels it is for: half the window, and one pixel for the derivatives."""
-    return window // 2 + 1
-
-
-def mantissa_bits(dtype: np.dtype[Any]) -> int:
-    """Bits of a level of the focus volume that follow the whole part of log2: five or six bits are before them."""
-    return 11 if np.dtype(dtype).itemsize == 1 else 10
+_CODES = {"sml": SML, "tenengrad": TENENGRAD, "glv": GLV}
+PAPER_MEASURES = tuple(_CODES)
 
 
 def focus_image(image: Image, measure: str, window: int) -> NDArray[np.float32]:
     """The focus measure of one image [row, col], eq. 2, 3 or 4, as float32 of the same shape.
 
-    Beyond the border the border pixels repeat.
+    Beyond the border the border pixels repeat. Raises KeyError for a measure that is not one of the paper's.
     """
     source = Source.of(np.ascontiguousarray(image)[None], np.zeros(1, np.int64), 0, 0, 0)
     out = np.empty(image.shape, np.float32)
-    _focus_values(source, FOCUS_MEASURES[measure].code, window, Rows.make(image.shape[1], window, image.dtype), out)
+    focus_values(source, _CODES[measure], window, Rows.make(image.shape[1], window, image.dtype), out)
     return out / np.float32(window * window) if measure == "glv" else out
-
-
-@lean_kernel
-def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
-    """The volume of a block of frames."""
-    empty(volume)
-    shift = np.int32(12 if source.images.itemsize == 1 else 13)
-    margin = window // 2 + 1
-    n_rows = volume.best.shape[0]
-    for k in range(volume.levels.shape[0]):
-        _begin(rows)
-        for r in range(n_rows + 2 * margin + 1):
-            _take_row(source, k, r, measure, window, rows)
-            here, y = r - margin - 2, r - 2 * margin - 1
-            if 0 <= here < n_rows:
-                count_clipped(rows.grey[(r + 2) % 4, margin:], source.clipped_counts, volume.clipped[here])
-            if y >= 0:
-                _add_up(measure, window, rows)
-                if measure == _GLV:
-                    _as_levels(rows.value, shift, volume.levels[k, y])
-                else:
-                    _as_levels(rows.total[0], shift, volume.levels[k, y])
-                keep_row(volume, k, y)
-
-
-@lean_kernel
-def _focus_values(source: Source, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
-    margin = window // 2 + 1
-    _begin(rows)
-    for r in range(out.shape[0] + 2 * margin + 1):
-        _take_row(source, 0, r, measure, window, rows)
-        y = r - 2 * margin - 1
-        if y >= 0:
-            _add_up(measure, window, rows)
-            for x in range(out.shape[1]):
-                out[y, x] = rows.value[x] if measure == _GLV else rows.total[0, x]
-
-
-@inlined_part
-def _begin(rows: Rows) -> None:
-    rows.ring[:] = 0
-    rows.sums[0, 0] = 0
-    rows.sums[1, 0] = 0
-
-
-@inlined_part
-def _take_row(source: Source, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
-    """Read grey row r of a frame; let the energy of row r - 2 into the column sums, and the oldest row out.
-
-    The row that is read is not touched yet: a row that was only just written is slow to read at other alignments.
-    """
-    margin = window // 2 + 1
-    take_grey(source, k, r - margin, margin, rows.value.size, rows.grey[r % 4])
-    if r < 3:
-        return
-    above, here, below = rows.grey[(r + 1) % 4], rows.grey[(r + 2) % 4], rows.grey[(r + 3) % 4]
-    ring, columns = rows.ring[r % window], rows.sums[0, 0]
-    if measure == _GLV:
-        _slide_grey(here, ring, columns, rows.sums[1, 0])
-    elif measure == _SML:
-        _slide_sml(above, here, below, ring, columns)
-    else:
-        _halve_sobel(above, here, below, rows.half[0], rows.half[1])
-        _slide_tenengrad(rows.half[0], rows.half[1], ring, columns)
-
-
-# Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
-
-
-@lean_part
-def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
-    """|Ixx|^2 + |Iyy|^2 of eq. 2."""
-    i = ring.dtype.type
-    for x in range(ring.size):
-        twice = i(i(here[x + 1]) + i(here[x + 1]))
-        xx = i(i(i(here[x]) + i(here[x + 2])) - twice)
-        yy = i(i(i(above[x + 1]) + i(below[x + 1])) - twice)
-        new = i(i(xx * xx) + i(yy * yy))
-        columns[x] = i(columns[x] + i(new - ring[x]))
-        ring[x] = new
-
-
-@lean_part
-def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
-    """The Sobel operator's pass down the columns."""
-    i = smooth.dtype.type
-    for x in range(smooth.size):
-        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
-        slope[x] = i(i(below[x]) - i(above[x]))
-
-
-@lean_part
-def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
-    """Gx^2 + Gy^2 of eq. 3."""
-    i = ring.dtype.type
-    for x in range(ring.size):
-        gx = i(i(smooth[x + 2]) - i(smooth[x]))
-        gy = i(i(i(slope[x]) + i(slope[x + 2])) + i(i(slope[x + 1]) + i(slope[x + 1])))
-        new = i(i(gx * gx) + i(gy * gy))
-        columns[x] = i(columns[x] + i(new - ring[x]))
-        ring[x] = new
-
-
-@lean_part
-def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
-    """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
-    i = ring.dtype.type
-    for x in range(ring.size):
-        new = i(here[x + 1])
-        d = i(new - ring[x])
-        s = i(new + ring[x])
-        columns[x] = i(columns[x] + d)
-        squares[x] = i(squares[x] + i(d * s))
-        ring[x] = new
-
-
-@inlined_part
-def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
-    """The measure of one row of pixels, in rows.total; that of eq. 4, times the window's pixels, in rows.value."""
-    for n in range(2 if measure == _GLV else 1):
-        _box(rows.sums[n], rows.pieces, rows.total[n])
-    if measure == _GLV:
-        _deviations(rows.total[0], rows.total[1], window * window, rows.value)
-
-
-@inlined_part
-def _box(sums: Wholes, pieces: Int64s, out: Wholes) -> None:
-    """Sums of as many neighbours as the window has, from sums[0]: as few additions as its pieces need."""
-    if pieces[0, 0] > 0:
-        _add_neighbours(sums[0], sums[1])
-    if pieces[0, 0] > 1:
-        _add_three(sums[1], sums[1, 3:], sums[1, 6:], sums[2])
-    first = sums[pieces[0, 0]]
-    last = len(pieces) - 2
-    if last > 1:
-        _add_three(first, sums[pieces[1, 0], pieces[1, 1] :], sums[pieces[2, 0], pieces[2, 1] :], sums[3])
-        first = sums[3]
-    _add_three(first, sums[pieces[last, 0], pieces[last, 1] :], sums[pieces[last + 1, 0], pieces[last + 1, 1] :], out)
-
-
-@lean_part
-def _add_three(a: Wholes, b: Wholes, c: Wholes, out: Wholes) -> None:
-    i = a.dtype.type
-    for x in range(min(out.size, c.size)):
-        out[x] = i(i(a[x] + b[x]) + c[x])
-
-
-@lean_part
-def _add_neighbours(row: Wholes, out: Wholes) -> None:
-    """Sums of three neighbours, two of which are still in the registers."""
-    i = row.dtype.type
-    first, second, ahead = row[0], row[1], row[2:]
-    for x in range(ahead.size):
-        third = ahead[x]
-        out[x] = i(i(first + second) + third)
-        first, second = second, third
-
-
-@lean_part
-def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
-    """Sum of squared deviations from the mean: in whole numbers from a grey value near it, then what that is off."""
-    i = total.dtype.type
-    n = i(n_pixels)
-    per_pixel = np.float32(1 / n_pixels)
-    for x in range(value.size):
-        middle = i(np.float32(total[x]) * per_pixel)
-        rest = i(total[x] - i(n * middle))
-        about = i(square_total[x] - i(middle * i(total[x] + rest)))
-        off = np.float32(rest)
-        value[x] = np.float32(about) - off * off * per_pixel
-
-
-@lean_part
-def _as_levels(values: Wholes, shift: Whole, level: UInt16s) -> None:
-    """The log2 of a row, as 16 bits.
-
-    The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
-    they are monotone, and `log2_table` makes them exact.
-    """
-    i = np.int32
-    bias = i(i(127 << 23) - i(1 << (shift - 1)))
-    for x in range(level.size):
-        q = i(i(np.float32(values[x]).view(i) - bias) >> shift)
-        level[x] = q if q > i(0) else i(0)

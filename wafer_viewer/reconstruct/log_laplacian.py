@@ -28,8 +28,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole, aligned
-from wafer_viewer.numerics.jit import bare_kernel
+from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.boxes import AHEAD, box, pieces_of
+from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
@@ -44,7 +45,6 @@ NOISE_ENERGY = 19 / 64
 """E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
 
 _TAPS_PX = 3
-_TAIL_PX = 64
 _UNIT_OF_L = 1 / 48
 _MOST_ENERGY = 2.0**29
 _HIGH_PASS = math.sqrt(2 / 3)
@@ -78,10 +78,9 @@ class LogRows(NamedTuple):
     columns: Float32s
     ring: UInt16s
     slope: Int32s
-    triangle: Int32s
     sums: Int32s
-    spare: Int32s
-    more: Int32s
+    total: Int32s
+    pieces: Int64s
 
     @classmethod
     def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> LogRows:
@@ -89,7 +88,7 @@ class LogRows(NamedTuple):
         wide = cols + 2 * log_margin_px(window)
 
         def rows(count: int, kind: Any) -> NDArray[Any]:
-            return aligned((count, -(-wide // _TAIL_PX) * _TAIL_PX + _TAIL_PX), kind)
+            return aligned((count, -(-wide // AHEAD) * AHEAD + AHEAD), kind)
 
         return cls(
             grey=rows(3, dtype),
@@ -100,10 +99,9 @@ class LogRows(NamedTuple):
             columns=rows(1, np.float32)[0],
             ring=rows(2 * window, np.uint16),
             slope=rows(1, np.int32)[0],
-            triangle=rows(1, np.int32)[0],
-            sums=rows(1, np.int32)[0],
-            spare=rows(1, np.int32)[0],
-            more=rows(1, np.int32)[0],
+            sums=rows(8, np.int32).reshape(2, 4, -1),
+            total=aligned((cols,), np.int32),
+            pieces=pieces_of(window),
         )
 
 
@@ -112,7 +110,7 @@ def log_margin_px(window: int) -> int:
     return window - 1 + _TAPS_PX
 
 
-@bare_kernel
+@lean_kernel
 def log_laplacian_block(
     source: Source, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
 ) -> None:
@@ -143,11 +141,11 @@ def log_laplacian_block(
                     rows,
                 )
             if r >= 2 * margin:
-                _across(window, scale, rows, volume.levels[k, r - 2 * margin])
+                _across(scale, rows, volume.levels[k, r - 2 * margin])
                 keep_row(volume, k, r - 2 * margin)
 
 
-@bare_kernel
+@lean_part
 def _ring_unit(window: Whole) -> Real:
     """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
     unit = 1 << LEVEL_BITS
@@ -156,14 +154,14 @@ def _ring_unit(window: Whole) -> Real:
     return np.float32(unit)
 
 
-@bare_kernel
+@inlined_part
 def _begin(rows: LogRows) -> None:
     rows.ring[:] = 0
     rows.slope[:] = 0
-    rows.triangle[:] = 0
+    rows.sums[0, 0] = 0
 
 
-@bare_kernel
+@inlined_part
 def _stabilise(
     source: Source,
     volume: Volume,
@@ -189,24 +187,24 @@ def _stabilise(
     _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
 
 
-@bare_kernel
+@lean_part
 def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
-    for x in range(stable.size - _TAIL_PX):
+    for x in range(stable.size - AHEAD):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
 
 
-@bare_kernel
+@lean_part
 def _roots(
     grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
 ) -> None:
-    for x in range(stable.size - _TAIL_PX):
+    for x in range(stable.size - AHEAD):
         v = np.sqrt(np.float32(grey[x]) * scale + offset)
         a = np.sqrt(np.float32(before[x]) * scale + offset)
         b = np.sqrt(np.float32(after[x]) * scale + offset)
         stable[x] = here * v + side * (a + b)
 
 
-@bare_kernel
+@inlined_part
 def _energy_row(rows: LogRows, r: Whole) -> None:
     """L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
     v, e = rows.stable, rows.energy
@@ -214,26 +212,26 @@ def _energy_row(rows: LogRows, r: Whole) -> None:
     _squared(rows.wide, rows.narrow, e[(r - 2) % 3], e[(r - 1) % 3], e[r % 3], rows.columns)
 
 
-@bare_kernel
+@lean_part
 def _columns_of_five(
     v0: Float32s, v1: Float32s, v2: Float32s, v3: Float32s, v4: Float32s, wide: Float32s, narrow: Float32s
 ) -> None:
     """Down the columns: wide = [1 3 4 3 1], the sum of 3 of t = [1 2 1]; narrow = wide - 3 t."""
-    for x in range(wide.size - _TAIL_PX):
+    for x in range(wide.size - AHEAD):
         far, near, mid = v0[x] + v4[x], v1[x] + v3[x], v2[x]
         total = far + np.float32(3) * near + np.float32(4) * mid
         wide[x] = total
         narrow[x] = total - np.float32(3) * (near + np.float32(2) * mid)
 
 
-@bare_kernel
+@lean_part
 def _squared(
     wide: Float32s, narrow: Float32s, above: Float32s, middle: Float32s, energy: Float32s, columns: Float32s
 ) -> None:
     """Along the row: (48 L)^2 from [1 0 -2 0 1] of wide and [3 6 3] of narrow; columns: the sum of three rows of it."""
     wide_2, wide_4 = wide[2:], wide[4:]
     narrow_1, narrow_2, narrow_3 = narrow[1:], narrow[2:], narrow[3:]
-    for x in range(energy.size - _TAIL_PX):
+    for x in range(energy.size - AHEAD):
         outer = wide[x] + wide_4[x] - np.float32(2) * wide_2[x]
         inner = narrow_1[x] + narrow_3[x] + np.float32(2) * narrow_2[x]
         laplacian = outer + np.float32(3) * inner
@@ -245,14 +243,14 @@ def _squared(
 # Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
 
 
-@bare_kernel
+@lean_part
 def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
     """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves."""
     i = np.int32
     part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
     offset, half, one, two = np.float32(LEVEL_OFFSET), np.float32(0.5), columns[1:], columns[2:]
-    slope, triangle = rows.slope, rows.triangle
-    for x in range(triangle.size - _TAIL_PX):
+    slope, triangle = rows.slope, rows.sums[0, 0]
+    for x in range(triangle.size - AHEAD):
         value = (columns[x] + one[x] + two[x]) * part + floor
         log = quick_log2(value if value < most else most)
         new = i((log + offset) * unit + half)
@@ -263,70 +261,16 @@ def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, row
         triangle[x] = i(triangle[x] + rise)
 
 
-@bare_kernel
-def _across(window: Whole, scale: Real, rows: LogRows, level: UInt16s) -> None:
-    """The triangle along the row, and the level: the usual window in two loops of five loads."""
-    if window == 9:
-        _triangle_of_three(rows.triangle, 1, rows.sums)
-        _level_of_three(rows.sums, 3, scale, level)
-        return
-    _box(rows.triangle, window, rows.spare, rows.more, rows.sums)
-    _box(rows.sums, window, rows.spare, rows.more, rows.sums)
-    _as_level(rows.sums, scale, level)
+@inlined_part
+def _across(scale: Real, rows: LogRows, level: UInt16s) -> None:
+    """The triangle along the row, and the level."""
+    box(rows.sums[0], rows.pieces, rows.sums[1, 0])
+    box(rows.sums[1], rows.pieces, rows.total)
+    _as_level(rows.total, scale, level)
 
 
-@bare_kernel
-def _triangle_of_three(values: Int32s, step: Whole, out: Int32s) -> None:
-    """[1 2 3 2 1] of pixels `step` apart."""
-    i = np.int32
-    a, b, c, d = values[step:], values[2 * step :], values[3 * step :], values[4 * step :]
-    for x in range(out.size - _TAIL_PX):
-        near = i(i(a[x] + b[x]) + c[x])
-        out[x] = i(i(i(values[x] + d[x]) + near) + i(near + b[x]))
-
-
-@bare_kernel
-def _level_of_three(values: Int32s, step: Whole, scale: Real, level: UInt16s) -> None:
-    """The last [1 2 3 2 1] of the window of 9, as a level."""
-    i = np.int32
-    a, b, c, d = values[step:], values[2 * step :], values[3 * step :], values[4 * step :]
+@lean_part
+def _as_level(total: Int32s, scale: Real, level: UInt16s) -> None:
     half = np.float32(0.5)
     for x in range(level.size):
-        near = i(i(a[x] + b[x]) + c[x])
-        total = i(i(i(values[x] + d[x]) + near) + i(near + b[x]))
-        level[x] = i(np.float32(total) * scale + half)
-
-
-@bare_kernel
-def _as_level(sums: Int32s, scale: Real, level: UInt16s) -> None:
-    half = np.float32(0.5)
-    for x in range(level.size):
-        level[x] = np.int32(np.float32(sums[x]) * scale + half)
-
-
-@bare_kernel
-def _box(values: Int32s, window: Whole, power: Int32s, spare: Int32s, sums: Int32s) -> None:
-    """Sums of `window` neighbours: sums of 2, 4, 8 ... are made in turn, those that make up the window are added."""
-    i = np.int32
-    _pairs(values, 1, power)
-    for x in range(sums.size - _TAIL_PX):
-        sums[x] = values[x]
-    width, done = 2, 1
-    while width <= window:
-        if window & width:
-            ahead = power[done:]
-            for x in range(sums.size - _TAIL_PX):
-                sums[x] = i(sums[x] + ahead[x])
-            done += width
-        if 2 * width <= window:
-            _pairs(power, width, spare)
-            power, spare = spare, power
-        width *= 2
-
-
-@bare_kernel
-def _pairs(values: Int32s, distance: Whole, out: Int32s) -> None:
-    i = np.int32
-    ahead = values[distance:]
-    for x in range(out.size - _TAIL_PX):
-        out[x] = i(values[x] + ahead[x])
+        level[x] = np.int32(np.float32(total[x]) * scale + half)

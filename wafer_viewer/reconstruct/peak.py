@@ -70,7 +70,7 @@ class Placing(NamedTuple):
 class Spots(NamedTuple):
     """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
 
-    bits, table: the bits of a level after the point, and the log2 of 1 + what they say.
+    bits, table: the bits of a level after the point, and what they add to log2.
     """
 
     bits: int
@@ -85,11 +85,11 @@ class Spots(NamedTuple):
     table: Float32s
 
     @classmethod
-    def make(cls, cols: int, bits: int) -> Spots:
-        """Room for rows of `cols` pixels, of levels with `bits` bits after the point."""
+    def make(cls, cols: int, table: Float32s) -> Spots:
+        """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
         reals = (aligned((cols,), np.float64) for _ in range(6))
-        return cls(bits, *shorts, *reals, table=log2_table(bits))
+        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
 
 
 class Scores(NamedTuple):
@@ -154,11 +154,6 @@ def confidence_of(lead: float) -> float:
 def lead_of(confidence: float) -> float:
     """The lead, in powers of two, that a confidence means."""
     return float(-np.log2(max(1e-9, 1.0 - confidence)))
-
-
-def log2_table(mantissa_bits: int) -> NDArray[np.float32]:
-    """log2(1 + fraction) of each mantissa of a level."""
-    return np.log2(1 + np.arange(2**mantissa_bits) / 2**mantissa_bits).astype(np.float32)
 
 
 @lean_kernel

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, Rows, focus_block, mantissa_bits, margin_px
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, USUAL_CAMERA, Focusing
 from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, Placing, Spots, describe
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 from wafer_viewer.reconstruct.volume import Source, Volume
@@ -29,7 +30,8 @@ class Search:
     """How peaks are looked for: measure and estimator by name, and the window.
 
     gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
-    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone.
+    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone. camera, lag: the
+    noise of the camera and a high-pass along z, for the measures that ask for them.
     """
 
     measure: str
@@ -37,6 +39,13 @@ class Search:
     estimator: str
     gap: int
     reach: int = 1
+    camera: CameraNoise = USUAL_CAMERA
+    lag: int = 0
+
+    @property
+    def margin_px(self) -> int:
+        """How far it looks beyond a pixel."""
+        return FOCUS_MEASURES[self.measure].margin_px(self.window)
 
     @property
     def placing(self) -> Placing:
@@ -50,15 +59,17 @@ class Bench:
 
     block: Image
     curves: Curves
-    rows: Rows
+    rows: Any
     spots: Spots
 
     @classmethod
-    def make(cls, n_frames: int, shape: tuple[int, int], window: int, dtype: np.dtype[Any]) -> Bench:
+    def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> Bench:
         """A bench for blocks of `shape` pixels; its block takes no memory until pixels are copied there."""
-        native, margin = np.dtype(dtype).newbyteorder("="), margin_px(window)
+        native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
         block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
-        rows, spots = Rows.make(shape[1], window, native), Spots.make(shape[1], mantissa_bits(native))
+        measure = FOCUS_MEASURES[search.measure]
+        rows = measure.make_rows(shape[1], search.window, native)
+        spots = Spots.make(shape[1], measure.table(native))
         return cls(block, Curves.make(n_frames, shape), rows, spots)
 
     def cut(self, n_rows: int) -> Bench:
@@ -81,7 +92,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     threads = min(threads or _cores(), len(stripes))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
     for _ in range(threads):
-        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search.window, frames.dtype))
+        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search, frames.dtype))
 
     def one(rows: slice) -> None:
         bench = benches.get()
@@ -104,7 +115,7 @@ def search_block(source: Source, z_um: NDArray[np.float64], search: Search, benc
     """The peaks of the pixels of a source, into `out`."""
     measure = FOCUS_MEASURES[search.measure]
     volume = Volume(*bench.curves, out.clipped, out.coarse)
-    focus_block(source, measure.code, search.window, bench.rows, volume)
+    measure.fill(source, Focusing(search.window, search.camera, search.lag), bench.rows, volume)
     describe(bench.curves, source, z_um, search.placing, bench.spots, out.scores)
     out.at_end[:] = (bench.curves.peak == 0) | (bench.curves.peak == len(z_um) - 1)
 
@@ -114,7 +125,7 @@ def _source(frames: Frames, rows: slice, cols: slice, search: Search, bench: Ben
     if frames.as_stored:
         slots = np.arange(len(frames.images))[frames.index]
         return Source.of(frames.images, slots, rows.start, cols.start, frames.clipped_counts)
-    margin = margin_px(search.window)
+    margin = search.margin_px
     read_block(frames, rows, cols, margin, bench.block)
     return Source.of(bench.block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
 

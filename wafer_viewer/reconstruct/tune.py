@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Origin
-from wafer_viewer.reconstruct.camera_noise import settled_noise
+from wafer_viewer.reconstruct.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.clean import settle_cleaning
-from wafer_viewer.reconstruct.focus import mantissa_bits
 from wafer_viewer.reconstruct.gate import auto_min_confidence, gate_of, origins
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
@@ -78,7 +77,7 @@ def focus_width_um(frames: Frames, recipe: Recipe) -> float:
     The third of the tiles with the narrowest curves tells, by its middle: noise, and light that bleeds from a bright
     surface that is out of focus, make wider ones. One step where nothing is seen.
     """
-    probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1)
+    probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
     widths = [_half_height_width(bench, peaks) for bench, peaks in _tiles(frames, probe)]
     return frames.step_um * float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
 
@@ -99,7 +98,7 @@ def _search(frames: Frames, recipe: Recipe, window: int, width: float) -> Search
     most = max(1, (frames.n_frames - 1) // 4)
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
-    return Search(recipe.focus_measure, window, recipe.peak, gap, reach)
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, camera_of(recipe.noise))
 
 
 def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
@@ -122,7 +121,7 @@ def _half_height_width(bench: Bench, peaks: Peaks) -> float:
     textured = (peaks.contrast >= np.percentile(peaks.contrast, 75)) & (peaks.contrast > 1) & ~peaks.at_end
     if not textured.any():
         return 0.0
-    half = 2 ** mantissa_bits(bench.block.dtype)
+    half = 1 << bench.spots.bits
     levels = bench.curves.levels[:, textured].astype(np.int32)
     widths = np.sort(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0))
     return float(widths[: len(widths) // 2 + 1].mean())
@@ -132,7 +131,7 @@ def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
     """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
     n_rows, n_cols = frames.shape
     shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
-    bench = Bench.make(frames.n_frames, shape, search.window, frames.dtype)
+    bench = Bench.make(frames.n_frames, shape, search, frames.dtype)
     peaks = Peaks.empty(shape, bench.block.dtype)
     for top in _starts(n_rows, shape[0]):
         for left in _starts(n_cols, shape[1]):

@@ -11,10 +11,9 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
 from wafer_viewer.reconstruct.field import cleaned, gated, settled_recipe
-from wafer_viewer.reconstruct.focus import mantissa_bits
 from wafer_viewer.reconstruct.gate import gate_of
 from wafer_viewer.reconstruct.noise import noise_scores
-from wafer_viewer.reconstruct.peak import Peaks, lead_of, log2_table
+from wafer_viewer.reconstruct.peak import Peaks, lead_of
 from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
 from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part
 from wafer_viewer.reconstruct.tune import Settled, settle
@@ -67,11 +66,11 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
 
 def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
-    bench = Bench.make(frames.n_frames, (1, 1), search.window, frames.dtype)
+    bench = Bench.make(frames.n_frames, (1, 1), search, frames.dtype)
     search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
     levels = bench.curves.levels[:, 0, 0].astype(np.int64)
-    bits = mantissa_bits(bench.block.dtype)
-    log2 = (levels >> bits) + log2_table(bits)[levels & (2**bits - 1)]
+    bits, table = bench.spots.bits, bench.spots.table
+    log2 = (levels >> bits) + table[levels & (table.size - 1)]
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
     read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
     return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)

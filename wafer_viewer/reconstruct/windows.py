@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Int32s, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.reconstruct.focus import mantissa_bits
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
 from wafer_viewer.reconstruct.peak import Curves, Peaks, Placing, Spots, gather, place_row
 from wafer_viewer.reconstruct.search import Search
 from wafer_viewer.reconstruct.volume import COARSE_PX, note
@@ -34,7 +34,7 @@ def wide_heights(
     n_frames, n_rows, cols = peaks.coarse.shape
     cells = cells or wide_cells(search.window)
     curves = Curves.make(n_frames, (1, cols))
-    spots = Spots.make(cols, mantissa_bits(peaks.all_in_focus.dtype))
+    spots = Spots.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
     out = np.empty((n_rows, cols), np.float32)
     _search_rows(peaks.coarse, cells, line, np.asarray(z_um, np.float64), search.placing, curves, spots, out)
