@@ -33,7 +33,8 @@ def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     Only for pixels that are measured, as those of `far_along_lines` are.
     """
     out = np.empty(rows.size, np.float32)
-    _middle_medians(padded, rows, cols, np.empty((2, 2 * REACH_PX + 1), np.float32), out)
+    places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
+    _middle_medians(padded, *places, np.empty((2, 2 * REACH_PX + 1), np.float32), out)
     return out
 
 

@@ -16,7 +16,8 @@ def mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, neighbours: Who
     padded: a map with a border of 3 NaN; inf where fewer than half as many are measured.
     """
     out = np.empty(rows.size, np.float32)
-    _mean_distances(padded, rows, cols, np.empty(neighbours, np.float32), out)
+    places = np.ascontiguousarray(rows), np.ascontiguousarray(cols)  # views would be compiled for once more
+    _mean_distances(padded, *places, np.empty(neighbours, np.float32), out)
     return out
 
 

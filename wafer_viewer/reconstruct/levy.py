@@ -164,9 +164,11 @@ def _without_spikes(z_um: Map, limit_um: float) -> Map:
     inner = padded[REACH_PX:-REACH_PX, REACH_PX:-REACH_PX]
     for _ in range(_SPIKE_PASSES):
         rows, cols = np.nonzero(far_along_lines(padded, limit_um))
-        if not 0 < rows.size < _MANY_SPIKES * z_um.size:
+        if rows.size > _MANY_SPIKES * z_um.size:
             break
         inner[rows, cols] = line_medians_at(padded, rows, cols)
+        if not rows.size:
+            break
     return inner
 
 
