@@ -14,7 +14,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot
 
-FOCUS = {"Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
+FOCUS = {"Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv", "Log-Laplacian": "log_laplacian"}
 PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
 WINDOW = {"auto": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
 SMOOTHING = {
