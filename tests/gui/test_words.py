@@ -238,7 +238,7 @@ def test_a_simulated_curve_says_so():
     curve = seen.a_focus_curve(0.0, 0.0)
     assert why_words.source(curve).startswith("SIMULATED · Tenengrad")
     assert "SIMULATED" not in why_words.source(replace(curve, simulated=False))
-    assert why_words.source(replace(curve, focus_measure="log_laplacian", simulated=False)).startswith("Log laplacian,")
+    assert why_words.source(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
 
 
 @pytest.mark.parametrize(
