@@ -38,6 +38,11 @@ def reconstruct(
     frames = prepare(stack, recipe)
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads, progress)
+    return surface_of(stack, frames, settled, peaks)
+
+
+def surface_of(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks) -> HeightMap:
+    """The height map of searched frames."""
     origin = gated(peaks, settled, frames)
     return cleaned(stack, frames, settled, peaks, origin)
 

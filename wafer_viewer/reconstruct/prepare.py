@@ -111,11 +111,16 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     _check(stack, z_um[order])
     slots = present[order]
     white = _white_counts(stack, slots)
-    clipped = int(CLIPPED_SHARE_OF_WHITE * white) + (white == 255)
+    clipped = clipped_from(white)
     frames = Frames(stack.images, _as_slice(slots), z_um[order], clipped, notes=_missing(stack, len(slots)))
     frames = _fused(stack, frames, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
     return frames if recipe.drift == "none" else _steadied(stack, frames)
+
+
+def clipped_from(white_counts: int) -> int:
+    """The grey value from which a pixel counts as clipped."""
+    return int(CLIPPED_SHARE_OF_WHITE * white_counts) + (white_counts == 255)
 
 
 def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Image) -> None:

@@ -88,20 +88,20 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     progress is told the finished share, from the calling thread; what it raises ends the search.
     """
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
-    stripes = list(_stripes(frames.shape[0]))
-    threads = min(threads or _cores(), len(stripes))
+    parts = stripes(frames.shape[0])
+    threads = min(threads or _cores(), len(parts))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
     for _ in range(threads):
-        benches.put(Bench.make(frames.n_frames, (stripes[0].stop, frames.shape[1]), search, frames.dtype))
+        benches.put(Bench.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
 
     def one(rows: slice) -> None:
         bench = benches.get()
         search_part(frames, rows, slice(0, frames.shape[1]), search, bench, peaks.rows(rows))
         benches.put(bench)
 
-    for done, _ in enumerate(_each(one, stripes, threads), 1):
+    for done, _ in enumerate(_each(one, parts, threads), 1):
         if progress is not None:
-            progress(done / len(stripes))
+            progress(done / len(parts))
     return peaks
 
 
@@ -113,11 +113,27 @@ def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench:
 
 def search_block(source: Source, z_um: NDArray[np.float64], search: Search, bench: Bench, out: Peaks) -> None:
     """The peaks of the pixels of a source, into `out`."""
-    measure = FOCUS_MEASURES[search.measure]
-    volume = Volume(*bench.curves, out.clipped, out.coarse)
-    measure.fill(source, Focusing(search.window, search.camera, search.lag), bench.rows, volume)
-    describe(bench.curves, source, z_um, search.placing, bench.spots, out.scores)
-    out.at_end[:] = (bench.curves.peak == 0) | (bench.curves.peak == len(z_um) - 1)
+    fill_volume(source, search, bench.rows, Volume(*bench.curves, out.clipped, out.coarse))
+    find_peaks(source, z_um, search, bench.curves, bench.spots, out)
+
+
+def fill_volume(source: Source, search: Search, rows: Any, volume: Volume) -> None:
+    """Measure the frames of a source; `rows` are those that the measure made to work in."""
+    focusing = Focusing(search.window, search.camera, search.lag)
+    FOCUS_MEASURES[search.measure].fill(source, focusing, rows, volume)
+
+
+def find_peaks(
+    source: Source, z_um: NDArray[np.float64], search: Search, curves: Curves, spots: Spots, out: Peaks
+) -> None:
+    """The peaks of measured frames, into `out`."""
+    describe(curves, source, z_um, search.placing, spots, out.scores)
+    out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
+
+
+def stripes(n_rows: int) -> list[slice]:
+    """The rows of a field in parts whose focus volumes fit in cache."""
+    return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
 
 
 def _source(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench) -> Source:
@@ -141,18 +157,13 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _stripes(n_rows: int) -> Iterator[slice]:
-    for start in range(0, n_rows, STRIPE_ROWS):
-        yield slice(start, min(n_rows, start + STRIPE_ROWS))
-
-
-def _each(work: Callable[[slice], None], stripes: list[slice], threads: int) -> Iterator[None]:
-    """Do the stripes one after the other, or on a pool of threads: the kernels run without the interpreter's lock."""
+def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:
+    """Do the parts one after the other, or on a pool of threads: the kernels run without the interpreter's lock."""
     if threads == 1:
-        yield from map(work, stripes)
+        yield from map(work, parts)
         return
     pool = ThreadPoolExecutor(threads)
     try:
-        yield from pool.map(work, stripes)
+        yield from pool.map(work, parts)
     finally:
         pool.shutdown(cancel_futures=True)

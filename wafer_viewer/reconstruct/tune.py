@@ -51,7 +51,7 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
     width_um = focus_width_um(frames, recipe) if recipe.focus_width_um == "auto" else recipe.focus_width_um
     width = width_um / frames.step_um
-    probe = _search(frames, recipe, _PROBE_WINDOW, width)
+    probe = _search(recipe, _PROBE_WINDOW, width, frames.n_frames)
     window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
     search = dataclasses.replace(probe, window=window)
     resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
@@ -93,9 +93,14 @@ def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
     return next((w for w in smaller if coverage(w) >= enough), largest)
 
 
-def _search(frames: Frames, recipe: Recipe, window: int, width: float) -> Search:
+def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
+    """How a settled recipe searches a stack that is still to come."""
+    return _search(recipe, int(recipe.window), float(recipe.focus_width_um) / step_um, n_frames)
+
+
+def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
     """Rivals are two widths away, at most a quarter of the stack; a peak is placed by points a half width away."""
-    most = max(1, (frames.n_frames - 1) // 4)
+    most = max(1, (n_frames - 1) // 4)
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     return Search(recipe.focus_measure, window, recipe.peak, gap, reach, camera_of(recipe.noise))

@@ -1,0 +1,66 @@
+"""A field that is measured while its frames come gives the map of the finished stack."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.reconstruct.field import reconstruct, settled_recipe
+from wafer_viewer.reconstruct.live import LiveField
+
+MakeStack = Callable[..., FieldStack]
+Z_UM = np.arange(20.0, 104.0, 4.0)
+FROM_BELOW = [(0, 1), (1, 8), (8, 20), (20, 21)]
+
+
+@pytest.fixture(scope="module")
+def stack(make_stack: MakeStack, plane_um: NDArray) -> FieldStack:
+    return make_stack(plane_um, Z_UM)
+
+
+def live(stack: FieldStack, recipe: Recipe, chunks: Iterable[tuple[int, int]]) -> HeightMap:
+    pages = np.zeros_like(stack.images)
+    field = LiveField(pages, 4.0, recipe)
+    for first, stop in chunks:
+        pages[first:stop] = stack.images[first:stop]
+        field.take(first, stop)
+    return field.surface(dataclasses.replace(stack, images=pages))
+
+
+@pytest.mark.parametrize("measure", ["tenengrad", "log_laplacian"])
+@pytest.mark.parametrize("chunks", [FROM_BELOW, FROM_BELOW[::-1]], ids=["from below", "from above"])
+def test_it_is_the_same_map_bit_for_bit(stack: FieldStack, measure: str, chunks: list[tuple[int, int]]) -> None:
+    recipe = settled_recipe(stack, Recipe(focus_measure=measure))
+    whole, grown = reconstruct(stack, recipe), live(stack, recipe, chunks)
+    for layer in ("z_um", "z_raw_um", "confidence", "origin", "all_in_focus"):
+        np.testing.assert_array_equal(getattr(grown, layer), getattr(whole, layer), layer)
+    assert grown.provenance == whole.provenance
+
+
+def test_with_a_frame_missing_it_is_the_map_of_what_is_there(stack: FieldStack) -> None:
+    recipe = settled_recipe(stack)
+    there = np.arange(len(Z_UM)) != 9
+    partial = dataclasses.replace(stack, present=there)
+    grown = live(partial, recipe, [(0, 9), (10, 21)])
+    np.testing.assert_array_equal(grown.z_um, reconstruct(partial, recipe).z_um)
+
+
+def test_what_cannot_be_live_says_why(stack: FieldStack) -> None:
+    with pytest.raises(ComputeError, match="settled recipe"):
+        LiveField(stack.images, 4.0, Recipe())
+    recipe = settled_recipe(stack)
+    with pytest.raises(ComputeError, match="8-bit grey, not uint16"):
+        LiveField(stack.images.astype(np.uint16), 4.0, recipe)
+    field = LiveField(stack.images, 4.0, recipe)
+    field.take(3, 5)
+    assert np.flatnonzero(field.came).tolist() == [3, 4]
+    with pytest.raises(ComputeError, match="taken in already"):
+        field.take(4, 6)
