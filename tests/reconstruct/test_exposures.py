@@ -70,7 +70,7 @@ def test_the_fused_picture_is_linear_in_light(
 def test_dark_pixels_are_as_quiet_as_the_photons_of_all_exposures_allow(
     plane_stack: FieldStack, light: NDArray
 ) -> None:
-    """Variance over grey: a half of that of both exposures' sum where both hold, the shortest's own where it is alone."""
+    """The variance is that of the sum of both exposures where both hold, the shortest's own where it is alone."""
     level = np.full_like(light, 0.05)
     level[:, :, 64:] = 0.7
     fused = whole(prepare(bracketed(plane_stack, level, 1, 4))).astype(float) * 255 / FULL

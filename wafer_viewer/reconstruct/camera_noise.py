@@ -134,7 +134,9 @@ def _high_pass(strips: Greys) -> Floats:
 
 
 def _by_cell(values: Floats) -> Floats:
-    """The mean of every whole cell, or of what there is of an image that is smaller than one."""
+    """The mean of every whole cell, or of what there is of an image that is smaller than one; none of an empty one."""
+    if not values.size:
+        return values.ravel()
     high, wide = (min(size, cell) for size, cell in zip(values.shape[1:], _CELL_PX, strict=True))
     n_rows, n_cols = values.shape[1] // high, values.shape[2] // wide
     whole = values[:, : n_rows * high, : n_cols * wide]

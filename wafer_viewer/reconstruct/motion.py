@@ -30,7 +30,7 @@ FRAMES = (12, 36)
 
 _BIN = 2
 _STEEPEST = 2.0
-_SMOOTH_PX = 0.6
+_SMOOTH_PX = 1.0
 _EVERY_ROW = 8
 
 ReadTile = Callable[[slice, slice], Image]
@@ -168,6 +168,7 @@ def _moved(first: Complex, second: Complex) -> tuple[NDArray[np.float64], NDArra
 
 
 def _vertex(before: NDArray[np.float32], top: NDArray[np.float32], after: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Where the parabola through three points has its vertex, from the middle one."""
-    bend = before - 2 * top + after
-    return np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0)
+    """Where the Gaussian through three points of a peak has its top, from the middle one."""
+    low, high, right = (np.log(np.maximum(v, 1e-3 * top + 1e-30)) for v in (before, top, after))
+    bend = low - 2 * high + right
+    return np.where(bend < 0, 0.5 * (low - right) / np.minimum(bend, -1e-12), 0)
