@@ -49,7 +49,7 @@ def measure_ms(window: int, stripe: int, lag: int, dtype: type, runs: int = RUNS
 
 def silhouette_ms(stripe: int, every: int) -> float:
     rows = SilhouetteRows.make(COLS, np.dtype(np.uint8))
-    once = partial(silhouette_block, a_stripe(np.uint8), every, 6.0, rows, Silhouette.empty((stripe, COLS)))
+    once = partial(silhouette_block, a_stripe(np.uint8), 0, every, 6.0, rows, Silhouette.empty((stripe, COLS)))
     return least_s(once, RUNS) * 1000 / FRAMES * ROWS / stripe
 
 

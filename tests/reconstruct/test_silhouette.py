@@ -13,7 +13,6 @@ from wafer_viewer.reconstruct.silhouette import (
     STANDING_CONTRAST,
     Silhouette,
     SilhouetteRows,
-    half_size,
     silhouette_block,
 )
 from wafer_viewer.reconstruct.volume import Source
@@ -26,7 +25,7 @@ def by_kernel(images: NDArray, every: int = 1, top: int = 0, bottom: int | None 
     k, n_rows, n_cols = images.shape
     found = Silhouette.empty(((bottom or n_rows) - top, n_cols))
     source = Source.of(images, np.arange(k), top, 0, 250)
-    silhouette_block(source, every, DARK_COUNTS, SilhouetteRows.make(n_cols, images.dtype), found)
+    silhouette_block(source, 0, every, DARK_COUNTS, SilhouetteRows.make(n_cols, images.dtype), found)
     return found
 
 
@@ -67,6 +66,15 @@ def test_stripes_fit_together() -> None:
     for top, bottom in ((0, 18), (18, 50)):
         for part, same in zip(by_kernel(images, 1, top, bottom), whole.rows(slice(top, bottom)), strict=True):
             np.testing.assert_array_equal(part, same)
+
+
+def test_frames_in_two_calls_are_as_in_one() -> None:
+    images = (np.random.default_rng(3).random((7, 20, 30)) ** 3 * 255).astype(np.uint8)
+    found, rows = Silhouette.empty((20, 30)), SilhouetteRows.make(30, images.dtype)
+    for first, frames in ((0, np.arange(4)), (4, np.arange(4, 7))):
+        silhouette_block(Source.of(images, frames, 0, 0, 250), first, 2, DARK_COUNTS, rows, found)
+    for part, same in zip(found, by_kernel(images, 2), strict=True):
+        np.testing.assert_array_equal(part, same)
 
 
 def test_an_edge_of_contrast_c_has_a_map_of_its_logarithm() -> None:

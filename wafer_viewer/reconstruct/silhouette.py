@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
-from wafer_viewer.numerics.jit import bare_kernel
+from wafer_viewer.numerics.jit import lean_kernel, lean_part
 from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.volume import Source, take_grey
 
@@ -85,9 +85,13 @@ def half_size(pixels: int) -> int:
     return (pixels + 1) // 2
 
 
-@bare_kernel
-def silhouette_block(source: Source, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette) -> None:
+@lean_kernel
+def silhouette_block(
+    source: Source, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
+) -> None:
     """Note the silhouettes of a block, in an `out` that is empty to begin with; every: 1 for all frames, 2 for half.
+
+    first: which frame of the stack is the first of the source. Frames that follow may be noted by a later call.
 
     The block must begin at an even row and column of the field, so that the maps of blocks fit together.
     """
@@ -102,10 +106,10 @@ def silhouette_block(source: Source, every: Whole, dark_counts: Real, rows: Silh
             if r >= 6:
                 y = r - 6
                 _contrast_row(rows.log, r, rows.change)
-                _note(rows.change, k, every, out.contrast[y], out.frame[y], out.standing[y])
+                _note(rows.change, first + k, every, out.contrast[y], out.frame[y], out.standing[y])
 
 
-@bare_kernel
+@lean_part
 def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
     """The sums of 2 x 2 pixels of two rows."""
     i = np.int32
@@ -115,7 +119,7 @@ def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
         bins[x] = i(pairs[2 * x] + pairs[2 * x + 1])
 
 
-@bare_kernel
+@lean_part
 def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
     """ln(mean of 6 x 6 pixels + dark)."""
     i = np.int32
@@ -128,7 +132,7 @@ def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) ->
         log[x] = _LN_2 * quick_log2(np.float32(total) * part + dark_counts)
 
 
-@bare_kernel
+@lean_part
 def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
     """The most that the logarithm changes over three half-resolution pixels astride of one, along x and y."""
     a, b, here, c, d = (
@@ -145,7 +149,7 @@ def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
         change[x] = max(along, down)
 
 
-@bare_kernel
+@lean_part
 def _note(change: Float32s, k: Whole, every: Whole, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
     u, least = np.uint16, np.float32(STANDING_CONTRAST)
     here, step = u(k), u(every)

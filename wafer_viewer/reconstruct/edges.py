@@ -1,0 +1,240 @@
+"""The surroundings of walls, where light of a defocused bright side bleeds over a dark one and makes false heights.
+
+Walls are silhouettes that stand through many frames. Beside them a height is believed only where it agrees with the
+surface that its side shows further from the wall; and on the dark side the focus is measured once more along the wall,
+which does not see what bleeds across it, so that the rims of dies come out that were drowned.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.stack import Image
+from wafer_viewer.model.surface import Origin
+from wafer_viewer.numerics.filters import blurred, lowest
+from wafer_viewer.reconstruct.anchors import side_heights_um
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.peak import Peaks
+from wafer_viewer.reconstruct.prepare import Frames, read_block
+from wafer_viewer.reconstruct.sides import Band, Side, Sides, find_band, outline_grey, tell_sides
+from wafer_viewer.reconstruct.silhouette import DARK_SHARE_OF_WHITE, Silhouette
+from wafer_viewer.reconstruct.tangential import (
+    Near,
+    Tile,
+    Wall,
+    peaks_near,
+    tangential_levels,
+    tangential_margin_px,
+)
+from wafer_viewer.reconstruct.volume import COARSE_PX, Source
+
+AGREEING_STEPS = 1.25
+"""Heights within so many steps of the resolution are of the same surface."""
+
+LEAST_FRAMES = 12
+"""A shorter stack has no room for a wall to stand out from a pattern in focus."""
+
+_TILE_PX = 96
+_WALL_SIGMA = 3.0
+_BORDER = 3
+"""At the border of the band what is not known begins."""
+_NOISE_SIDE_PX = 96
+_PERCENTILE = 99.0
+_SEED = 20240301
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """What is known about the pixels beside walls, all arrays [row, col].
+
+    side: codes of `Side`; expected_um: the height that the pixel's side shows further from the wall, NaN where none is
+    near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
+    fall: how far it falls from there, in powers of two, min_fall what noise reaches once in a hundred pixels;
+    tolerance_um: how far from the expected height a height may be.
+    """
+
+    side: NDArray[np.uint8]
+    expected_um: NDArray[np.float32]
+    z_um: NDArray[np.float32]
+    fall: NDArray[np.float32]
+    min_fall: float
+    tolerance_um: float
+
+    def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether heights are those that their sides show further from the wall."""
+        return np.abs(z_um - self.expected_um) < self.tolerance_um
+
+    @property
+    def along(self) -> NDArray[np.bool_]:
+        """Where the focus along the wall gives a height to be believed."""
+        return (self.side == Side.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSearch:
+    """How edges are treated: the mode of the recipe, window and gap of the search, the camera, and the resolution."""
+
+    mode: Literal["band", "rims"]
+    window: int
+    gap: int
+    camera: CameraNoise
+    resolution_um: float
+
+    @property
+    def tolerance_um(self) -> float:
+        """How far apart two heights of the same surface may be."""
+        return AGREEING_STEPS * self.resolution_um
+
+
+def find_edges(
+    frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], silhouette: Silhouette
+) -> Edges | None:
+    """The edges of a field; None where there are no walls, or too few frames to tell them."""
+    band = find_band(silhouette, how.gap) if frames.n_frames >= LEAST_FRAMES else None
+    if band is None:
+        return None
+    dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
+    sides = tell_sides(_outline_grey(frames, band), band, dark_counts)
+    passed = origin == Origin.MEASURED
+    dark_um, bright_um = side_heights_um(
+        peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
+    )
+    expected_um = _expected(sides.side, dark_um, bright_um)
+    z_um, fall = np.full(frames.shape, np.nan, np.float32), np.zeros(frames.shape, np.float32)
+    near = near_of(how, frames)
+    if how.mode == "rims":
+        wanted = np.where((sides.side == Side.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
+        _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall)
+    return Edges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
+
+
+def near_of(how: EdgeSearch, frames: Frames) -> Near:
+    """Peaks are looked for a frame beyond what may be accepted, and fall over the frames to a rival."""
+    return Near(how.window, int(np.ceil(how.tolerance_um / frames.step_um)) + 1, how.gap)
+
+
+def judge_edges(
+    z_um: NDArray[np.float32], origin: NDArray[np.uint8], edges: Edges
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """The heights and origins of a field with what is known of its edges.
+
+    Beside a wall a measured height stays where it agrees with its side, and else is bleeding; where the focus along
+    the wall gives a height it is taken, whatever the gate said.
+    """
+    along = edges.along
+    beside = edges.side != Side.AWAY
+    agrees = edges.agrees(z_um) & (edges.side != Side.OUTLINE)
+    bleeding = beside & (origin == Origin.MEASURED) & ~agrees
+    origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
+    return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
+
+
+@lru_cache(maxsize=32)
+def noise_fall(near: Near) -> float:
+    """The fall that 99 % of the pixels of pure noise stay under, wherever the peak is expected."""
+    n_frames, margin = 2 * near.frames + 1, tangential_margin_px(near.window)
+    side = _NOISE_SIDE_PX + 2 * margin
+    noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
+    camera = CameraNoise(0.5, 80.0)
+    grey = np.clip(noise * np.float32(camera.variance_counts2(128.0) ** 0.5) + np.float32(128.5), 0, 255)
+    shape = _NOISE_SIDE_PX, _NOISE_SIDE_PX
+    tile = Tile.make(n_frames, shape, near.window)
+    turned = np.full((side - 6, side - 6), np.sqrt(0.5), np.float32)
+    tangential_levels(grey.astype(np.uint8), near.window, Stabiliser.of(camera), Wall.along(turned, turned), tile)
+    height, fall = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    expected = np.full(shape, near.frames, np.float32)
+    peaks_near(tile.levels, 0, np.arange(n_frames, dtype=np.float64), expected, near.reach, near.gap, height, fall)
+    return float(np.percentile(fall, _PERCENTILE))
+
+
+def _expected(
+    side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The heights of the cells at the pixels of their side."""
+    rows, cols = (np.arange(n) // COARSE_PX for n in side.shape)
+    dark, bright = (cells[rows[:, None], cols] for cells in (dark_um, bright_um))
+    return np.where(side == Side.DARK, dark, np.where(side == Side.BRIGHT, bright, np.float32(np.nan)))
+
+
+def _wall_of(band: Band, sides: Sides) -> Wall:
+    """The direction along the nearest wall, at half resolution, from where dark and bright meet."""
+    known = lowest(band.inside, 2 * _BORDER + 1)
+    down, right = (np.where(known, slope, np.float32(0)) for slope in np.gradient(blurred(sides.bright_share, 1.0)))
+    xx, xy, yy = (blurred(product, _WALL_SIGMA) for product in (right * right, right * down, down * down))
+    across = np.float32(0.5) * np.arctan2(2 * xy, xx - yy)
+    return Wall.along(np.cos(across), -np.sin(across))
+
+
+def _search_along(
+    frames: Frames,
+    how: EdgeSearch,
+    near: Near,
+    wanted_um: NDArray[np.float32],
+    wall: Wall,
+    z_um: NDArray[np.float32],
+    fall: NDArray[np.float32],
+) -> None:
+    """The peaks of the focus along the wall near the wanted heights, tile by tile."""
+    expected = np.interp(wanted_um, frames.z_um, np.arange(frames.n_frames)).astype(np.float32)
+    stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
+    for rows, cols in _tiles(np.isfinite(wanted_um)):
+        part = expected[rows, cols]
+        first = max(0, int(np.nanmin(part)) - near.frames)
+        stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
+        block = _read(frames, slice(first, stop), rows, cols, margin)
+        tile = Tile.make(stop - first, part.shape, how.window)
+        tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
+        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, z_um[rows, cols], fall[rows, cols])
+
+
+def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
+    """The wall's directions at full resolution for a tile and a margin around it."""
+    limits = wall.xx.shape
+    at = [
+        np.clip(np.arange(part.start - margin, part.stop + margin) // 2, 0, n - 1)
+        for part, n in zip((rows, cols), limits, strict=True)
+    ]
+    return Wall(*(plane[at[0][:, None], at[1]] for plane in wall))
+
+
+def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
+    """Tiles as small as hold the wanted pixels of a grid of squares."""
+    n_rows, n_cols = wanted.shape
+    for top in range(0, n_rows, _TILE_PX):
+        for left in range(0, n_cols, _TILE_PX):
+            here = wanted[top : top + _TILE_PX, left : left + _TILE_PX]
+            rows, cols = np.flatnonzero(here.any(axis=1)), np.flatnonzero(here.any(axis=0))
+            if rows.size:
+                yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
+
+
+def _outline_grey(frames: Frames, band: Band) -> NDArray[np.float32]:
+    """The grey from which sides are told, a stripe at a time where the pixels cannot be read as they lie."""
+    grey = np.zeros(frames.shape, np.float32)
+    if frames.as_stored:
+        source = Source.of(frames.images, frames.slots, 0, 0, frames.clipped_counts)
+        outline_grey(source, 0, band.inside, band.frame, grey)
+        return grey
+    for top in range(0, frames.shape[0], _TILE_PX):
+        rows = slice(top, min(top + _TILE_PX, frames.shape[0]))
+        block = _read(frames, slice(0, frames.n_frames), rows, slice(0, frames.shape[1]), 1)
+        source = Source.of(block, np.arange(frames.n_frames), 1, 1, frames.clipped_counts)
+        outline_grey(source, top, band.inside, band.frame, grey[rows])
+    return grey
+
+
+def _read(frames: Frames, part: slice, rows: slice, cols: slice, margin: int) -> Image:
+    """Some of the frames of a part of a field, with a margin."""
+    chosen = frames if not frames.untouched else dataclasses.replace(frames, index=frames.slots[part])
+    n_frames = frames.n_frames if chosen is frames else part.stop - part.start
+    block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
+    read_block(chosen, rows, cols, margin, block)
+    return block[part] if chosen is frames else block
