@@ -39,7 +39,7 @@ from wafer_viewer.model.spec import replace as changed  # noqa: E402
 from wafer_viewer.model.stack import FieldStack  # noqa: E402
 from wafer_viewer.reconstruct.field import reconstruct  # noqa: E402
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES  # noqa: E402
-from wafer_viewer.reconstruct.peak import PEAKS  # noqa: E402
+from wafer_viewer.reconstruct.placing import PEAKS  # noqa: E402
 
 FALSE_UM = 4.0
 STAIR = Layout("stair", PILLBOX, 21, scene="stair")

@@ -33,8 +33,8 @@ from wafer_viewer.model.spec import replace  # noqa: E402
 from wafer_viewer.model.surface import Origin  # noqa: E402
 from wafer_viewer.reconstruct import outliers as rules  # noqa: E402
 from wafer_viewer.reconstruct.clean import clean, settle_cleaning, settle_levy  # noqa: E402
-from wafer_viewer.reconstruct.field import gated  # noqa: E402
 from wafer_viewer.reconstruct.fill import fill  # noqa: E402
+from wafer_viewer.reconstruct.judge import judge  # noqa: E402
 from wafer_viewer.reconstruct.levy import SMOOTHERS, height_noise_um, smooth  # noqa: E402
 from wafer_viewer.reconstruct.outliers import far_in_cloud, far_on_lattice, find_outliers  # noqa: E402
 from wafer_viewer.reconstruct.prepare import prepare  # noqa: E402
@@ -194,8 +194,8 @@ def scenes(quick: bool) -> Iterator[Seen]:
         frames = prepare(taken.stack)
         settled = settle(frames, Recipe())
         peaks = search_field(frames, settled.search)
-        measured = gated(peaks, settled, frames) == Origin.MEASURED
-        z = np.where(measured, peaks.z_um, np.float32(np.nan))
+        judged = judge(frames, settled, peaks)
+        z = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, np.float32(np.nan))
         recipe = settle_cleaning([z], replace(settled.recipe, levy=Levy()), settled.resolution_um)
         yield Seen(layout.name, z, taken.scene.truth_um, recipe, settled.resolution_um)
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.reconstruct.peak import PEAKS, Placing, confidence_of, lead_of, place
+from wafer_viewer.reconstruct.peak import confidence_of, lead_of
+from wafer_viewer.reconstruct.placing import PEAKS, Placing, place
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.search import Search, search_field
 

@@ -73,7 +73,10 @@ class Recipe(Spec, frozen=True, kw_only=True):
     """Every choice from stack to surface. A result carries the recipe with the values that ``auto`` chose.
 
     focus_width_um: how wide a focus curve is at half its height; rivals, flanks and edges are judged by it;
-    drift: whether frames that shifted or grew by more than half a pixel are put right, each field by what it shows.
+    drift: whether frames that shifted or grew by more than half a pixel are put right, each field by what it shows;
+    compare_windows: whether a height must be that of a window twice as wide; edges: beside walls between bright and
+    dark heights are not looked into (`none`), must agree with the surface further from the wall (`band`), or are
+    looked for once more along the wall as well (`rims`).
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
@@ -84,6 +87,8 @@ class Recipe(Spec, frozen=True, kw_only=True):
     focus_width_um: Positive | Auto = "auto"
     min_confidence: Annotated[float, Within(0, 1)] | Auto = "auto"
     clipped_fraction: Annotated[float, Within(0, 1)] = 0.3
+    compare_windows: bool = True
+    edges: Literal["none", "band", "rims"] = "rims"
     noise: Noise = Noise()
     levy: Levy = Levy()
     outliers: Outliers = Outliers()
@@ -104,6 +109,8 @@ class Recipe(Spec, frozen=True, kw_only=True):
             drift="none",
             min_confidence=0.0,
             clipped_fraction=1.0,
+            compare_windows=False,
+            edges="none",
             levy=Levy(mode="literal", n_sigma=3.0, alpha=0.5, beta=1.5, iterations=30),
             outliers=Outliers(mode="cloud", n_sigma=1.0, floor_um=0.001),
             fill=Fill(mode="all"),

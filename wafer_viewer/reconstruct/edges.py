@@ -7,7 +7,6 @@ which does not see what bleeds across it, so that the rims of dies come out that
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,16 +15,16 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import Origin
 from wafer_viewer.numerics.filters import blurred, lowest
 from wafer_viewer.reconstruct.anchors import side_heights_um
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.parts import on_threads, read_part, row_parts, source_of_rows
 from wafer_viewer.reconstruct.peak import Peaks
-from wafer_viewer.reconstruct.prepare import Frames, read_block
+from wafer_viewer.reconstruct.prepare import Frames
 from wafer_viewer.reconstruct.sides import Band, Side, Sides, find_band, outline_grey, tell_sides
-from wafer_viewer.reconstruct.silhouette import DARK_SHARE_OF_WHITE, Silhouette
+from wafer_viewer.reconstruct.silhouette import DARK_SHARE_OF_WHITE, silhouette_of
 from wafer_viewer.reconstruct.tangential import (
     Near,
     Tile,
@@ -34,13 +33,10 @@ from wafer_viewer.reconstruct.tangential import (
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.volume import COARSE_PX, Source
+from wafer_viewer.reconstruct.volume import COARSE_PX
 
 AGREEING_STEPS = 1.25
 """Heights within so many steps of the resolution are of the same surface."""
-
-LEAST_FRAMES = 12
-"""A shorter stack has no room for a wall to stand out from a pattern in focus."""
 
 _TILE_PX = 96
 _WALL_SIGMA = 3.0
@@ -95,14 +91,14 @@ class EdgeSearch:
 
 
 def find_edges(
-    frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], silhouette: Silhouette
+    frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
 ) -> Edges | None:
-    """The edges of a field; None where there are no walls, or too few frames to tell them."""
-    band = find_band(silhouette, how.gap) if frames.n_frames >= LEAST_FRAMES else None
+    """The edges of a field, None where there are no walls. threads: all cores when left out."""
+    band = find_band(silhouette_of(frames, threads), how.gap)
     if band is None:
         return None
     dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
-    sides = tell_sides(_outline_grey(frames, band), band, dark_counts)
+    sides = tell_sides(_outline_grey(frames, band, threads), band, dark_counts)
     passed = origin == Origin.MEASURED
     dark_um, bright_um = side_heights_um(
         peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
@@ -112,7 +108,7 @@ def find_edges(
     near = near_of(how, frames)
     if how.mode == "rims":
         wanted = np.where((sides.side == Side.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
-        _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall)
+        _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
     return Edges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
 
 
@@ -181,18 +177,22 @@ def _search_along(
     wall: Wall,
     z_um: NDArray[np.float32],
     fall: NDArray[np.float32],
+    threads: int | None,
 ) -> None:
     """The peaks of the focus along the wall near the wanted heights, tile by tile."""
     expected = np.interp(wanted_um, frames.z_um, np.arange(frames.n_frames)).astype(np.float32)
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
-    for rows, cols in _tiles(np.isfinite(wanted_um)):
-        part = expected[rows, cols]
+
+    def one(at: tuple[slice, slice]) -> None:
+        part, (rows, cols) = expected[at], at
         first = max(0, int(np.nanmin(part)) - near.frames)
         stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
-        block = _read(frames, slice(first, stop), rows, cols, margin)
         tile = Tile.make(stop - first, part.shape, how.window)
+        block = read_part(frames, slice(first, stop), rows, cols, margin)
         tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
-        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, z_um[rows, cols], fall[rows, cols])
+        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, z_um[at], fall[at])
+
+    on_threads(one, _tiles(np.isfinite(wanted_um)), threads)
 
 
 def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
@@ -216,25 +216,12 @@ def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
                 yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
 
 
-def _outline_grey(frames: Frames, band: Band) -> NDArray[np.float32]:
-    """The grey from which sides are told, a stripe at a time where the pixels cannot be read as they lie."""
+def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np.float32]:
+    """The grey from which sides are told."""
     grey = np.zeros(frames.shape, np.float32)
-    if frames.as_stored:
-        source = Source.of(frames.images, frames.slots, 0, 0, frames.clipped_counts)
-        outline_grey(source, 0, band.inside, band.frame, grey)
-        return grey
-    for top in range(0, frames.shape[0], _TILE_PX):
-        rows = slice(top, min(top + _TILE_PX, frames.shape[0]))
-        block = _read(frames, slice(0, frames.n_frames), rows, slice(0, frames.shape[1]), 1)
-        source = Source.of(block, np.arange(frames.n_frames), 1, 1, frames.clipped_counts)
-        outline_grey(source, top, band.inside, band.frame, grey[rows])
+
+    def one(rows: slice) -> None:
+        outline_grey(source_of_rows(frames, rows, 1), rows.start, band.inside, band.frame, grey[rows])
+
+    on_threads(one, row_parts(frames.shape[0], _TILE_PX), threads)
     return grey
-
-
-def _read(frames: Frames, part: slice, rows: slice, cols: slice, margin: int) -> Image:
-    """Some of the frames of a part of a field, with a margin."""
-    chosen = frames if not frames.untouched else dataclasses.replace(frames, index=frames.slots[part])
-    n_frames = frames.n_frames if chosen is frames else part.stop - part.start
-    block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
-    read_block(chosen, rows, cols, margin, block)
-    return block[part] if chosen is frames else block

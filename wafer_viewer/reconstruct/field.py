@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer import __version__
 from wafer_viewer.model.plan import Field
@@ -14,10 +13,9 @@ from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled
-from wafer_viewer.reconstruct.gate import gate_of, origins
-from wafer_viewer.reconstruct.noise import noise_scores
+from wafer_viewer.reconstruct.judge import Judged, judge
 from wafer_viewer.reconstruct.peak import Peaks
-from wafer_viewer.reconstruct.prepare import Frames, mark_uncovered, prepare
+from wafer_viewer.reconstruct.prepare import Frames, prepare
 from wafer_viewer.reconstruct.sampling import coarse_step
 from wafer_viewer.reconstruct.search import Progress, search_field
 from wafer_viewer.reconstruct.tune import Settled, settle
@@ -38,13 +36,14 @@ def reconstruct(
     frames = prepare(stack, recipe)
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads, progress)
-    return surface_of(stack, frames, settled, peaks)
+    return surface_of(stack, frames, settled, peaks, threads)
 
 
-def surface_of(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks) -> HeightMap:
+def surface_of(
+    stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = None
+) -> HeightMap:
     """The height map of searched frames."""
-    origin = gated(peaks, settled, frames)
-    return cleaned(stack, frames, settled, peaks, origin)
+    return cleaned(stack, frames, settled, judge(frames, settled, peaks, threads))
 
 
 def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
@@ -57,15 +56,9 @@ def speaks_for_scan(surface: HeightMap) -> bool:
     return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
 
 
-def gated(peaks: Peaks, settled: Settled, frames: Frames) -> NDArray[np.uint8]:
-    """The origin of each pixel: measured, or why not."""
-    recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
-    gate = gate_of(noise, _number(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
-    return mark_uncovered(origins(peaks, gate, frames.n_frames), frames, settled.search.margin_px)
-
-
-def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, origin: NDArray[np.uint8]) -> HeightMap:
+def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged) -> HeightMap:
     """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
+    peaks, origin = judged.peaks, judged.origin
     recipe, resolution_um = settled.recipe, settled.resolution_um
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
     clear = clean(raw, stack.pixel_um, recipe, resolution_um)
@@ -79,7 +72,7 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, o
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
         y0_um=stack.y0_um,
-        provenance=_provenance(stack, frames, recipe),
+        provenance=_provenance(stack, frames, recipe, judged.notes),
     )
 
 
@@ -90,7 +83,8 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
     reconstruct(FieldStack(field, grey, np.arange(8.0), np.ones(8, bool), 1.0), recipe, threads=1)
 
 
-def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance:
+def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[str, ...]) -> Provenance:
+    coarse = coarse_step(frames.step_um, stack.depth_of_field_um, _number(recipe.focus_width_um))
     return Provenance(
         recipe=recipe,
         calibration=stack.calibration,
@@ -98,7 +92,7 @@ def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe) -> Provenance
         input_checksum=stack.checksum,
         simulated=stack.simulated,
         z_step_um=frames.step_um,
-        notes=(*frames.notes, *coarse_step(frames.step_um, stack.depth_of_field_um, _number(recipe.focus_width_um))),
+        notes=(*frames.notes, *coarse, *notes),
     )
 
 

@@ -24,7 +24,8 @@ CLIPPED_FRAMES_FRACTION = 0.02
 LEAST_FRAMES = 12
 """In a shorter stack a wider window sees no more, and a wall cannot be told from a pattern in focus."""
 
-_POWERS = "powers of two"
+POWERS = "powers of two"
+"""The unit of scores that are ratios of the focus measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +90,17 @@ def gate_of(
 
 
 def origins(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32] | None = None) -> NDArray[np.uint8]:
-    """The code of `Origin` of each pixel, uint8 [row, col]; where several reasons hold, the one that explains most.
+    """The code of `Origin` of each pixel, uint8 [row, col].
 
     wide_um: the heights that a wider window sees, where they are to be compared.
     """
-    origin = np.full(peaks.z_um.shape, Origin.MEASURED, np.uint8)
-    for check in reversed(checks(peaks, gate, n_frames, wide_um)):
+    return first_failed(checks(peaks, gate, n_frames, wide_um))
+
+
+def first_failed(asked: tuple[Check, ...]) -> NDArray[np.uint8]:
+    """The origin that the first failed check of each pixel stands for, measured where none failed; uint8 [row, col]."""
+    origin = np.full(asked[0].score.shape, Origin.MEASURED, np.uint8)
+    for check in reversed(asked):
         origin[~check.passed] = check.origin
     return origin
 
@@ -118,7 +124,7 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             Origin.NO_TEXTURE,
             peaks.contrast,
             gate.min_contrast,
-            _POWERS,
+            POWERS,
         ),
         Check(
             "range",
@@ -135,9 +141,9 @@ def checks(peaks: Peaks, gate: Gate, n_frames: int, wide_um: NDArray[np.float32]
             Origin.AMBIGUOUS,
             peaks.fall,
             gate.min_fall,
-            _POWERS,
+            POWERS,
         ),
-        Check("rival", "Does the peak stand over its rivals?", Origin.AMBIGUOUS, peaks.lead, lead, _POWERS),
+        Check("rival", "Does the peak stand over its rivals?", Origin.AMBIGUOUS, peaks.lead, lead, POWERS),
     )
     return found if wide_um is None else (*found, _windows(peaks, gate, wide_um))
 

@@ -15,7 +15,8 @@ from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.field import surface_of
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
-from wafer_viewer.reconstruct.peak import Curves, Peaks, Spots
+from wafer_viewer.reconstruct.peak import Curves, Peaks
+from wafer_viewer.reconstruct.placing import Spots
 from wafer_viewer.reconstruct.prepare import Frames, clipped_from, prepare
 from wafer_viewer.reconstruct.search import Search, fill_volume, find_peaks, search_field, stripes
 from wafer_viewer.reconstruct.tune import search_of, settle
@@ -55,6 +56,13 @@ class LiveField:
     def came(self) -> NDArray[np.bool_]:
         """Which pages were taken in, bool [k]."""
         return self._came.copy()
+
+    def take_new(self, there: NDArray[np.bool_]) -> None:
+        """Measure those of the pages that are there, bool [k], and were not taken in yet."""
+        new = np.flatnonzero(there & ~self._came)
+        for run in np.split(new, np.flatnonzero(np.diff(new) > 1) + 1):
+            if run.size:
+                self.take(int(run[0]), int(run[-1]) + 1)
 
     def take(self, first: int, stop: int) -> None:
         """Measure the pages first ... stop - 1, which are written by now; each page once."""

@@ -1,8 +1,6 @@
 """Where along z a pixel is sharpest, between the frames, and how much the peak stands out.
 
-All values of the focus volume are logarithms (base 2). A Gaussian through three points is a parabola there, a tent has
-straight flanks; both pull the peak towards or away from the nearest frame by up to a twentieth of a step. The blur law
-does not: the variance of the blur is a parabola in z, and the focus measure is a known power of it.
+All values of the focus volume are logarithms (base 2).
 """
 
 from __future__ import annotations
@@ -17,32 +15,15 @@ from wafer_viewer.model.stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
+from wafer_viewer.reconstruct.placing import Placing, Spots, place_row
 from wafer_viewer.reconstruct.volume import COARSE_PX, Source
 
-_ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
 _AHEAD = 4
 """Frames from the level that is read to the one that is asked for."""
 
-_LN2 = float(np.log(2))
-_ROUNDER = 1.5 * 2.0**52
-"""A float64 this large has no bits for fractions, and its last ones are a whole number."""
 
-
-@dataclass(frozen=True, slots=True)
-class PeakEstimator:
-    """How the peak is placed between the frames: the kernels' code, what it is, where it is from."""
-
-    code: int
-    title: str
-    source: str
-
-
-PEAKS: dict[str, PeakEstimator] = {
-    "argmax": PeakEstimator(_ARGMAX, "The sharpest frame", "eq. 6"),
-    "gaussian": PeakEstimator(_GAUSSIAN, "Gaussian through three points", "Nayar and Nakagawa 1994"),
-    "tent": PeakEstimator(_TENT, "Symmetric tent through three points", "flanks of equal slope on log focus"),
-    "blur_law": PeakEstimator(_BLUR_LAW, "Parabola of the blur's variance", "sigma^2 = s0^2 + (c z)^2"),
-}
+_NEAR_TOPS = 2
+"""How many averages above and below the peak may be better than that at the peak itself."""
 
 
 class Curves(NamedTuple):
@@ -56,40 +37,6 @@ class Curves(NamedTuple):
     def make(cls, n_frames: int, shape: tuple[int, int]) -> Curves:
         """Room for the curves of `shape` pixels."""
         return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
-
-
-class Placing(NamedTuple):
-    """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks."""
-
-    estimator: int
-    power: float
-    gap: int
-    reach: int
-
-
-class Spots(NamedTuple):
-    """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
-
-    bits, table: the bits of a level after the point, and what they add to log2.
-    """
-
-    bits: int
-    rival: UInt16s
-    least: UInt16s
-    below: Float64s
-    z: Float64s
-    above: Float64s
-    left: Float64s
-    top: Float64s
-    right: Float64s
-    table: Float32s
-
-    @classmethod
-    def make(cls, cols: int, table: Float32s) -> Spots:
-        """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
-        shorts = (aligned((cols,), np.uint16) for _ in range(2))
-        reals = (aligned((cols,), np.float64) for _ in range(6))
-        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
 
 
 class Scores(NamedTuple):
@@ -164,6 +111,8 @@ def describe(curves: Curves, source: Source, z_um: Float64s, how: Placing, spots
         _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
         gather(curves, y, z_um, how, spots)
         _score(curves, y, how.gap, spots, out)
+        if how.blend:
+            gather_blended(curves, y, z_um, how, spots)
         place_row(how, spots, out.z_um[y])
         row = source.top + y
         for x in range(cols):
@@ -224,6 +173,37 @@ def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots)
 
 
 @lean_part
+def gather_blended(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+    """The same of curves averaged along z, [1 2 1] / 4, at the best of the averages near the peak.
+
+    Grains that shine like mirrors are sharp above and below their focus: their curves have two tops and a dip between,
+    where the surface is.
+    """
+    levels, bits, table, s = curves.levels, spots.bits, spots.table, how.blend
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        peak = np.int64(curves.peak[y, x])
+        k, top = peak, np.float32(-1.0)
+        for j in range(-_NEAR_TOPS, _NEAR_TOPS + 1):
+            at = min(max(peak + j * s, 0), last)
+            level = _blended(levels, at, y, x, s, bits, table)
+            k, top = (at, level) if level > top else (k, top)
+        near = min(how.reach, k, last - k)
+        spots.left[x] = _blended(levels, k - near, y, x, s, bits, table)
+        spots.top[x] = top
+        spots.right[x] = _blended(levels, k + near, y, x, s, bits, table)
+        spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
+
+
+@inline_kernel
+def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whole, table: Float32s) -> Real:
+    last = levels.shape[0] - 1
+    before = _log2(levels[max(k - s, 0), y, x], bits, table)
+    after = _log2(levels[min(k + s, last), y, x], bits, table)
+    return np.float32(0.5) * _log2(levels[k, y, x], bits, table) + np.float32(0.25) * (before + after)
+
+
+@lean_part
 def _score(curves: Curves, y: Whole, gap: Whole, spots: Spots, out: Scores) -> None:
     """How far the peaks of row y are above their rivals, their flanks and the lowest frame."""
     levels, bits, table = curves.levels, spots.bits, spots.table
@@ -240,82 +220,3 @@ def _score(curves: Curves, y: Whole, gap: Whole, spots: Spots, out: Scores) -> N
 def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
     q = np.int64(level)
     return np.float32(q >> bits) + table[q & (table.size - 1)]
-
-
-@lean_kernel
-def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """The z of the peak from log focus at three z, between the middles of the two intervals."""
-    if how.estimator == _ARGMAX:
-        return z
-    if how.estimator == _TENT:
-        return _tent(below, z, above, left, top, right)
-    if how.estimator == _BLUR_LAW:
-        left, top, right = _variance(left, top, how.power), -1.0, _variance(right, top, how.power)
-    return _parabola(below, z, above, left, top, right)
-
-
-@lean_part
-def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
-    """`place` for a row of pixels, in loops without branches."""
-    below, z, above, left, top, right = spots[3:9]
-    if how.estimator == _ARGMAX:
-        for x in range(z_um.size):
-            z_um[x] = z[x]
-    elif how.estimator == _TENT:
-        for x in range(z_um.size):
-            z_um[x] = _tent(below[x], z[x], above[x], left[x], top[x], right[x])
-    else:
-        if how.estimator == _BLUR_LAW:
-            for x in range(z_um.size):
-                left[x] = _variance(left[x], top[x], how.power)
-                right[x] = _variance(right[x], top[x], how.power)
-                top[x] = -1.0
-        for x in range(z_um.size):
-            z_um[x] = _parabola(below[x], z[x], above[x], left[x], top[x], right[x])
-
-
-@inline_kernel
-def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """The vertex of the parabola through three points, at any spacing."""
-    a = (z - below) * (top - right)
-    b = (above - z) * (top - left)
-    bend = a + b
-    shift = 0.5 * ((z - below) * a - (above - z) * b) / (bend if bend > 0 else 1.0)
-    return _held(z - shift if bend > 0 else z, below, z, above)
-
-
-@inline_kernel
-def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
-    rise = (top - left) / (z - below if z > below else 1.0)
-    drop = (top - right) / (above - z if above > z else 1.0)
-    steep = max(rise, drop)
-    slope = 2 * (steep if steep > 0 else 1.0)
-    up, down = 0.5 * (z + above) - (top - right) / slope, 0.5 * (below + z) + (top - left) / slope
-    found = up if rise >= drop else down
-    return _held(found if steep > 0 else z, below, z, above)
-
-
-@inline_kernel
-def _held(found: Real, below: Real, z: Real, above: Real) -> Real:
-    low, high = 0.5 * (below + z), 0.5 * (z + above)
-    found = found if found > low else low
-    return found if found < high else high
-
-
-@inline_kernel
-def _variance(level: Real, top: Real, power: Real) -> Real:
-    """The variance of the blur relative to that at the peak, negative: -focus^(-1 / power) is a parabola in z."""
-    return -_exp2((top - level) / power)
-
-
-@inline_kernel
-def _exp2(exponent: Real) -> Real:
-    """2^exponent to ten digits, in operations that a vector has: the Taylor series about the nearest whole number."""
-    shifted = exponent + _ROUNDER
-    t = (exponent - (shifted - _ROUNDER)) * _LN2
-    series = 1.0
-    for n in (10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0):
-        series = 1.0 + t * series / n
-    whole = np.float64(shifted).view(np.int64) << 52
-    return np.int64(whole + np.float64(series).view(np.int64)).view(np.float64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import queue
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +14,9 @@ from numpy.typing import NDArray
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, USUAL_CAMERA, Focusing
-from wafer_viewer.reconstruct.peak import PEAKS, Curves, Peaks, Placing, Spots, describe
+from wafer_viewer.reconstruct.parts import cores
+from wafer_viewer.reconstruct.peak import Curves, Peaks, describe
+from wafer_viewer.reconstruct.placing import PEAKS, Placing, Spots
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 from wafer_viewer.reconstruct.volume import Source, Volume
 
@@ -30,8 +31,9 @@ class Search:
     """How peaks are looked for: measure and estimator by name, and the window.
 
     gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
-    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone. camera, lag: the
-    noise of the camera and a high-pass along z, for the measures that ask for them.
+    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone; blend: how far
+    along z the curve is averaged before it is placed, no average where it is 0. camera, lag: the noise of the camera
+    and a high-pass along z, for the measures that ask for them.
     """
 
     measure: str
@@ -39,6 +41,7 @@ class Search:
     estimator: str
     gap: int
     reach: int = 1
+    blend: int = 0
     camera: CameraNoise = USUAL_CAMERA
     lag: int = 0
 
@@ -50,7 +53,9 @@ class Search:
     @property
     def placing(self) -> Placing:
         """What the kernels must know to place a peak."""
-        return Placing(PEAKS[self.estimator].code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach)
+        how = PEAKS[self.estimator]
+        blend = self.blend if how.blended else 0
+        return Placing(how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +94,7 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
     """
     peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
     parts = stripes(frames.shape[0])
-    threads = min(threads or _cores(), len(parts))
+    threads = min(threads or cores(), len(parts))
     benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
     for _ in range(threads):
         benches.put(Bench.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
@@ -150,11 +155,6 @@ def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
     """The same memory as a volume [k, row, col] of fewer rows."""
     n_frames, _, cols = volume.shape
     return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
-
-
-def _cores() -> int:
-    """The cores that this process may use; not every system tells which."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:

@@ -17,6 +17,8 @@ import numpy as np
 from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 from wafer_viewer.numerics.logarithm import quick_log2
+from wafer_viewer.reconstruct.parts import on_threads, row_parts, source_of_rows
+from wafer_viewer.reconstruct.prepare import Frames
 from wafer_viewer.reconstruct.volume import Source, take_grey
 
 SILHOUETTE_MARGIN_PX = 6
@@ -28,6 +30,7 @@ DARK_SHARE_OF_WHITE = 6 / 255
 STANDING_CONTRAST = 0.47
 """The least D of a silhouette: bright is 1.6 times dark."""
 
+_STRIPE_ROWS = 64
 _REACH = 2
 _PIXELS = 36
 _LN_2 = np.float32(math.log(2))
@@ -83,6 +86,21 @@ class Silhouette(NamedTuple):
 def half_size(pixels: int) -> int:
     """Pixels of the silhouette map for a number of rows or columns."""
     return (pixels + 1) // 2
+
+
+def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
+    """The silhouettes of a whole field; threads: all cores when left out."""
+    found = Silhouette.empty(frames.shape)
+    dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
+
+    def one(rows: slice) -> None:
+        source = source_of_rows(frames, rows, SILHOUETTE_MARGIN_PX)
+        silhouette_block(
+            source, 0, 1, dark_counts, SilhouetteRows.make(frames.shape[1], frames.dtype), found.rows(rows)
+        )
+
+    on_threads(one, row_parts(frames.shape[0], _STRIPE_ROWS), threads)
+    return found
 
 
 @lean_kernel

@@ -14,7 +14,8 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Origin
 from wafer_viewer.reconstruct.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.clean import settle_cleaning
-from wafer_viewer.reconstruct.gate import auto_min_confidence, gate_of, origins
+from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
+from wafer_viewer.reconstruct.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
 from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames
@@ -26,6 +27,7 @@ ENOUGH_COVERAGE = 0.92
 
 GAP_WIDTHS = 2.0
 REACH_WIDTHS = 0.55
+BLEND_WIDTHS = 0.33
 SUITABLE_WIDTH = 2.5
 """A focus curve 2 or 3 frames wide at half its height is sampled well."""
 
@@ -78,7 +80,8 @@ def focus_width_um(frames: Frames, recipe: Recipe) -> float:
     surface that is out of focus, make wider ones. One step where nothing is seen.
     """
     probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
-    widths = [_half_height_width(bench, peaks) for bench, peaks in _tiles(frames, probe)]
+    power = FOCUS_MEASURES[recipe.focus_measure].power
+    widths = [_half_height_width(bench, peaks, power) for bench, peaks in _tiles(frames, probe)]
     return frames.step_um * float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
 
 
@@ -103,7 +106,8 @@ def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
     most = max(1, (n_frames - 1) // 4)
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
-    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, camera_of(recipe.noise))
+    blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, camera_of(recipe.noise))
 
 
 def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
@@ -121,12 +125,16 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
     )
 
 
-def _half_height_width(bench: Bench, peaks: Peaks) -> float:
-    """The frames with at least half the focus of the peak where there is texture, the narrower half; 0 without any."""
+def _half_height_width(bench: Bench, peaks: Peaks, power: float) -> float:
+    """The frames in which focus has not fallen by half where there is texture, the narrower half; 0 without any.
+
+    Half for a measure that falls as the square of the blur's variance: the width is that of the optics, whatever the
+    measure.
+    """
     textured = (peaks.contrast >= np.percentile(peaks.contrast, 75)) & (peaks.contrast > 1) & ~peaks.at_end
     if not textured.any():
         return 0.0
-    half = 1 << bench.spots.bits
+    half = power / 2 * 2**bench.spots.bits
     levels = bench.curves.levels[:, textured].astype(np.int32)
     widths = np.sort(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0))
     return float(widths[: len(widths) // 2 + 1].mean())

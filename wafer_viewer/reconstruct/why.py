@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
+from wafer_viewer.model.evidence import FocusCurve, Rival
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
-from wafer_viewer.reconstruct.field import cleaned, gated, settled_recipe
-from wafer_viewer.reconstruct.gate import gate_of
-from wafer_viewer.reconstruct.noise import noise_scores
-from wafer_viewer.reconstruct.peak import Peaks, lead_of
+from wafer_viewer.reconstruct.field import cleaned, settled_recipe
+from wafer_viewer.reconstruct.judge import judge
+from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
 from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part
-from wafer_viewer.reconstruct.tune import Settled, settle
+from wafer_viewer.reconstruct.tune import settle
 
 MOST_RIVALS = 3
 REACH_PX = 80
@@ -38,8 +37,8 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     frames = prepare(stack, recipe).part(rows, cols)
     settled = settle(frames, recipe)
     peaks = search_field(frames, settled.search, threads=1)
-    origin = gated(peaks, settled, frames)
-    height = cleaned(part, frames, settled, peaks, origin)
+    judged = judge(frames, settled, peaks, threads=1)
+    height = cleaned(part, frames, settled, judged)
     curve, grey = curve_at(frames, settled.search, r, c)
     peak = int(curve.argmax())
     z_um = float(height.z_raw_um[r, c])
@@ -59,7 +58,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         origin=ORIGIN_TITLES[Origin(int(height.origin[r, c]))],
         confidence=float(peaks.confidence[r, c]),
         rivals=rivals_of(frames.z_um, curve, peak, settled.search.gap),
-        verdicts=verdicts(peaks, settled, frames, r, c),
+        verdicts=judged.verdicts(r, c),
         simulated=stack.simulated,
     )
 
@@ -74,28 +73,6 @@ def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArra
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
     read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
     return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
-
-
-def verdicts(peaks: Peaks, settled: Settled, frames: Frames, row: int, col: int) -> tuple[Verdict, ...]:
-    """What every gate says of a pixel."""
-    recipe, noise = settled.recipe, noise_scores(settled.search, frames.n_frames)
-    gate = gate_of(noise, float(recipe.min_confidence), recipe.clipped_fraction, settled.search.window)
-    asked = (
-        ("texture", "Is there texture to focus on?", peaks.contrast[row, col], gate.min_contrast),
-        ("flanks", "Does the focus fall on both sides of the peak?", peaks.fall[row, col], gate.min_fall),
-        ("rival", "Does the peak stand over its rivals?", peaks.lead[row, col], lead_of(gate.min_confidence)),
-    )
-    return tuple(
-        Verdict(
-            gate=name,
-            question=question,
-            score=float(score),
-            limit=float(limit) if np.isfinite(limit) else None,
-            unit="powers of two",
-            passed=bool(score > limit),
-        )
-        for name, question, score, limit in asked
-    )
 
 
 def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:

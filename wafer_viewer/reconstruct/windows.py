@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Int32s, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
-from wafer_viewer.reconstruct.peak import Curves, Peaks, Placing, Spots, gather, place_row
+from wafer_viewer.reconstruct.peak import Curves, Peaks, gather, gather_blended
+from wafer_viewer.reconstruct.placing import Placing, Spots, place_row
 from wafer_viewer.reconstruct.search import Search
 from wafer_viewer.reconstruct.volume import COARSE_PX, note
 
@@ -59,7 +60,10 @@ def _search_rows(
         for k in range(coarse.shape[0]):
             _average(coarse, k, y, cells, line, curves.levels[k, 0])
             note(curves.levels[k, 0], np.uint16(k), curves.best[0], curves.peak[0])
-        gather(curves, 0, z_um, how, spots)
+        if how.blend:
+            gather_blended(curves, 0, z_um, how, spots)
+        else:
+            gather(curves, 0, z_um, how, spots)
         place_row(how, spots, out[y])
 
 

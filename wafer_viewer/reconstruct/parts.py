@@ -1,0 +1,56 @@
+"""Parts of a field: where kernels read them, and some of them at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+
+from wafer_viewer.model.stack import Image
+from wafer_viewer.reconstruct.prepare import Frames, read_block
+from wafer_viewer.reconstruct.volume import Source
+
+Part = TypeVar("Part")
+
+
+def cores() -> int:
+    """The cores that this process may use; not every system tells which."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def on_threads(work: Callable[[Part], None], parts: Iterable[Part], threads: int | None) -> None:
+    """Do all parts, on some threads (all cores without a number)."""
+    threads = threads or cores()
+    if threads == 1:
+        for part in parts:
+            work(part)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, parts))
+
+
+def row_parts(n_rows: int, rows: int) -> list[slice]:
+    """Rows in parts of `rows`, the last of them perhaps shorter."""
+    return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
+
+
+def source_of_rows(frames: Frames, rows: slice, margin: int) -> Source:
+    """Some rows of a field: as they lie, or from a block that is made for them and reaches `margin` pixels beyond."""
+    if frames.as_stored:
+        return Source.of(frames.images, frames.slots, rows.start, 0, frames.clipped_counts)
+    block = read_part(frames, slice(0, frames.n_frames), rows, slice(0, frames.shape[1]), margin)
+    return Source.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
+
+
+def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
+    """Some of the frames of a part of a field, with a margin; beyond the field its border repeats."""
+    alone = frames.untouched
+    chosen = dataclasses.replace(frames, index=frames.slots[some]) if alone else frames
+    n_frames = some.stop - some.start if alone else frames.n_frames
+    block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)
+    read_block(chosen, rows, cols, margin, block)
+    return block if alone else block[some]

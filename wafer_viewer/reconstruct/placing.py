@@ -1,0 +1,160 @@
+"""Where the peak is between the frames, from log2 of the focus measure at three of them.
+
+A Gaussian through three points is a parabola there, a tent has straight flanks; both pull the peak towards or away from
+the nearest frame by up to a twentieth of a step. The blur law does not: the variance of the blur is a parabola in z,
+and the focus measure is a known power of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Real, UInt16s, aligned
+from wafer_viewer.numerics.jit import inline_kernel, lean_kernel, lean_part
+
+_ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+
+_LN2 = float(np.log(2))
+_ROUNDER = 1.5 * 2.0**52
+"""A float64 this large has no bits for fractions, and its last ones are a whole number."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeakEstimator:
+    """How the peak is placed between the frames: the kernels' code, what it is, where it is from.
+
+    blended: whether it is placed on a curve that was averaged along z.
+    """
+
+    code: int
+    title: str
+    source: str
+    blended: bool = False
+
+
+PEAKS: dict[str, PeakEstimator] = {
+    "argmax": PeakEstimator(_ARGMAX, "The sharpest frame", "eq. 6"),
+    "gaussian": PeakEstimator(_GAUSSIAN, "Gaussian through three points", "Nayar and Nakagawa 1994"),
+    "tent": PeakEstimator(_TENT, "Symmetric tent through three points", "flanks of equal slope on log focus"),
+    "blur_law": PeakEstimator(_BLUR_LAW, "Parabola of the blur's variance", "sigma^2 = s0^2 + (c z)^2", blended=True),
+}
+
+
+class Placing(NamedTuple):
+    """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks.
+
+    blend: frames to the levels that are averaged with each level before, 0 for none.
+    """
+
+    estimator: int
+    power: float
+    gap: int
+    reach: int
+    blend: int = 0
+
+
+class Spots(NamedTuple):
+    """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
+
+    bits, table: the bits of a level after the point, and what they add to log2.
+    """
+
+    bits: int
+    rival: UInt16s
+    least: UInt16s
+    below: Float64s
+    z: Float64s
+    above: Float64s
+    left: Float64s
+    top: Float64s
+    right: Float64s
+    table: Float32s
+
+    @classmethod
+    def make(cls, cols: int, table: Float32s) -> Spots:
+        """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
+        shorts = (aligned((cols,), np.uint16) for _ in range(2))
+        reals = (aligned((cols,), np.float64) for _ in range(6))
+        return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
+
+
+@lean_kernel
+def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
+    """The z of the peak from log focus at three z, between the middles of the two intervals."""
+    if how.estimator == _ARGMAX:
+        return z
+    if how.estimator == _TENT:
+        return _tent(below, z, above, left, top, right)
+    if how.estimator == _BLUR_LAW:
+        left, top, right = _variance(left, top, how.power), -1.0, _variance(right, top, how.power)
+    return _parabola(below, z, above, left, top, right)
+
+
+@lean_part
+def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
+    """`place` for a row of pixels, in loops without branches."""
+    below, z, above, left, top, right = spots[3:9]
+    if how.estimator == _ARGMAX:
+        for x in range(z_um.size):
+            z_um[x] = z[x]
+    elif how.estimator == _TENT:
+        for x in range(z_um.size):
+            z_um[x] = _tent(below[x], z[x], above[x], left[x], top[x], right[x])
+    else:
+        if how.estimator == _BLUR_LAW:
+            for x in range(z_um.size):
+                left[x] = _variance(left[x], top[x], how.power)
+                right[x] = _variance(right[x], top[x], how.power)
+                top[x] = -1.0
+        for x in range(z_um.size):
+            z_um[x] = _parabola(below[x], z[x], above[x], left[x], top[x], right[x])
+
+
+@inline_kernel
+def _parabola(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
+    """The vertex of the parabola through three points, at any spacing."""
+    a = (z - below) * (top - right)
+    b = (above - z) * (top - left)
+    bend = a + b
+    shift = 0.5 * ((z - below) * a - (above - z) * b) / (bend if bend > 0 else 1.0)
+    return _held(z - shift if bend > 0 else z, below, z, above)
+
+
+@inline_kernel
+def _tent(below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
+    """Where two lines of equal and opposite slope meet: the steeper side gives the slope, the other point the place."""
+    rise = (top - left) / (z - below if z > below else 1.0)
+    drop = (top - right) / (above - z if above > z else 1.0)
+    steep = max(rise, drop)
+    slope = 2 * (steep if steep > 0 else 1.0)
+    up, down = 0.5 * (z + above) - (top - right) / slope, 0.5 * (below + z) + (top - left) / slope
+    found = up if rise >= drop else down
+    return _held(found if steep > 0 else z, below, z, above)
+
+
+@inline_kernel
+def _held(found: Real, below: Real, z: Real, above: Real) -> Real:
+    low, high = 0.5 * (below + z), 0.5 * (z + above)
+    found = found if found > low else low
+    return found if found < high else high
+
+
+@inline_kernel
+def _variance(level: Real, top: Real, power: Real) -> Real:
+    """The variance of the blur relative to that at the peak, negative: -focus^(-1 / power) is a parabola in z."""
+    return -_exp2((top - level) / power)
+
+
+@inline_kernel
+def _exp2(exponent: Real) -> Real:
+    """2^exponent to ten digits, in operations that a vector has: the Taylor series about the nearest whole number."""
+    shifted = exponent + _ROUNDER
+    t = (exponent - (shifted - _ROUNDER)) * _LN2
+    series = 1.0
+    for n in (10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.0):
+        series = 1.0 + t * series / n
+    whole = np.float64(shifted).view(np.int64) << 52
+    return np.int64(whole + np.float64(series).view(np.int64)).view(np.float64)
