@@ -62,6 +62,20 @@ def test_exposures_are_stacks_of_their_own(tmp_path):
     for exposure in (0, 1):
         expected = [make_image(Shot(1, k, exposure)) for k in range(4)]
         np.testing.assert_array_equal(data.stack(1, exposure).images, expected)
+        assert data.stack(1, exposure).brackets == ()
+    with pytest.raises(DatasetError, match=r"2 exposures at each z and no number 2"):
+        data.stack(1, 2)
+
+
+def test_a_stack_holds_all_exposures_unless_one_is_asked_for(tmp_path):
+    data = scanned(tmp_path / "a.wafer", job=make_job(exposures=2))
+    stack = data.stack(1)
+    assert [one.exposure_us for one in stack.exposures] == [100.0, 200.0]
+    for exposure, one in enumerate(stack.exposures):
+        np.testing.assert_array_equal(one.images, [make_image(Shot(1, k, exposure)) for k in range(4)])
+        assert not one.images.flags.writeable
+        assert one.present.all()
+    assert stack.checksum not in {data.stack(1, 0).checksum, data.stack(1, 1).checksum}
     np.testing.assert_array_equal(
         tifffile.imread(tmp_path / "a.wafer/frames/r0000c0000.tif")[3], make_image(Shot(1, 1, 1))
     )

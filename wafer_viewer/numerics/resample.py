@@ -29,9 +29,11 @@ class Taps:
     def at(cls, places: NDArray[np.float64]) -> Taps:
         """The points around places, which must rise."""
         floor = np.floor(places)
-        away = places - floor - np.arange(1 - REACH, REACH + 1)[:, None]
+        parts, of_place = np.unique((places - floor).round(4), return_inverse=True)
+        away = parts - np.arange(1 - REACH, REACH + 1)[:, None]
         weights = np.sinc(away) * np.sinc(away / REACH)
-        return cls(floor.astype(np.int64) + 1 - REACH, (weights / weights.sum(axis=0)).astype(np.float32))
+        weights = (weights / weights.sum(axis=0)).astype(np.float32)
+        return cls(floor.astype(np.int64) + 1 - REACH, np.ascontiguousarray(weights[:, of_place]))
 
     def seen_from(self, start: int) -> Taps:
         """The same points in a part of the picture that begins at `start`."""
@@ -74,16 +76,21 @@ def _resample(
     out: Greys,
 ) -> None:
     for r in range(out.shape[0]):
-        line[:] = 0
-        for i in range(row_weights.shape[0]):
-            weight, row = row_weights[i, r], part[row_first[r] + i]
-            for x in range(line.size):
-                line[x] += weight * np.float32(row[x])
+        _down(part[row_first[r] :], row_weights[:, r], line)
         start = 0
         while start < col_first.size:
             stop = _run(col_first, start)
             _along(line[col_first[start] :], col_weights[:, start:stop], most, out[r, start:stop])
             start = stop
+
+
+@fast_kernel
+def _down(part: Greys, weights: Float32s, line: Float32s) -> None:
+    a, b, c, d, e, f = part[0], part[1], part[2], part[3], part[4], part[5]
+    u, v, w, p, q, s = weights[0], weights[1], weights[2], weights[3], weights[4], weights[5]
+    for x in range(line.size):
+        above = u * np.float32(a[x]) + v * np.float32(b[x]) + w * np.float32(c[x])
+        line[x] = above + p * np.float32(d[x]) + q * np.float32(e[x]) + s * np.float32(f[x])
 
 
 @fast_kernel
