@@ -224,6 +224,12 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
         return len(self.fields) * self.sweep.n_frames * len(self.exposures_us)
 
     @property
+    def field_by_field(self) -> bool:
+        """Whether each field gets all its frames in one pass, one field after the other."""
+        fields = [{shot.field for shot in leg.shots} for leg in self.legs[: len(self.fields) + 1]]
+        return len(fields) == len(self.fields) and all(len(of_leg) == 1 for of_leg in fields)
+
+    @property
     def bytes_on_disk(self) -> int:
         """Bytes of all 8-bit pages."""
         return self.n_frames * self.rows * self.cols

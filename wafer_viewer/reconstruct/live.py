@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.stack import FieldStack, Image
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.field import surface_of
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
@@ -34,7 +34,7 @@ class LiveField:
     Raises ComputeError for a recipe with `auto`, and for images of another kind.
     """
 
-    def __init__(self, images: NDArray[np.uint8], z_step_um: float, recipe: Recipe) -> None:
+    def __init__(self, images: Image, z_step_um: float, recipe: Recipe) -> None:
         if recipe.has_auto:
             raise ComputeError("A live field needs a settled recipe: this one leaves choices to data yet to come.")
         if images.dtype != np.uint8 or not images.flags.c_contiguous:

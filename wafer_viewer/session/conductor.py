@@ -162,6 +162,7 @@ class Conductor:
     def _taken(self, event: Taken) -> None:
         if not event.progress.finished:
             self.library.taking(event.progress.field.number)
+            self.reconstruction.coming(event.progress.field.number)
 
     def _field_complete(self, number: int) -> None:
         self.library.set_state(number, FieldState.TAKEN)
@@ -170,6 +171,7 @@ class Conductor:
     def _scan_ended(self, event: ScanEnded | None) -> None:
         """Also when the rig's process died: what is on disk counts."""
         self.library.scan_ended()
+        self.reconstruction.no_more_frames()
         if (scan := self.desk.now.scan) is not None:
             self.desk.change(scan=replace(scan, finished=True, seconds_left=0.0))
         if event is not None and not event.stopped:

@@ -19,7 +19,7 @@ from wafer_viewer.session.link import ChildGone
 from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.state import FieldState, SurfaceInfo
-from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, stitch_fields
+from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, reconstruct_live, stitch_fields
 
 RESTARTS = 3
 """How often the compute host is started anew after it died, in the life of a session."""
@@ -27,7 +27,11 @@ RESTARTS = 3
 
 @dataclass(slots=True)
 class Run:
-    """One reconstruction of the open dataset; more fields may join while a scan goes on."""
+    """One reconstruction of the open dataset; more fields may join while a scan goes on.
+
+    complete: fields that have all their frames; live: those that a worker was set on while they were being taken, of
+    which made_live got their heights that way.
+    """
 
     path: Path
     result: str
@@ -36,6 +40,9 @@ class Run:
     waiting: deque[int] = field(default_factory=deque[int])
     busy: set[int] = field(default_factory=set[int])
     total: int = 0
+    complete: set[int] = field(default_factory=set[int])
+    live: set[int] = field(default_factory=set[int])
+    made_live: set[int] = field(default_factory=set[int])
     restitch: bool = False
     answered: bool = False
     answer: Future[None] | None = None
@@ -91,10 +98,33 @@ class Reconstruction:
         """More fields are taken."""
         if (run := self._run) is None:
             return
-        new = [n for n in fields if n not in run.waiting and n not in run.busy]
+        fields = list(fields)
+        run.complete.update(fields)
+        for number in run.made_live.intersection(fields):
+            self._library.set_state(number, FieldState.MEASURED)
+        new = [n for n in fields if n not in run.waiting and n not in run.busy | run.made_live]
         run.waiting.extend(new)
         run.total += len(new)
         self.go_on()
+
+    def coming(self, number: int) -> None:
+        """A field is being taken: where a worker is free it measures the frames as they come."""
+        run = self._run
+        if run is None or not self._warm or run.settling or run.waiting or number in run.live | run.complete:
+            return
+        if len(run.busy) >= self._room or not self._library.dataset.scan.plan.field_by_field:
+            return
+        run.live.add(number)
+        run.busy.add(number)
+        run.total += 1
+        done = self.compute.run(_live_work(run, number), reconstruct_live, run.path, number, run.result)
+        done.add_done_callback(partial(self._later, self._live_done, run, number))
+
+    def no_more_frames(self) -> None:
+        """The scan is over: nobody need wait for frames."""
+        if (run := self._run) is not None:
+            for number in run.live & run.busy - run.complete:
+                self.compute.cancel(_live_work(run, number))
 
     def go_on(self) -> None:
         """Give fields to free workers; when none is left and no scan runs, stitch."""
@@ -129,7 +159,18 @@ class Reconstruction:
         )
         done.add_done_callback(partial(self._later, self._field_done, run, number))
 
-    def _field_done(self, run: Run, number: int, done: Future[None]) -> None:
+    def _live_done(self, run: Run, number: int, done: Future[bool]) -> None:
+        """Without heights the field goes the usual way, as soon as it has all its frames."""
+        if done.exception() is None and done.result():
+            run.made_live.add(number)
+            self._field_done(run, number, done)
+            return
+        run.busy.discard(number)
+        run.total -= 1
+        if run is self._run:
+            self.add(run.complete & {number})
+
+    def _field_done(self, run: Run, number: int, done: Future[Any]) -> None:
         run.busy.discard(number)
         run.answered = True
         if run is not self._run:
@@ -229,3 +270,7 @@ class Reconstruction:
         self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
         if mended:
             self.compute.start()
+
+
+def _live_work(run: Run, number: int) -> str:
+    return f"{run.work}-live-{number}"

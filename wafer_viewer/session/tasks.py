@@ -6,20 +6,27 @@ Pixels travel through the dataset, never through the scheduler. The command line
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.plan import Field
+from wafer_viewer.model.plan import MIN_FRAMES, Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.session.state import SurfaceInfo
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset import Dataset
 
 Progress = Callable[[float], None]
 ShouldStop = Callable[[], bool]
 PROGRESS_TOPIC = "wafer-viewer-progress"
 ASK_EVERY_S = 0.25
+LIVE_BITS = 8
+LIVE_LOOK_EVERY_S = 0.02
+LIVE_PATIENCE_S = 20.0
+"""Frames of a field that is being taken come many times a second."""
 
 
 def silent(_: float) -> None:
@@ -55,6 +62,46 @@ def reconstruct_field(
     kept.save_surface(data.field(field_number), surface)
     if recipe.has_auto and speaks_for_scan(surface):
         kept.save_settled(surface.provenance.recipe)
+
+
+def reconstruct_live(
+    dataset: Path, field_number: int, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> bool:
+    """Make the surface of a field while its frames are taken, by the recipe that earlier fields settled.
+
+    False, and no surface, where there is none yet, the frames are of a kind that must wait, or not all of them came.
+    """
+    from wafer_viewer.reconstruct.live import LiveField
+    from wafer_viewer.store.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    recipe = kept.settled()
+    if recipe is None or data.n_exposures > 1 or data.scan.pages.bits > LIVE_BITS:
+        return False
+    live: LiveField | None = None
+    for stack in _growing(data, field_number, should_stop):
+        live = live or LiveField(stack.images, stack.z_step_um, recipe)
+        live.take_new(stack.present)
+        if stack.present.all():
+            kept.save_surface(data.field(field_number), live.surface(stack))
+            return True
+    return False
+
+
+def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Iterator[FieldStack]:
+    """The stack of a field each time that frames came, until all have, one was missed, or nothing comes any more."""
+    n_frames, before, came_at = data.scan.plan.sweep.n_frames, 0, time.monotonic()
+    while before < n_frames and time.monotonic() - came_at < LIVE_PATIENCE_S and not should_stop():
+        data.refresh()
+        now = sum(shot.field == field_number for shot in data.kept())
+        if any(shot.field == field_number for shot in data.missed()):
+            return
+        if now > before and now >= MIN_FRAMES:
+            before, came_at = now, time.monotonic()
+            yield data.stack(field_number)
+        else:
+            time.sleep(LIVE_LOOK_EVERY_S)
 
 
 def stitch_fields(
