@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from tests.bench.recipes import ABLATION, DEFAULT, MEASURES, ungated
+from tests.bench.recipes import ABLATION, CLASSIC, DEFAULT, MEASURES, ungated
 from tests.bench.tables import met, percent, show
 from tests.truth.layouts import Taken
 from wafer_viewer.model.recipe import Recipe
@@ -39,6 +39,8 @@ class Verdict:
         return tuple(percent(getattr(self, name), 2 if "false" in name else 1) for name in self.__slots__)
 
 
+BEYOND = ("rim",)
+"""Polished rims, brighter than all else, are shown but no goal is set for them."""
 HEADER = (
     "kept %", "false %", "edge: kept", "false", "interior: kept", "false", "textured interior: kept",
     "die rims: kept", "false",
@@ -63,19 +65,29 @@ def verdict(taken: Taken, z_um: NDArray[np.float32]) -> Verdict:
 
 def show_dies(title: str, layouts: Sequence[Taken], ablate: bool) -> None:
     """Every measure at its own gate and at equal completeness, the ablation, and whether the goals are met."""
-    defaults = [verdict(taken, kept_by(taken, DEFAULT)) for taken in layouts]
     header = ("dies beside a trench", *HEADER)
-    for taken, default in zip(layouts, defaults, strict=True):
-        rows = [("default", *default.row)]
-        rows += [(f"{name}, own gate", *verdict(taken, kept_by(taken, r)).row) for name, r in MEASURES.items()]
-        rows += [(f"{name}, equally complete", *ranked(taken, name, default.kept).row) for name in MEASURES]
-        show(f"{taken.layout.name} ({title}): {taken.layout.about}", header, rows)
+    defaults = [show_layout(title, taken, header) for taken in layouts]
     rows = [(taken.layout.name, *default.row) for taken, default in zip(layouts, defaults, strict=True)]
     show(f"The default on all {title}", header, [*rows, ("mean", *mean(defaults).row)])
-    show_goals(defaults)
+    within = [default for taken, default in zip(layouts, defaults, strict=True) if taken.layout.name not in BEYOND]
+    show_goals(title if len(within) == len(defaults) else f"{title} but {', '.join(BEYOND)}", within)
     if ablate:
         rows = [(name, *mean([verdict(t, kept_by(t, r)) for t in layouts]).row) for name, r in ABLATION.items()]
         show(f"Ablation, mean over the {title}", header, rows)
+
+
+def show_layout(title: str, taken: Taken, header: tuple[str, ...]) -> Verdict:
+    """One layout; the verdict on the default."""
+    default = verdict(taken, kept_by(taken, DEFAULT))
+    rows = [("default", *default.row)]
+    rows += [(f"{name}, own gate", *verdict(taken, kept_by(taken, r)).row) for name, r in MEASURES.items()]
+    others = {name: ranked(taken, name, default.kept) for name in MEASURES}
+    rows += [(f"{name}, equally complete", *other.row) for name, other in others.items()]
+    show(f"{taken.layout.name} ({title}): {taken.layout.about}", header, rows)
+    rivals = [name for name in CLASSIC if default.false > 0 and others[name].false <= default.false]
+    said = f"MISSED, {', '.join(rivals)}" if rivals else "met"
+    print(f"  fewer false heights than each measure of the paper at equal completeness: {said}", flush=True)
+    return default
 
 
 def kept_by(taken: Taken, recipe: Recipe) -> NDArray[np.float32]:
@@ -95,16 +107,19 @@ def mean(verdicts: Sequence[Verdict]) -> Verdict:
     return Verdict(*(float(np.mean([getattr(v, name) for v in verdicts])) for name in Verdict.__slots__))
 
 
-def show_goals(verdicts: Sequence[Verdict]) -> None:
-    """The project's goals for these scenes."""
+def show_goals(title: str, verdicts: Sequence[Verdict]) -> None:
+    """The project's goals, which are for the optical settings, rolled-off rims, turned and curved walls."""
     worst, average = max(v.false for v in verdicts), mean(verdicts)
     interior = max(v.interior_false for v in verdicts)
+    kept = met(average.kept, 0.6, True), met(average.textured_kept, 0.8, True), met(average.rim_kept, 0.8, True)
     print(
-        f"  false: worst {percent(worst, 2)} % (goal 1.3 {met(worst, 0.013)}), mean {percent(average.false, 2)} % "
-        f"(goal 0.5 {met(average.false, 0.005)}), interior at most {percent(interior, 2)} % (goal 0.2 "
-        f"{met(interior, 0.002)})\n  kept: mean {percent(average.kept)} % (goal 60 {met(average.kept, 0.6, True)}), "
-        f"textured interior {percent(average.textured_kept)} % (goal 80 {met(average.textured_kept, 0.8, True)}), "
-        f"die rims {percent(average.rim_kept)} % (goal 80 {met(average.rim_kept, 0.8, True)}) with "
-        f"{percent(average.rim_false, 2)} % false (goal 0.5 {met(average.rim_false, 0.005)})",
+        f"Goals, {title}\n"
+        f"  false: worst {percent(worst, 2)} % (goal 1.3 {met(worst, 0.013)}), "
+        f"mean {percent(average.false, 2)} % (goal 0.5 {met(average.false, 0.005)}), "
+        f"interior at most {percent(interior, 2)} % (goal 0.2 {met(interior, 0.002)})\n"
+        f"  kept: mean {percent(average.kept)} % (goal 60 {kept[0]}), "
+        f"textured interior {percent(average.textured_kept)} % (goal 80 {kept[1]}), "
+        f"die rims {percent(average.rim_kept)} % (goal 80 {kept[2]}) "
+        f"with {percent(average.rim_false, 2)} % false (goal 0.5 {met(average.rim_false, 0.005)})",
         flush=True,
     )

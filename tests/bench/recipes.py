@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Fill, Outliers, Recipe
-from wafer_viewer.model.spec import decode, replace
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, focus_image
 
-PAPER_FILE = Path(__file__).parents[2] / "assets" / "recipes" / "paper.toml"
 WINDOW = 9
 
 
@@ -49,12 +47,13 @@ def plain(measure: str, stack: FieldStack) -> Found:
 
 
 DEFAULT = Recipe()
-PAPER = decode(PAPER_FILE.read_text(), Recipe, PAPER_FILE.name)
 
+CLASSIC = ("glv", "sml", "tenengrad")
+"""The measures of the paper."""
 BASELINE = "plain tenengrad argmax"
 METHODS: dict[str, Method] = {
-    **{f"plain {m} argmax": partial(plain, m) for m in ("glv", "sml", "tenengrad")},
-    "paper's recipe": partial(by_recipe, PAPER),
+    **{f"plain {m} argmax": partial(plain, m) for m in CLASSIC},
+    "paper's recipe": partial(by_recipe, Recipe.paper()),
     "default": partial(by_recipe, DEFAULT),
     "default, every gap filled": partial(by_recipe, replace(DEFAULT, fill=Fill(mode="all"))),
 }
@@ -63,16 +62,34 @@ METHODS: dict[str, Method] = {
 def ungated(measure: str) -> Recipe:
     """A height and a confidence for every pixel but those whose peak is at an end of the range."""
     return replace(
-        DEFAULT, focus_measure=measure, min_confidence=0.0, clipped_fraction=1.0, outliers=Outliers(mode="none")
+        DEFAULT,
+        focus_measure=measure,
+        min_confidence=0.0,
+        clipped_fraction=1.0,
+        compare_windows=False,
+        edges="none",
+        outliers=Outliers(mode="none"),
     )
 
 
 MEASURES: dict[str, Recipe] = {measure: replace(DEFAULT, focus_measure=measure) for measure in FOCUS_MEASURES}
 
-ABLATION: dict[str, Recipe] = {
-    "default": DEFAULT,
-    "less outlier removal": replace(DEFAULT, outliers=Outliers(mode="none")),
-    "less clipping": replace(DEFAULT, outliers=Outliers(mode="none"), clipped_fraction=1.0),
-    "less confidence: no gate": ungated(DEFAULT.focus_measure),
+GATES: dict[str, dict[str, object]] = {
+    "less rims that are seen from above": {"edges": "band"},
+    "less the band beside edges": {"edges": "none"},
+    "less the second window": {"compare_windows": False},
+    "less outlier removal": {"outliers": Outliers(mode="none")},
+    "less clipping": {"clipped_fraction": 1.0},
+    "less confidence: no gate": {"min_confidence": 0.0},
 }
-"""Each row takes off one more gate."""
+
+
+def less_and_less() -> dict[str, Recipe]:
+    """The default with its gates taken off, one more in each recipe."""
+    recipes, recipe = {"default": DEFAULT}, DEFAULT
+    for name, change in GATES.items():
+        recipe = recipes[name] = replace(recipe, **change)
+    return recipes
+
+
+ABLATION: dict[str, Recipe] = less_and_less()
