@@ -63,8 +63,11 @@ def stair(quick: bool) -> None:
     """The paper's simulated scene, Table 2, and its smoothness, Table 3."""
     taken = seen(replace(STAIR, name="short stair", settings={"treads": 3}), 128) if quick else seen(STAIR, 320)
     rows, found = [], {}
-    for name, method in METHODS.items():
-        found[name] = quality(method(taken.stack).z_um, taken.scene.truth_um, FALSE_UM)
+    surfaces = {name: method(taken.stack) for name, method in METHODS.items()}
+    heights = {name: surface.z_um for name, surface in surfaces.items()}
+    heights["default, measured pixels"] = surfaces["default"].raw_um
+    for name, z_um in heights.items():
+        found[name] = quality(z_um, taken.scene.truth_um, FALSE_UM)
         rows.append(quality_row(name, found[name]))
     show("Simulated stair, treads 40 um apart: what each method calls its surface", QUALITY_HEADER, rows)
     plain = found[BASELINE]
@@ -74,8 +77,9 @@ def stair(quick: bool) -> None:
         [(name, *changes(plain, other)) for name, other in found.items() if other is not plain]
         + [("paper, TEN to TEN_LW (Table 2)", "-40.7", "+7.5", "+38.2")],
     )
-    better = 1 - found["default"].rmse_um / plain.rmse_um
-    print(f"default {percent(better)} % under plain Tenengrad (goal {STAIR_GOAL:.0%} {met(better, STAIR_GOAL, True)})")
+    for name in ("default, measured pixels", "default"):
+        better = 1 - found[name].rmse_um / plain.rmse_um
+        print(f"{name}: RMSE {percent(better)} % under plain Tenengrad (goal 80 {met(better, STAIR_GOAL, True)})")
     header = ("paper", *paper.METHODS)
     show("The paper's Table 2, simulated stair", header, paper.rows(paper.STAIR))
     ours = ("ours, simulated stair", None, None, None, None, plain.ssm_um2, found["default"].ssm_um2)
