@@ -42,7 +42,7 @@ _TILE_PX = 96
 _WALL_SIGMA = 3.0
 _BORDER = 3
 """At the border of the band what is not known begins."""
-_NOISE_SIDE_PX = 96
+_NOISE_SIDE_PX = 320
 _PERCENTILE = 99.0
 _SEED = 20240301
 
@@ -131,6 +131,18 @@ def judge_edges(
     bleeding = beside & (origin == Origin.MEASURED) & ~agrees
     origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
     return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
+
+
+def warm_up(frames: Frames, window: int) -> None:
+    """Compile the kernels, or load what an earlier run compiled, on a few small frames."""
+    silhouette_of(frames, threads=1)
+    half = tuple(-(-n // 2) for n in frames.shape)
+    band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32))
+    _outline_grey(frames, band, threads=1)
+    shape = frames.shape
+    expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
+    how = EdgeSearch("rims", window, 1, CameraNoise(0.5, 80.0), 1.0)
+    _search_along(frames, how, Near(window, 1, 1), expected, wall, np.empty(shape, np.float32), expected.copy(), 1)
 
 
 @lru_cache(maxsize=32)

@@ -11,6 +11,7 @@ from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.reconstruct import edges
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled
 from wafer_viewer.reconstruct.judge import Judged, judge
@@ -80,7 +81,10 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
     """Compile every kernel, or load what an earlier run compiled, on a tiny stack."""
     grey = np.random.default_rng(0).integers(0, 200, (8, 32, 64)).astype(dtype)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    reconstruct(FieldStack(field, grey, np.arange(8.0), np.ones(8, bool), 1.0), recipe, threads=1)
+    stack = FieldStack(field, grey, np.arange(8.0), np.ones(8, bool), 1.0)
+    reconstruct(stack, recipe, threads=1)
+    if recipe.edges != "none":
+        edges.warm_up(prepare(stack), window=9)
 
 
 def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[str, ...]) -> Provenance:

@@ -134,7 +134,7 @@ def _edge_verdicts(judged: Judged, row: int, col: int) -> tuple[Verdict, ...]:
         score=_number(off_um),
         limit=edges.tolerance_um,
         unit="um",
-        passed=known and off_um < edges.tolerance_um,
+        passed=bool(known and off_um < edges.tolerance_um),
         note=_beside(edges, row, col),
     )
     if edges.side[row, col] != Side.DARK:

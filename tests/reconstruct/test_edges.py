@@ -1,0 +1,227 @@
+"""Beside walls: what bled over an edge is left out and named, and the rims of dies come out that were drowned."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.truth.layouts import Layout, Taken, take
+from tests.truth.views import Optics
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.reconstruct.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.edges import noise_fall
+from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.prepare import prepare
+from wafer_viewer.reconstruct.sides import BAND_REACH_PX, find_band
+from wafer_viewer.reconstruct.silhouette import silhouette_of
+from wafer_viewer.reconstruct.tangential import (
+    Near,
+    Tile,
+    Wall,
+    peaks_near,
+    tangential_levels,
+    tangential_margin_px,
+)
+from wafer_viewer.reconstruct.why import focus_curve
+
+MakeStack = Callable[..., FieldStack]
+
+STEP_UM = 4.0
+Z_UM = np.linspace(80.0, 252.0, 44)
+SHAPE = (144, 168)
+NEAR_WALL_PX = 24.0
+DIES = Layout(
+    "small",
+    Optics(0.28, views=80),
+    5,
+    settings={"pitch_px": 150.0, "trench_px": 52.0, "bare_share": 0.0, "die_contrast": 0.18},
+)
+REVERSED = replace(DIES, settings={**DIES.settings, "die_grey": 0.6, "trench_grey": 0.1})
+RECIPE = Recipe(focus_measure="log_laplacian", window=9, focus_width_um=8.0)
+CAMERA = CameraNoise(0.5, 80.0)
+
+
+@pytest.fixture(scope="module")
+def dies() -> Taken:
+    return take(DIES, SHAPE, Z_UM)
+
+
+@pytest.fixture(scope="module")
+def mapped(dies: Taken) -> dict[str, HeightMap]:
+    """The map of the dies in every mode."""
+    return {mode: made(dies.stack, mode) for mode in ("none", "band", "rims")}
+
+
+def made(stack: FieldStack, mode: str, **changes: object) -> HeightMap:
+    return reconstruct(stack, changed(RECIPE, edges=mode, **changes), threads=1)
+
+
+def kept_and_false(height: HeightMap, taken: Taken, where: NDArray[np.bool_] | None = None) -> tuple[float, float]:
+    """The share of pixels that have a measured height, and of these the share that is more than a step off."""
+    where = np.ones(height.shape, bool) if where is None else where
+    kept = np.isfinite(height.z_raw_um) & where
+    false = kept & (np.abs(height.z_raw_um - taken.scene.truth_um) > STEP_UM)
+    return float(kept.sum() / where.sum()), float(false.sum() / max(1, kept.sum()))
+
+
+def rims_of(taken: Taken) -> NDArray[np.bool_]:
+    """The textured rims of the dies."""
+    return taken.scene.edge & taken.scene.textured & (taken.scene.layer == 1)
+
+
+def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    none, band, rims = (kept_and_false(mapped[mode], dies) for mode in ("none", "band", "rims"))
+    assert none[1] > 0.015
+    assert band[1] < 0.003
+    assert rims[1] < 0.003
+    assert rims[0] > band[0] + 0.03
+
+
+def test_the_rims_of_the_dies_come_back(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    rims = rims_of(dies)
+    assert kept_and_false(mapped["none"], dies, rims)[1] > 0.15
+    assert kept_and_false(mapped["band"], dies, rims)[0] < 0.4
+    kept, false = kept_and_false(mapped["rims"], dies, rims)
+    assert kept > 0.5
+    assert false < 0.01
+
+
+def test_the_floor_of_the_trench_stays(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    kept, false = kept_and_false(mapped["rims"], dies, dies.scene.layer == 0)
+    assert kept > 0.8
+    assert false < 0.01
+
+
+def test_bleeding_is_a_reason_beside_walls_only(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    bled = mapped["rims"].origin == Origin.BLEEDING_EDGE
+    assert 0.01 < bled.mean() < 0.2
+    assert dies.scene.edge_distance_px[bled].max() < NEAR_WALL_PX
+    assert not (mapped["none"].origin == Origin.BLEEDING_EDGE).any()
+
+
+def test_beyond_the_band_nothing_changes(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    far = dies.scene.edge_distance_px > NEAR_WALL_PX
+    before, after = (mapped[mode].z_raw_um[far] for mode in ("none", "rims"))
+    alike = np.isclose(before, after, equal_nan=True)
+    assert alike.mean() > 0.99
+
+
+def test_bright_dies_over_a_dark_trench() -> None:
+    taken = take(REVERSED, SHAPE, Z_UM)
+    before, after = (kept_and_false(made(taken.stack, mode), taken) for mode in ("none", "rims"))
+    assert before[1] > 0.1
+    assert after[1] < 0.03
+    assert after[0] > 0.7
+
+
+def test_it_works_for_every_measure(dies: Taken) -> None:
+    before, after = (
+        kept_and_false(made(dies.stack, mode, focus_measure="tenengrad", window=13), dies, dies.scene.edge)
+        for mode in ("none", "rims")
+    )
+    assert before[1] > 0.15
+    assert after[1] < 0.08
+    assert after[0] > before[0]
+
+
+def test_a_surface_without_walls_is_left_alone(plane_stack: FieldStack) -> None:
+    assert find_band(silhouette_of(prepare(plane_stack)), 4) is None
+    none, rims = made(plane_stack, "none"), made(plane_stack, "rims")
+    np.testing.assert_array_equal(none.z_raw_um, rims.z_raw_um)
+    np.testing.assert_array_equal(none.origin, rims.origin)
+
+
+def test_pictures_that_are_not_as_stored_and_threads_change_nothing(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    turned = dataclasses.replace(dies.stack, images=np.asfortranarray(dies.stack.images))
+    again = reconstruct(turned, changed(RECIPE, edges="rims"), threads=2)
+    np.testing.assert_array_equal(again.origin, mapped["rims"].origin)
+    np.testing.assert_allclose(again.z_raw_um, mapped["rims"].z_raw_um, atol=1e-3)
+
+
+def test_a_short_stack_says_what_is_off(dies: Taken) -> None:
+    some = slice(20, 30)
+    stack = dataclasses.replace(
+        dies.stack, images=dies.stack.images[some], z_um=dies.stack.z_um[some], present=dies.stack.present[some]
+    )
+    height = made(stack, "rims")
+    assert any("edges are not looked for" in note for note in height.provenance.notes)
+    assert not np.isin(height.origin, [Origin.BLEEDING_EDGE, Origin.WINDOWS_DISAGREE]).any()
+
+
+def test_a_pixel_that_bled_can_be_asked(dies: Taken, mapped: dict[str, HeightMap]) -> None:
+    height = mapped["band"]
+    row, col = np.argwhere(height.origin == Origin.BLEEDING_EDGE)[40]
+    found = focus_curve(dies.stack, float(height.x_um[col]), float(height.y_um[row]), height.provenance.recipe)
+    assert found.origin == "light bleeding over an edge"
+    edge = next(v for v in found.verdicts if v.gate == "edge")
+    assert not edge.passed
+    assert "wall" in edge.note
+
+
+def levels_of(block: NDArray[np.uint8], window: int = 9) -> NDArray[np.float32]:
+    """The levels along a wall that runs down the columns."""
+    margin = tangential_margin_px(window)
+    shape = block.shape[1] - 2 * margin, block.shape[2] - 2 * margin
+    tile = Tile.make(len(block), shape, window)
+    down = np.ones((block.shape[1] - 6, block.shape[2] - 6), np.float32)
+    tangential_levels(block, window, Stabiliser.of(CAMERA), Wall.along(down, np.zeros_like(down)), tile)
+    return tile.levels
+
+
+def test_what_varies_across_a_wall_is_not_seen() -> None:
+    rng = np.random.default_rng(2)
+    noise = rng.normal(120, 12, (2, 60, 64))
+    stripes = 60 * np.sin(np.arange(64) * 2.1) * np.ones((60, 1))
+    across, along = (
+        levels_of(np.clip(noise + s, 0, 255).astype(np.uint8))
+        for s in (stripes, stripes.T[:60, :60].repeat(2, 1)[:, :64])
+    )
+    plain = levels_of(noise.astype(np.uint8))
+    assert abs(across.mean() - plain.mean()) < 0.2
+    assert along.mean() > plain.mean() + 3
+
+
+@pytest.mark.parametrize("window", [5, 9, 13])
+@pytest.mark.parametrize("gap", [4, 6])
+def test_noise_shows_a_peak_along_a_wall_once_in_a_hundred_pixels(window: int, gap: int) -> None:
+    near, side = Near(window, 3, gap), 120
+    frames = 2 * near.frames + 1
+    rng = np.random.default_rng(77)
+    block = np.clip(rng.normal(128.5, CAMERA.variance_counts2(128) ** 0.5, (frames, side, side)), 0, 255)
+    levels = levels_of(block.astype(np.uint8), window)
+    height, fall = (np.empty(levels.shape[1:], np.float32) for _ in range(2))
+    expected = np.full(levels.shape[1:], near.frames, np.float32)
+    peaks_near(levels, 0, np.linspace(0, 4.0 * (frames - 1), frames), expected, near.reach, near.gap, height, fall)
+    assert np.mean(fall > noise_fall(near)) < 0.02
+
+
+def test_a_peak_is_found_near_the_expected_frame_only() -> None:
+    k = np.arange(30)
+    curve = np.maximum(0, 6 - np.abs(k - 12.3)) + np.maximum(0, 8 - np.abs(k - 24))
+    levels = np.broadcast_to(curve[:, None, None], (30, 1, 3)).astype(np.float32).copy()
+    height, fall = (np.empty((1, 3), np.float32) for _ in range(2))
+    expected = np.array([[12.0, np.nan, 18.0]], np.float32)
+    peaks_near(levels, 0, np.linspace(0, 116.0, 30), expected, 3, 4, height, fall)
+    assert height[0, 0] == pytest.approx(12.3 * 4, abs=0.5)
+    assert fall[0, 0] > 3
+    assert np.isnan(height[0, 1])
+    assert fall[0, 1] == 0
+    assert np.isnan(height[0, 2])
+
+
+def test_the_band_is_as_wide_as_it_says(dies: Taken) -> None:
+    band = find_band(silhouette_of(prepare(dies.stack)), 4)
+    assert band is not None
+    inside = band.inside.repeat(2, axis=0).repeat(2, axis=1)
+    distance = dies.scene.edge_distance_px
+    assert inside[distance < BAND_REACH_PX - 2].mean() > 0.99
+    assert distance[inside].max() < NEAR_WALL_PX
