@@ -24,6 +24,9 @@ def _rmse(stack: FieldStack, truth: NDArray, estimator: str) -> float:
     return float(np.sqrt(np.mean((z_um - truth)[_INNER] ** 2)))
 
 
+NO_FLOOR = -64.0
+
+
 def _by(estimator: str, power: float = 2.0) -> Placing:
     return Placing(PEAKS[estimator].code, power, gap=4, reach=1)
 
@@ -52,7 +55,7 @@ def test_a_tent_is_found_exactly_at_any_spacing(at: float, below: float, above: 
     z_um = np.array([-below, 0.0, above])
     peak = at * (below if at < 0 else above)
     left, top, right = 9 - slope * np.abs(z_um - peak)
-    assert place(_by("tent"), *z_um, left, top, right) == pytest.approx(peak, abs=1e-9)
+    assert place(_by("tent"), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
 @settings(max_examples=100, deadline=None)
@@ -61,7 +64,7 @@ def test_a_parabola_is_found_exactly_at_any_spacing(at: float, below: float, abo
     z_um = np.array([-below, 0.0, above])
     peak = at * min(below, above)
     left, top, right = 9 - bend * (z_um - peak) ** 2
-    assert place(_by("gaussian"), *z_um, left, top, right) == pytest.approx(peak, abs=1e-9)
+    assert place(_by("gaussian"), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
 
 
 @settings(max_examples=100, deadline=None)
@@ -72,7 +75,18 @@ def test_the_blur_law_is_met_exactly_at_any_spacing(at: float, below: float, abo
     z_um = np.array([-below, 0.0, above])
     peak = at * min(below, above)
     left, top, right = 9 - power * np.log2(2.7**2 + (z_um - peak) ** 2)
-    assert place(_by("blur_law", power), *z_um, left, top, right) == pytest.approx(peak, abs=1e-9)
+    assert place(_by("blur_law", power), *z_um, left, top, right, NO_FLOOR) == pytest.approx(peak, abs=1e-9)
+
+
+@settings(max_examples=100, deadline=None)
+@given(at=st.floats(-0.49, 0.49), power=st.sampled_from([1.7, 2.0, 3.0]), floor=st.floats(-4, 2.5))
+def test_the_blur_law_stands_on_a_floor_of_noise(at: float, power: float, floor: float) -> None:
+    """The tolerance is that of the quick logarithm."""
+    z_um = np.array([-4.0, 0.0, 4.0])
+    focus = 2.0**9 * (2.7**2 + (z_um - 4 * at) ** 2) ** -power
+    left, top, right = np.log2(focus + 2.0**floor)
+    if focus.min() > 0.03 * 2.0**top:
+        assert place(_by("blur_law", power), *z_um, left, top, right, floor) == pytest.approx(4 * at, abs=0.01)
 
 
 def test_the_blur_law_does_not_pull_peaks_to_the_frames(plane_stack: FieldStack, plane_um: NDArray) -> None:
@@ -90,7 +104,7 @@ def test_the_blur_law_does_not_pull_peaks_to_the_frames(plane_stack: FieldStack,
 
 @pytest.mark.parametrize("estimator", PEAKS)
 def test_a_flat_curve_stays_at_its_frame(estimator: str) -> None:
-    assert place(_by(estimator), 0.0, 4.0, 8.0, 5.0, 5.0, 5.0) == 4.0
+    assert place(_by(estimator), 0.0, 4.0, 8.0, 5.0, 5.0, 5.0, NO_FLOOR) == 4.0
 
 
 def test_the_all_in_focus_image_takes_each_pixel_from_its_frame(plane_stack: FieldStack) -> None:

@@ -81,7 +81,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
     drift: Literal["none", "correct"] = "correct"
-    focus_measure: Literal["sml", "tenengrad", "glv", "log_laplacian"] = "tenengrad"
+    focus_measure: Literal["log_laplacian", "tenengrad", "sml", "glv"] = "log_laplacian"
     window: Window | Auto = "auto"
     peak: Literal["argmax", "gaussian", "tent", "blur_law"] = "blur_law"
     focus_width_um: Positive | Auto = "auto"

@@ -22,6 +22,7 @@ _AHEAD = 4
 """Frames from the level that is read to the one that is asked for."""
 
 
+_NO_FLOOR = -64.0
 _NEAR_TOPS = 2
 """How many averages above and below the peak may be better than that at the peak itself."""
 
@@ -169,6 +170,7 @@ def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots)
         spots.left[x] = _log2(levels[k - near, y, x], bits, table)
         spots.top[x] = _log2(curves.best[y, x], bits, table)
         spots.right[x] = _log2(levels[k + near, y, x], bits, table)
+        spots.floor[x] = _log2(spots.least[x], bits, table) if how.floored else _NO_FLOOR
         spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
 
 
@@ -192,6 +194,7 @@ def gather_blended(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots
         spots.left[x] = _blended(levels, k - near, y, x, s, bits, table)
         spots.top[x] = top
         spots.right[x] = _blended(levels, k + near, y, x, s, bits, table)
+        spots.floor[x] = _log2(spots.least[x], bits, table) if how.floored else _NO_FLOOR
         spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
 
 

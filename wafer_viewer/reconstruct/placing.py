@@ -2,7 +2,7 @@
 
 A Gaussian through three points is a parabola there, a tent has straight flanks; both pull the peak towards or away from
 the nearest frame by up to a twentieth of a step. The blur law does not: the variance of the blur is a parabola in z,
-and the focus measure is a known power of it.
+and the focus measure is a known power of it, once the floor of noise is taken off that the curve ends on.
 """
 
 from __future__ import annotations
@@ -14,8 +14,12 @@ import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Real, UInt16s, aligned
 from wafer_viewer.numerics.jit import inline_kernel, lean_kernel, lean_part
+from wafer_viewer.numerics.logarithm import quick_log2
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
+
+_LEAST_SHARE = 0.02
+"""Of a level, at least so much counts as focus and not as floor."""
 
 _LN2 = float(np.log(2))
 _ROUNDER = 1.5 * 2.0**52
@@ -46,7 +50,8 @@ PEAKS: dict[str, PeakEstimator] = {
 class Placing(NamedTuple):
     """How peaks are placed: the estimator's code, the power of the blur law, and the frames to rivals and flanks.
 
-    blend: frames to the levels that are averaged with each level before, 0 for none.
+    blend: frames to the levels that are averaged with each level before, 0 for none; floored: whether the sweep goes
+    so far beyond the peak that the lowest level is the floor of noise.
     """
 
     estimator: int
@@ -54,12 +59,14 @@ class Placing(NamedTuple):
     gap: int
     reach: int
     blend: int = 0
+    floored: bool = False
 
 
 class Spots(NamedTuple):
     """What is known of the peaks of one row: the rival's level and the least, and z and log2 of focus at three frames.
 
-    bits, table: the bits of a level after the point, and what they add to log2.
+    floor: log2 of the focus where the curve is lowest. bits, table: the bits of a level after the point, and what they
+    add to log2.
     """
 
     bits: int
@@ -71,32 +78,34 @@ class Spots(NamedTuple):
     left: Float64s
     top: Float64s
     right: Float64s
+    floor: Float64s
     table: Float32s
 
     @classmethod
     def make(cls, cols: int, table: Float32s) -> Spots:
         """Room for rows of `cols` pixels, of levels whose lower bits `table` explains."""
         shorts = (aligned((cols,), np.uint16) for _ in range(2))
-        reals = (aligned((cols,), np.float64) for _ in range(6))
+        reals = (aligned((cols,), np.float64) for _ in range(7))
         return cls(table.size.bit_length() - 1, *shorts, *reals, table=table)
 
 
 @lean_kernel
-def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real) -> Real:
-    """The z of the peak from log focus at three z, between the middles of the two intervals."""
+def place(how: Placing, below: Real, z: Real, above: Real, left: Real, top: Real, right: Real, floor: Real) -> Real:
+    """The z of the peak from log focus at three z and its floor, between the middles of the two intervals."""
     if how.estimator == _ARGMAX:
         return z
     if how.estimator == _TENT:
         return _tent(below, z, above, left, top, right)
     if how.estimator == _BLUR_LAW:
-        left, top, right = _variance(left, top, how.power), -1.0, _variance(right, top, how.power)
+        left, right = _variance(left, top, floor, how.power), _variance(right, top, floor, how.power)
+        top = -1.0
     return _parabola(below, z, above, left, top, right)
 
 
 @lean_part
 def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
     """`place` for a row of pixels, in loops without branches."""
-    below, z, above, left, top, right = spots[3:9]
+    below, z, above, left, top, right, floor = spots[3:10]
     if how.estimator == _ARGMAX:
         for x in range(z_um.size):
             z_um[x] = z[x]
@@ -106,8 +115,8 @@ def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
     else:
         if how.estimator == _BLUR_LAW:
             for x in range(z_um.size):
-                left[x] = _variance(left[x], top[x], how.power)
-                right[x] = _variance(right[x], top[x], how.power)
+                left[x] = _variance(left[x], top[x], floor[x], how.power)
+                right[x] = _variance(right[x], top[x], floor[x], how.power)
                 top[x] = -1.0
         for x in range(z_um.size):
             z_um[x] = _parabola(below[x], z[x], above[x], left[x], top[x], right[x])
@@ -143,9 +152,12 @@ def _held(found: Real, below: Real, z: Real, above: Real) -> Real:
 
 
 @inline_kernel
-def _variance(level: Real, top: Real, power: Real) -> Real:
+def _variance(level: Real, top: Real, floor: Real, power: Real) -> Real:
     """The variance of the blur relative to that at the peak, negative: -focus^(-1 / power) is a parabola in z."""
-    return -_exp2((top - level) / power)
+    of_level, of_top = 1.0 - _exp2(floor - level), 1.0 - _exp2(floor - top)
+    share = of_level / (of_top if of_top > _LEAST_SHARE else _LEAST_SHARE)
+    share = share if share > _LEAST_SHARE else _LEAST_SHARE
+    return -_exp2((top - level - quick_log2(share)) / power)
 
 
 @inline_kernel

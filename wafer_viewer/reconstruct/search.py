@@ -32,8 +32,8 @@ class Search:
 
     gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
     place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone; blend: how far
-    along z the curve is averaged before it is placed, no average where it is 0. camera, lag: the noise of the camera
-    and a high-pass along z, for the measures that ask for them.
+    along z the curve is averaged before it is placed, no average where it is 0; floored: whether its lowest level is
+    the floor of noise. camera, lag: noise of the camera and high-pass along z, for the measures that ask for them.
     """
 
     measure: str
@@ -42,6 +42,7 @@ class Search:
     gap: int
     reach: int = 1
     blend: int = 0
+    floored: bool = False
     camera: CameraNoise = USUAL_CAMERA
     lag: int = 0
 
@@ -55,7 +56,7 @@ class Search:
         """What the kernels must know to place a peak."""
         how = PEAKS[self.estimator]
         blend = self.blend if how.blended else 0
-        return Placing(how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend)
+        return Placing(how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend, self.floored)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,13 +21,18 @@ from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames
 from wafer_viewer.reconstruct.search import Bench, Search, search_part
 
-AUTO_WINDOWS = (5, 9, 13, 17)
+AUTO_WINDOWS = (9, 13, 17)
+"""Under 9 the noise of heights grows faster than anything is gained."""
+
 ENOUGH_COVERAGE = 0.92
 """The smallest window is taken that measures 92 % of what the largest does."""
 
 GAP_WIDTHS = 2.0
 REACH_WIDTHS = 0.55
 BLEND_WIDTHS = 0.33
+FLOOR_WIDTHS = 5.0
+"""A sweep so much wider than a focus curve shows the floor on which the curve ends."""
+
 SUITABLE_WIDTH = 2.5
 """A focus curve 2 or 3 frames wide at half its height is sampled well."""
 
@@ -107,7 +112,8 @@ def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
     gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
     reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
     blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
-    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, camera_of(recipe.noise))
+    floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, floored, camera_of(recipe.noise))
 
 
 def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:

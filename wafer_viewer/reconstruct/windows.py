@@ -38,7 +38,16 @@ def wide_heights(
     spots = Spots.make(cols, FOCUS_MEASURES[search.measure].table(peaks.all_in_focus.dtype))
     line = aligned((cols + cells - 1,), np.int32)
     out = np.empty((n_rows, cols), np.float32)
-    _search_rows(peaks.coarse, cells, line, np.asarray(z_um, np.float64), search.placing, curves, spots, out)
+    _search_rows(
+        peaks.coarse,
+        cells,
+        line,
+        np.asarray(z_um, np.float64),
+        search.placing._replace(floored=False),
+        curves,
+        spots,
+        out,
+    )
     rows, cols = peaks.z_um.shape
     return out.repeat(COARSE_PX, axis=0)[:rows].repeat(COARSE_PX, axis=1)[:, :cols]
 
