@@ -65,4 +65,5 @@ def test_measurements_take_unsmoothed_heights_and_origin_codes_stay_what_they_ar
         "BLEEDING_EDGE": 16,
         "OUTLIER": 17,
         "TOO_FEW_FRAMES": 18,
+        "STEP_EDGE": 19,
     }

@@ -54,7 +54,7 @@ def test_a_missing_frame_in_the_middle_costs_little(make_stack: MakeStack, plane
     beside = np.abs(plane_um - whole.z_um[17]) < 4
     error = np.abs(height.z_raw_um - plane_um)[beside & height.measured]
     assert height.measured[beside].mean() > 0.9
-    assert np.sqrt(np.mean(error**2)) < 0.35
+    assert np.sqrt(np.mean(error**2)) < 0.5
     assert error.max() < 3
 
 

@@ -120,8 +120,8 @@ def test_a_small_window_is_enough_for_rich_texture_and_more_is_taken_for_poor(
     z_um = np.arange(20.0, 104.0, 4.0)
     rich = settled_recipe(make_stack(plane_um, z_um, noise_counts=0.3))
     poor = settled_recipe(make_stack(plane_um, z_um, noise_counts=2.5, contrast=0.12))
-    assert rich.window == 5
-    assert poor.window > 5
+    assert rich.window == 9
+    assert poor.window > 9
 
 
 def test_three_frames_give_a_map(make_stack: MakeStack) -> None:

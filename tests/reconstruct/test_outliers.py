@@ -90,7 +90,7 @@ def test_the_edge_of_a_step_stays_whatever_its_height_and_slope(rise_um: float, 
     across = (2 * cols - rows - 70.5) / 5**0.5 if aslant else cols - 60.5
     z = np.clip(across / max(wide_px, 1e-3) + 0.5, 0, 1) * rise_um
     z = (z + np.random.default_rng(3).normal(0, 0.1, z.shape)).astype(np.float32)
-    assert not clean(z, 0.5, settle_cleaning([z], Recipe(window=9), 4.0), 4.0).dropped.any()
+    assert not clean(z, 0.5, settle_cleaning([z], Recipe(window=9), 4.0), 4.0).outlier.any()
 
 
 def test_spikes_do_not_take_what_is_around_them() -> None:
@@ -100,7 +100,7 @@ def test_spikes_do_not_take_what_is_around_them() -> None:
     z[spikes] += rng.uniform(20, 90, np.count_nonzero(spikes)) * rng.choice([-1, 1], np.count_nonzero(spikes))
     z[rng.random(z.shape) < 0.02] = np.nan
     recipe = settle_cleaning([z.astype(np.float32)], Recipe(window=9), 4.0)
-    dropped = clean(z.astype(np.float32), 0.5, recipe, 4.0).dropped
+    dropped = clean(z.astype(np.float32), 0.5, recipe, 4.0).outlier
     known = np.isfinite(z)
     assert dropped[spikes & known].mean() > 0.97
     assert dropped[~spikes & known].mean() < 0.01

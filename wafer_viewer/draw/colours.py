@@ -39,6 +39,7 @@ ORIGIN_COLOURS: dict[Origin, Rgb] = {
     Origin.WINDOWS_DISAGREE: (0, 143, 107),
     Origin.BLEEDING_EDGE: (214, 62, 88),
     Origin.OUTLIER: (150, 108, 220),
+    Origin.STEP_EDGE: (214, 130, 186),
     Origin.TOO_FEW_FRAMES: (122, 135, 148),
 }
 

@@ -31,6 +31,7 @@ class Origin(IntEnum):
     BLEEDING_EDGE = 16
     OUTLIER = 17
     TOO_FEW_FRAMES = 18
+    STEP_EDGE = 19
 
 
 UNMEASURED_FROM = 10
@@ -46,6 +47,7 @@ ORIGIN_TITLES: dict[Origin, str] = {
     Origin.BLEEDING_EDGE: "light bleeding over an edge",
     Origin.OUTLIER: "outlier",
     Origin.TOO_FEW_FRAMES: "too few frames",
+    Origin.STEP_EDGE: "at the edge of a step",
 }
 
 

@@ -169,6 +169,9 @@ def _line(grey: Floats, variance: Floats, weight: Floats, least: CameraNoise) ->
 
 
 def _misfit(grey: Floats, variance: Floats, weight: Floats, gain: float, floor: float) -> float:
-    """How far the levels are from a line, as logarithms, so that dark and bright ones count alike."""
+    """How far the levels are from a line, as logarithms, so that dark and bright ones count alike.
+
+    Texture only adds to the variance: a level far over the line says little, one under it that the line is wrong.
+    """
     off = np.log(np.maximum(variance, QUANTISATION_COUNTS2) / (gain * grey + floor))
-    return float((np.sqrt(weight) * np.minimum(np.where(off < 0, -_TOO_LOW * off, off), 1.0)).sum())
+    return float((np.sqrt(weight) * np.where(off < 0, -_TOO_LOW * off, np.minimum(off, 1.0))).sum())

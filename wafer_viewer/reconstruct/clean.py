@@ -1,4 +1,4 @@
-"""From gated heights to a clean surface: smooth, drop outliers, fill; and the choices of these that are `auto`."""
+"""From gated heights to a clean surface: smooth, drop outliers and edges of steps, fill; what of that is `auto`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.recipe import Levy, Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.reconstruct.fill import fill
+from wafer_viewer.reconstruct.jumps import JUMP_STEPS, apart_um
 from wafer_viewer.reconstruct.levy import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
 from wafer_viewer.reconstruct.outliers import find_outliers
 
@@ -32,23 +33,34 @@ Map = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cleaned:
-    """z_um: smoothed, without outliers, filled; raw_um: only without outliers; dropped: which were outliers."""
+    """z_um: smoothed, without what was left out, filled; raw_um: only without that.
+
+    outlier, step_edge: what was left out and why, bool [row, col].
+    """
 
     z_um: Map
     raw_um: Map
-    dropped: NDArray[np.bool_]
+    outlier: NDArray[np.bool_]
+    step_edge: NDArray[np.bool_]
 
 
-def clean(z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float) -> Cleaned:
+def clean(
+    z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float, told_apart: NDArray[np.bool_] | None = None
+) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
-    resolution_um: what the optics resolve along z, the measure of what counts as a step of the surface.
+    resolution_um: what the optics resolve along z, the measure of what counts as a step of the surface; told_apart:
+    where it is known which side of a wall a pixel is on, None where nobody asks for the edges of steps.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
-    dropped = find_outliers(z_um, smoothed, pixel_um, recipe)
-    smoothed[dropped] = np.nan
-    raw = np.where(dropped, np.float32(np.nan), z_um)
-    return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, dropped)
+    outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
+    raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
+    if told_apart is not None:
+        near_jump = apart_um(raw, int(recipe.window)) > JUMP_STEPS * resolution_um
+        step_edge = near_jump & ~told_apart & np.isfinite(raw)
+        raw[step_edge] = np.nan
+    smoothed[outlier | step_edge] = np.nan
+    return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:

@@ -36,7 +36,7 @@ class Judged:
 
     seen_um: the heights as the search saw them, float32 [row, col]; origin: codes of `Origin` [row, col];
     checks: the gates with the scores that they saw; edges: None where there are no walls or the recipe does not look
-    for them; notes: a sentence for the gates that the recipe wants and that are off.
+    for them, which edges_asked tells; notes: a sentence for the gates that the recipe wants and that are off.
     """
 
     peaks: Peaks
@@ -44,7 +44,15 @@ class Judged:
     origin: NDArray[np.uint8]
     checks: tuple[Check, ...]
     edges: Edges | None
+    edges_asked: bool
     notes: tuple[str, ...] = ()
+
+    @property
+    def told_apart(self) -> NDArray[np.bool_] | None:
+        """Where it is known which side of a wall a pixel is on; None where nobody asked."""
+        if not self.edges_asked:
+            return None
+        return np.zeros(self.origin.shape, np.bool_) if self.edges is None else self.edges.side != Side.AWAY
 
     def verdicts(self, row: int, col: int) -> tuple[Verdict, ...]:
         """What every gate says of a pixel, the one that explains most first."""
@@ -63,7 +71,7 @@ def judge(frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = 
     if edges is not None:
         z_um, origin = judge_edges(seen_um, origin, edges)
     notes = () if enough else _off(settled, frames.n_frames)
-    return Judged(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, notes)
+    return Judged(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, how is not None, notes)
 
 
 def gate_for(settled: Settled, n_frames: int) -> Gate:

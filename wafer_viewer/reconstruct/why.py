@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.evidence import FocusCurve, Rival
+from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
@@ -18,6 +18,10 @@ from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_
 from wafer_viewer.reconstruct.tune import settle
 
 MOST_RIVALS = 3
+_LEFT_OUT_BY_CLEANING = {
+    Origin.OUTLIER: "Does it agree with its neighbours?",
+    Origin.STEP_EDGE: "Are the heights around it of one surface?",
+}
 REACH_PX = 80
 """How much of the field round the pixel is reconstructed: further than any gate looks."""
 COARSE_PX = 4
@@ -41,7 +45,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     height = cleaned(part, frames, settled, judged)
     curve, grey = curve_at(frames, settled.search, r, c)
     peak = int(curve.argmax())
-    z_um = float(height.z_raw_um[r, c])
+    z_um, origin = float(height.z_raw_um[r, c]), Origin(int(height.origin[r, c]))
     return FocusCurve(
         field=stack.field.number,
         row=row,
@@ -55,10 +59,10 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
         grey=tuple(grey.tolist()),
         peak_z_um=float(peaks.z_um[r, c]),
         height_um=z_um if np.isfinite(z_um) else None,
-        origin=ORIGIN_TITLES[Origin(int(height.origin[r, c]))],
+        origin=ORIGIN_TITLES[origin],
         confidence=float(peaks.confidence[r, c]),
         rivals=rivals_of(frames.z_um, curve, peak, settled.search.gap),
-        verdicts=judged.verdicts(r, c),
+        verdicts=(*judged.verdicts(r, c), *cleaning_verdicts(origin)),
         simulated=stack.simulated,
     )
 
@@ -73,6 +77,15 @@ def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArra
     grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
     read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
     return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
+
+
+def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
+    """What the cleaning found out about a pixel that passed every gate."""
+    question = _LEFT_OUT_BY_CLEANING.get(origin)
+    if question is None:
+        return ()
+    gate = origin.name.lower()
+    return (Verdict(gate=gate, question=question, score=None, limit=None, unit="", passed=False),)
 
 
 def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:
