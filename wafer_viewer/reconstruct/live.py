@@ -20,7 +20,7 @@ from wafer_viewer.reconstruct.placing import Spots
 from wafer_viewer.reconstruct.prepare import Frames, clipped_from, prepare
 from wafer_viewer.reconstruct.search import Search, fill_volume, find_peaks, search_field, stripes
 from wafer_viewer.reconstruct.tune import search_of, settle
-from wafer_viewer.reconstruct.volume import Source, Volume, find_best
+from wafer_viewer.reconstruct.volume import Source, Volume
 
 WHITE_COUNTS = 255
 
@@ -45,6 +45,9 @@ class LiveField:
         self._peaks.clipped[:] = 0
         cols = images.shape[2]
         self._stripes = [(rows, Curves.make(len(images), (_length(rows), cols))) for rows in stripes(images.shape[1])]
+        for _, curves in self._stripes:
+            curves.best[:] = 0
+            curves.peak[:] = 0
         stripe = _length(self._stripes[0][0]), cols
         self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
         measure = FOCUS_MEASURES[self._search.measure]
@@ -75,6 +78,7 @@ class LiveField:
             volume = Volume(levels, self._best[:n], self._peak[:n], self._clipped[:n], coarse)
             fill_volume(source, self._search, self._rows, volume)
             out.clipped[:] += volume.clipped
+            _keep_better(curves, volume.best, volume.peak + np.uint16(first))
         self._came[first:stop] = True
 
     def surface(self, stack: FieldStack) -> HeightMap:
@@ -91,12 +95,18 @@ class LiveField:
     def _found(self, frames: Frames, search: Search) -> Peaks:
         slots = np.arange(len(self._images))
         for rows, curves in self._stripes:
-            find_best(*curves)
             find_peaks(self._source(rows, slots), frames.z_um, search, curves, self._spots, self._peaks.rows(rows))
         return self._peaks
 
     def _source(self, rows: slice, slots: NDArray[np.int64]) -> Source:
         return Source.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
+
+
+def _keep_better(curves: Curves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
+    """Of two frames that are equally sharp the lower one is the peak, in whatever order they came."""
+    better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
+    np.copyto(curves.best, best, where=better)
+    np.copyto(curves.peak, peak, where=better)
 
 
 def _as_expected(frames: Frames, search: Search, expected: Search) -> bool:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Greys, Int64s, UInt16s, Whole
-from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.jit import inlined_part, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
 
 COARSE_PX = 4
@@ -51,16 +51,6 @@ class Volume(NamedTuple):
     peak: UInt16s
     clipped: UInt16s
     coarse: UInt16s
-
-
-@lean_kernel
-def find_best(levels: UInt16s, best: UInt16s, peak: UInt16s) -> None:
-    """The best level of each pixel and its frame, of a volume whose frames were measured a few at a time."""
-    best[:] = 0
-    peak[:] = 0
-    for y in range(best.shape[0]):
-        for k in range(levels.shape[0]):
-            note(levels[k, y], np.uint16(k), best[y], peak[y])
 
 
 @inlined_part
