@@ -1,11 +1,12 @@
-"""What it costs and what it brings to put a stack right before it is measured: drift, exposures. --quick: a minute.
+"""What it costs and what it brings to put a stack right before it is measured: flaws, drift, exposures.
 
-    python tests/bench/bench_prepare.py [--quick]
+    python tests/bench/bench_prepare.py [--quick | --flaws]
 
-Drift is planted in what the virtual microscope sees of its scenes, before the sensor: lateral, even or in jumps, and
-as growth. `found off` is the largest error over the frames in which something sharp was seen. Heights are against the
-truth; the whole map is moved by its median, and a height more than 4 um off is false. Cost is processor time on one
-thread for a field of 1440 x 1080, of which every part is another part of the sample.
+Flaws are a white pixel, column or row of the sensor. Drift is planted in what the virtual microscope sees of its
+scenes, before the sensor: lateral, even or in jumps, and as growth. `found off` is the largest error over the frames in
+which something sharp was seen. Heights are against the truth; the whole map is moved by its median, and a height more
+than 4 um off is false. Cost is processor time on one thread for a field of 1440 x 1080, of which every part is another
+part of the sample.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from wafer_viewer.model.stack import Bracket, FieldStack
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.drift import Drift
 from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.parts import source_of
 from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
+from wafer_viewer.reconstruct.search import STRIPE_ROWS, stripes
 from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
 from wafer_viewer.rigs.virtual.sensor import Sensor
@@ -51,8 +54,17 @@ class Seen:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="What preparing a stack costs and brings.")
-    parser.add_argument("--quick", action="store_true", help="two scenes and a short field, under a minute")
-    quick = parser.parse_args().quick
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--quick", action="store_true", help="two scenes and a short field, under a minute")
+    which.add_argument("--flaws", action="store_true", help="only the cost of a flawed pixel, column and row")
+    told = parser.parse_args()
+    if not told.quick:
+        report_flaws(60)
+    if not told.flaws:
+        report_all(told.quick)
+
+
+def report_all(quick: bool) -> None:
     for name in ("wafer", "plane") if quick else SCENES:
         seen = look(name)
         report_drift(name, seen)
@@ -93,6 +105,19 @@ def report_exposures(name: str, seen: Seen) -> None:
         alone = [judged(reconstruct(stack_of(seen, images)), seen.truth_um) for images in (one, other)]
         fused = judged(reconstruct(stack), seen.truth_um)
         print(f"{name:12s} exposures x{gains[1] / gains[0]:g}: short {alone[0]} | long {alone[1]} | fused {fused}")
+
+
+def report_flaws(n_frames: int) -> None:
+    """Of a field in which one pixel, column or row is hot: mapped from a file, as a dataset is."""
+    hot = {"no flaw": None, "hot pixel": np.s_[500, 700], "hot column": np.s_[:, 700], "hot row": np.s_[500, :]}
+    with tempfile.TemporaryDirectory() as folder:
+        stack = whole_field(Path(folder), n_frames)
+        for what, where in hot.items():
+            one = stack if where is None else dataclasses.replace(stack, images=heated(Path(folder), where))
+            frames = prepare(one, LEFT_ALONE)
+            reading = least_ms(lambda f=frames: read_for_search(f)) / n_frames
+            whole = least_ms(lambda s=one: reconstruct(s, LEFT_ALONE, threads=1)) / n_frames
+            print(f"{what:12s} reading for the search {reading:6.3f} ms a frame, reconstruction {whole:.2f} ms a frame")
 
 
 def report_cost(n_frames: int) -> None:
@@ -164,6 +189,22 @@ def whole_field(folder: Path, n_frames: int) -> FieldStack:
     images.flush()
     mapped = np.load(folder / "field.npy", mmap_mode="r")
     return FieldStack(ORIGIN_FIELD, mapped, z_um, np.ones(n_frames, bool), PIXEL_UM)
+
+
+def heated(folder: Path, where: tuple[int | slice, int | slice]) -> NDArray[np.uint8]:
+    """The same stack, the pixels `where` white in every frame: the pages that change are copied, the others mapped."""
+    private: NDArray[np.uint8] = np.load(folder / "field.npy", mmap_mode="c")
+    private[:, *where] = 255
+    return private
+
+
+def read_for_search(frames: Frames) -> None:
+    """All stripes of a field, where the search reads them."""
+    margin = 7
+    block = np.empty((frames.n_frames, STRIPE_ROWS + 2 * margin, frames.shape[1] + 2 * margin), frames.dtype)
+    for rows in stripes(frames.shape[0]):
+        n_rows = rows.stop - rows.start + 2 * margin
+        source_of(frames, rows, slice(0, frames.shape[1]), margin, block[:, :n_rows])
 
 
 def read_all(frames: Frames) -> None:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.parts import read_part, source_of
 from wafer_viewer.reconstruct.prepare import prepare, read_block
 
 FLAWS = {
@@ -63,3 +65,41 @@ def test_blocks_and_parts_are_mended_alike(plane_stack: FieldStack) -> None:
     part = np.empty((21, 20, 40), np.uint8)
     read_block(frames.part(slice(30, 60), slice(40, 100)), slice(5, 25), slice(10, 50), 0, part)
     np.testing.assert_array_equal(part, whole[:, 35:55, 50:90])
+
+
+@pytest.mark.parametrize("name", FLAWS)
+def test_a_flawed_stack_gives_what_one_gives_whose_flaws_were_mended_before(plane_stack: FieldStack, name: str) -> None:
+    stack = flawed(plane_stack, *FLAWS[name])
+    found, clean = (reconstruct(one, Recipe(drift="none")) for one in (stack, mended_before(stack)))
+    for of in ("z_um", "confidence", "all_in_focus", "origin"):
+        np.testing.assert_array_equal(getattr(found, of), getattr(clean, of))
+
+
+def test_rows_without_a_flaw_are_read_where_they_lie(plane_stack: FieldStack) -> None:
+    frames = prepare(flawed(plane_stack, *FLAWS["hot pixel"]), Recipe(drift="none"))
+    cols = slice(0, frames.shape[1])
+    near, far = (source_of(frames, rows, cols, 5) for rows in (slice(0, 30), slice(36, 60)))
+    assert not np.shares_memory(near.images, frames.images)
+    assert np.shares_memory(far.images, frames.images)
+    assert source_of(frames, slice(0, 25), cols, 5).images.shape == frames.images.shape
+    assert source_of(frames, slice(0, 26), cols, 5).images.shape == (frames.n_frames, 36, frames.shape[1] + 10)
+
+
+def test_some_frames_and_downward_ones_are_mended_as_all_are(plane_stack: FieldStack) -> None:
+    stack = flawed(plane_stack, *FLAWS["two hot columns"])
+    turned = dataclasses.replace(stack, images=stack.images[::-1], z_um=stack.z_um[::-1])
+    rows, cols = slice(10, 30), slice(50, 61)
+    expected = mended_before(stack).images[4:9, rows, cols]
+    for one in (stack, turned):
+        part = read_part(prepare(one, Recipe(drift="none")), slice(4, 9), rows, cols, 0)
+        np.testing.assert_array_equal(part, expected)
+
+
+def mended_before(stack: FieldStack) -> FieldStack:
+    """The stack with the mean of two sound pixels in each flaw's place, one after the other."""
+    flaws, images = prepare(stack).flaws, stack.images.copy()
+    assert flaws is not None
+    for at, one, other in zip(flaws.at, flaws.one, flaws.other, strict=True):
+        two = stack.images[:, *one].astype(int) + stack.images[:, *other]
+        images[:, *at] = (two + 1) // 2
+    return dataclasses.replace(stack, images=images)

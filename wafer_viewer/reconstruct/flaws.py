@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,15 +49,29 @@ class Flaws:
         inside = np.all([((p >= begin) & (p < end)).all(axis=1) for p in (self.at, self.one, self.other)], axis=0)
         return Flaws(self.at[inside] - begin, self.one[inside] - begin, self.other[inside] - begin)
 
-    def mended(self, frame: Image, rows: slice, cols: slice) -> Image:
-        """The pixels [rows, cols] of a frame, flaws replaced by the mean of the sound pixels beside them."""
-        part: Any = frame[rows, cols].copy()
-        first, last = np.searchsorted(self.at[:, 0], (rows.start, rows.stop))
+    def touch(self, rows: slice) -> bool:
+        """Whether any lies in these rows."""
+        first, last = self._within(rows)
+        return first < last
+
+    def mend(self, part: Image, images: Image, slots: Places, rows: slice, cols: slice) -> None:
+        """Replace those in `part` [k, row, col], the pixels [rows, cols] of the images `slots`, in all of them at once.
+
+        Each becomes the mean of the sound pixels beside it, which are taken from the images: a part may end at a flaw.
+        """
+        first, last = self._within(rows)
         inside = (self.at[first:last, 1] >= cols.start) & (self.at[first:last, 1] < cols.stop)
-        at, one, other = (a[first:last][inside] for a in (self.at, self.one, self.other))
-        sum_of_two = frame[tuple(one.T)].astype(np.int32) + frame[tuple(other.T)]
-        part[at[:, 0] - rows.start, at[:, 1] - cols.start] = (sum_of_two + 1) // 2
-        return part
+        if not inside.any():
+            return
+        at, one, other = (of_all[first:last][inside].T for of_all in (self.at, self.one, self.other))
+        k, pixels = slots[:, None], np.asarray(images)
+        sum_of_two = pixels[k, one[0], one[1]].astype(np.int32) + pixels[k, other[0], other[1]]
+        part[:, at[0] - rows.start, at[1] - cols.start] = (sum_of_two + 1) // 2
+
+    def _within(self, rows: slice) -> tuple[int, int]:
+        """The first flaw in these rows, and one past the last."""
+        first, last = np.searchsorted(self.at[:, 0], (rows.start, rows.stop))
+        return int(first), int(last)
 
 
 def find_flaws(exposures: Iterable[Image], slots: NDArray[np.intp], white_counts: int) -> Flaws | None:

@@ -38,17 +38,28 @@ def row_parts(n_rows: int, rows: int) -> list[slice]:
     return [slice(top, min(top + rows, n_rows)) for top in range(0, n_rows, rows)]
 
 
-def source_of_rows(frames: Frames, rows: slice, margin: int) -> Source:
-    """Some rows of a field: as they lie, or from a block that is made for them and reaches `margin` pixels beyond."""
-    if frames.as_stored:
-        return Source.of(frames.images, frames.slots, rows.start, 0, frames.clipped_counts)
-    block = read_part(frames, slice(0, frames.n_frames), rows, slice(0, frames.shape[1]), margin)
+def source_of(frames: Frames, rows: slice, cols: slice, margin: int, block: Image | None = None) -> Source:
+    """A part of a field for kernels that look `margin` pixels beyond it: as it lies, or else copied and put right.
+
+    block: [k, rows + 2 margin, cols + 2 margin] to copy to; without it one is made where it is needed.
+    """
+    if frames.ready(rows, margin):
+        return Source.of(frames.images, frames.slots, rows.start, cols.start, frames.clipped_counts)
+    if block is None:
+        block = read_part(frames, slice(0, frames.n_frames), rows, cols, margin)
+    else:
+        read_block(frames, rows, cols, margin, block)
     return Source.of(block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
+
+
+def source_of_rows(frames: Frames, rows: slice, margin: int) -> Source:
+    """Whole rows of a field, for kernels that look `margin` pixels beyond them."""
+    return source_of(frames, rows, slice(0, frames.shape[1]), margin)
 
 
 def read_part(frames: Frames, some: slice, rows: slice, cols: slice, margin: int) -> Image:
     """Some of the frames of a part of a field, with a margin; beyond the field its border repeats."""
-    alone = frames.untouched
+    alone = frames.drift is None  # the drift of a frame is known by its place among all of them
     chosen = dataclasses.replace(frames, index=frames.slots[some]) if alone else frames
     n_frames = some.stop - some.start if alone else frames.n_frames
     block = np.empty((n_frames, rows.stop - rows.start + 2 * margin, cols.stop - cols.start + 2 * margin), frames.dtype)

@@ -2,7 +2,8 @@
 
 The only place where pixels are touched before a focus measure sees them: flawed pixels of the sensor are mended,
 exposures fused, frames that drifted put right, all while a block is read, so that no stack is ever whole in memory.
-Where nothing of this is needed a block is a plain copy.
+Where nothing of this is needed a block is a plain copy, and rows without a flaw need not even be copied: nearly every
+camera has a flawed pixel, and one must not slow down the rest of the field.
 """
 
 from __future__ import annotations
@@ -63,14 +64,24 @@ class Frames:
         return np.dtype(np.uint16) if self.fusion is not None else self.images.dtype.newbyteorder("=")
 
     @property
-    def untouched(self) -> bool:
-        """Whether the pixels are used as the camera gave them."""
-        return self.fusion is None and self.flaws is None and self.drift is None
-
-    @property
     def as_stored(self) -> bool:
         """Whether the kernels can read the images where they lie: whole rows, with nothing to be done to the pixels."""
-        return self.untouched and self.images.flags.c_contiguous and self.images.dtype.isnative
+        return self.steady and self.flaws is None and self._in_whole_rows
+
+    @property
+    def steady(self) -> bool:
+        """Whether a pixel is made of the same pixel of one image, and of those beside it where it is flawed."""
+        return self.fusion is None and self.drift is None
+
+    @property
+    def _in_whole_rows(self) -> bool:
+        return self.images.flags.c_contiguous and self.images.dtype.isnative
+
+    def ready(self, rows: slice, margin: int) -> bool:
+        """Whether the kernels can read these rows, and `margin` more on both sides, where they lie."""
+        if not (self.steady and self._in_whole_rows):
+            return False
+        return self.flaws is None or not self.flaws.touch(slice(rows.start - margin, rows.stop + margin))
 
     @property
     def step_um(self) -> float:
@@ -133,10 +144,7 @@ def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Ima
     left, right = max(0, cols.start - margin), min(n_cols, cols.stop + margin)
     r, c = top - rows.start + margin, left - cols.start + margin
     r_end, c_end = r + bottom - top, c + right - left
-    if frames.untouched:
-        block[:, r:r_end, c:c_end] = frames.images[frames.index, top:bottom, left:right]
-    else:
-        _develop(frames, slice(top, bottom), slice(left, right), block[:, r:r_end, c:c_end])
+    _develop(frames, slice(top, bottom), slice(left, right), block[:, r:r_end, c:c_end])
     block[:, r:r_end, :c] = block[:, r:r_end, c : c + 1]
     block[:, r:r_end, c_end:] = block[:, r:r_end, c_end - 1 : c_end]
     block[:, :r] = block[:, r : r + 1]
@@ -161,6 +169,11 @@ def _shrunk(seen: slice, margin: int, length: int) -> slice:
 
 def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
     """The pixels [rows, cols] of every frame into `out`: mended, fused, put right."""
+    if frames.steady:
+        out[:] = frames.images[frames.index, rows, cols]
+        if frames.flaws is not None:
+            frames.flaws.mend(out, frames.images, frames.slots, rows, cols)
+        return
     for k, slot in enumerate(frames.slots):
         if frames.drift is None:
             out[k] = _pixels(frames, int(slot), rows, cols)
@@ -180,11 +193,17 @@ def _within(span: tuple[int, int], length: int) -> slice:
 def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
     """The pixels [rows, cols] of one slot, mended and fused."""
     exposures = (frames.images,) if frames.fusion is None else frames.fusion.images
-    if frames.flaws is None:
-        parts = [images[slot, rows, cols] for images in exposures]
-    else:
-        parts = [frames.flaws.mended(images[slot], rows, cols) for images in exposures]
+    parts = [_sound(frames.flaws, images, slot, rows, cols) for images in exposures]
     return parts[0] if frames.fusion is None else frames.fusion.fused(parts)
+
+
+def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: slice) -> Image:
+    """The pixels [rows, cols] of one image, mended."""
+    if flaws is None or not flaws.touch(rows):
+        return images[slot, rows, cols]
+    part = images[slot, rows, cols].copy()
+    flaws.mend(part[None], images, np.array([slot]), rows, cols)
+    return part
 
 
 def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, USUAL_CAMERA, Focusing
-from wafer_viewer.reconstruct.parts import cores
+from wafer_viewer.reconstruct.parts import cores, source_of
 from wafer_viewer.reconstruct.peak import Curves, Peaks, describe
 from wafer_viewer.reconstruct.placing import PEAKS, Placing, Spots
-from wafer_viewer.reconstruct.prepare import Frames, read_block
+from wafer_viewer.reconstruct.prepare import Frames
 from wafer_viewer.reconstruct.volume import Source, Volume
 
 STRIPE_ROWS = 32
@@ -114,7 +114,8 @@ def search_field(frames: Frames, search: Search, threads: int | None = None, pro
 def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench, out: Peaks) -> None:
     """The peaks of the pixels [rows, cols] of a field, into `out`."""
     bench = bench.cut(rows.stop - rows.start)
-    search_block(_source(frames, rows, cols, search, bench), frames.z_um, search, bench, out)
+    source = source_of(frames, rows, cols, search.margin_px, bench.block)
+    search_block(source, frames.z_um, search, bench, out)
 
 
 def search_block(source: Source, z_um: NDArray[np.float64], search: Search, bench: Bench, out: Peaks) -> None:
@@ -140,16 +141,6 @@ def find_peaks(
 def stripes(n_rows: int) -> list[slice]:
     """The rows of a field in parts whose focus volumes fit in cache."""
     return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
-
-
-def _source(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench) -> Source:
-    """Where the kernels read a part of a field: from the images as they lie, or else from the block of the bench."""
-    if frames.as_stored:
-        slots = np.arange(len(frames.images))[frames.index]
-        return Source.of(frames.images, slots, rows.start, cols.start, frames.clipped_counts)
-    margin = search.margin_px
-    read_block(frames, rows, cols, margin, bench.block)
-    return Source.of(bench.block, np.arange(frames.n_frames), margin, margin, frames.clipped_counts)
 
 
 def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
