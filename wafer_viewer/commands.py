@@ -108,7 +108,7 @@ def import_(
         out: The dataset, NAME.wafer.
         z_step_um: Distance between frames; negative when they were taken downward.
         pixel_um: Size of a pixel on the sample.
-        pattern: How files are named, such as r{row}_c{col}_k{k}.tif.
+        pattern: How files are named, such as r{row}_c{col}_k{k}.tif; {e} where each z was taken in several exposures.
         overlap_fraction: Overlap of neighbouring fields.
     """
     from wafer_viewer.store.importers import import_dataset
@@ -116,7 +116,8 @@ def import_(
     require_sources(src)
     with progress("Import") as tell:
         dataset = import_dataset(src, out, z_step_um, pixel_um, pattern, overlap_fraction, progress=tell)
-    print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames")
+    exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""
+    print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames{exposures}")
 
 
 def check(dataset: DatasetFolder) -> int:

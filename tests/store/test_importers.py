@@ -10,6 +10,7 @@ from PIL import Image as PillowImage
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import Shot
+from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.store.images import REC_709, pictures
 from wafer_viewer.store.importers import import_dataset, open_stack
 
@@ -32,6 +33,15 @@ def write(path, image):
         path.write_bytes(imagecodecs.png_encode(image))
     else:
         PillowImage.fromarray(image).save(path, quality=95)
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    """The light of a rough, tilted plane in eleven frames, each sharp in other columns."""
+    rng = np.random.default_rng(3)
+    texture, lighting = rng.normal(0, 40, (48, 96)), np.linspace(90, 190, 96)
+    away = np.arange(96)[None] / 96 * 8 + 1 - np.arange(11)[:, None]
+    return np.stack([lighting + texture * np.exp(-(blur**2) / 2) for blur in away]).clip(0, 255)
 
 
 @pytest.fixture
@@ -160,6 +170,47 @@ def test_a_frame_that_others_have_is_an_empty_slot(tmp_path):
     assert data.finished
 
 
+BRACKETS = {
+    "e{e}/z{k}.png": "e{}/z{}.png",
+    "r{row}c{col}_k{k}_e{e}.tif": "r0c0_k{1}_e{0}.tif",
+}
+
+
+@pytest.mark.parametrize("pattern", BRACKETS)
+def test_exposures_are_told_by_the_names_and_fused(tmp_path, tilted, pattern):
+    for number, gain in ((1, 0.5), (2, 1.0)):
+        for k, light in enumerate(tilted):
+            write(tmp_path / "src" / BRACKETS[pattern].format(number, k), (gain * light).clip(0, 255).astype(np.uint8))
+    data = import_dataset(tmp_path / "src", tmp_path / "a.wafer", pattern=pattern, **STEP)
+    assert data.n_exposures == 2
+    assert data.check().ok
+    np.testing.assert_array_equal(data.stack(1, exposure=0).images, (0.5 * tilted).astype(np.uint8))
+    height = reconstruct(data.stack(1))
+    assert any(
+        note.startswith("2 exposures were fused, the longer ones x2 as bright") for note in height.provenance.notes
+    )
+    assert height.measured.mean() > 0.9
+
+
+def test_a_field_of_several_pages_in_each_exposure(tmp_path):
+    (tmp_path / "src").mkdir()
+    for e in (0, 1):
+        images = np.array([grey([e, k]) for k in range(4)])
+        tifffile.imwrite(tmp_path / f"src/exposure {e}.tif", images, photometric="minisblack")
+    data = import_dataset(tmp_path / "src", tmp_path / "a.wafer", pattern="exposure {e}.tif", **STEP)
+    np.testing.assert_array_equal(data.stack(1).brackets[0].images[3], grey([1, 3]))
+
+
+def test_an_exposure_that_lacks_a_frame_leaves_its_slot_out(tmp_path):
+    src = grid(tmp_path / "src", [(0, 0), (1, 0)], name="e{}_c{}_k{}.tif")
+    (src / "e1_c0_k2.tif").unlink()
+    data = import_dataset(src, tmp_path / "a.wafer", pattern="e{e}_c0_k{k}.tif", **STEP)
+    assert data.missed() == {Shot(1, 2, 1): "there was no such image"}
+    (src / "e0_c0_k3.tif").unlink()
+    with pytest.raises(DatasetError, match="has 2 frames and at least 3 are needed"):
+        import_dataset(src, tmp_path / "b.wafer", pattern="e{e}_c0_k{k}.tif", **STEP)
+
+
 def spoil_size(folder):
     write(folder / "im9.png", grey(9, rows=11))
 
@@ -235,6 +286,7 @@ def test_bad_images_are_named_and_nothing_is_written(folder, tmp_path, spoil, se
         ({"pixel_um": -1.0}, "The pixel size is -1 um"),
         ({"overlap_fraction": 0.6}, "The overlap is 60% of a field: it must be between 0 % and 50%"),
         ({"pattern": "r{row}.tif"}, "does not say which field a file is"),
+        ({"pattern": "r{row}_e{e}.tif"}, "does not say which field a file is"),
         ({"pattern": "r{row}c{col}.png"}, r"im0.png: its name does not fit the pattern 'r\{row\}c\{col\}.png'"),
         ({"srcs": "/nowhere"}, "/nowhere: it does not exist"),
         ({"srcs": []}, "no images were given"),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,15 +21,19 @@ from wafer_viewer.model.stack import FieldStack, Frame, FrameStatus, Image
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import replacing, require_space
 from wafer_viewer.store.images import NOTHING_WRITTEN, Paths, Picture, pictures
-from wafer_viewer.store.naming import Cell, stacks_by_cell
+from wafer_viewer.store.naming import Cell, Slot, stacks_by_cell
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.writer import DatasetWriter
 
 UNKNOWN_EXPOSURE_US = 1.0
-"""Stands where a plan asks for an exposure time and the images do not say theirs."""
+"""Stands where a plan asks for an exposure time and the images do not say theirs.
+
+The same for all exposures of a bracket, so that their ratio says nothing: fusion then measures how much brighter one is
+than the other, and never takes an invented ratio for a measured one.
+"""
 MAX_OVERLAP = 0.5
-Stacks = dict[Cell, list[Picture | None]]
-P = TypeVar("P", Picture, Picture | None)
+Stacks = dict[Cell, list[Slot]]
+P = TypeVar("P", Picture, Slot)
 
 
 def open_stack(
@@ -48,7 +52,7 @@ def open_stack(
     """
     step_um, pixel = _required(z_step_um, pixel_um)
     found = _upward(pictures(src), step_um)
-    _require_frames(found, "the source")
+    _require_frames(len(found), "the source")
     images = _read_all(found, progress, should_stop)
     return FieldStack(
         field=Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=z_start_um),
@@ -73,6 +77,7 @@ def import_dataset(
 ) -> Dataset:
     """Copy images into a new dataset at `out`: one field, or with a pattern a grid of fields, row 0 at the top.
 
+    A pattern with ``{e}`` tells the exposures of a bracket apart; their times need not be known.
     The dataset appears once it is whole. Raises DatasetError, with nothing written, for all that `open_stack` refuses,
     an overlap over 50 %, a place that is taken, cannot be written to or has not enough space, and when it is stopped.
     """
@@ -82,8 +87,9 @@ def import_dataset(
     _require_free(target)
     stacks = {cell: _upward(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
     for cell, stack in stacks.items():
-        _require_frames(stack, "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}")
-    first = next(p for stack in stacks.values() for p in stack if p is not None).read()
+        what = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
+        _require_frames(sum(None not in slot for slot in stack), what)
+    first = next(p for stack in stacks.values() for slot in stack for p in slot if p is not None).read()
     job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
     plan = _plan(job, first, pixel)
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
@@ -138,8 +144,9 @@ def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, shou
 
 def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, Picture | None]]:
     for field, stack in zip(plan.fields, stacks.values(), strict=True):
-        for k, picture in enumerate(stack):
-            yield Shot(field.number, k), field, picture
+        for k, slot in enumerate(stack):
+            for exposure, picture in enumerate(slot):
+                yield Shot(field.number, k, exposure), field, picture
 
 
 def _frame(shot: Shot, field: Field, sweep: FocusSweep, image: Image) -> Frame:
@@ -165,11 +172,11 @@ def _job(stacks: Stacks, first: Image, z_step_um: float, pixel_um: float, overla
         overlap_x_fraction=overlap_fraction,
         overlap_y_fraction=overlap_fraction,
     )
-    n_frames = len(next(iter(stacks.values())))
+    one = next(iter(stacks.values()))
     return Job(
         fields=tuple(_fields(sorted(stacks), grid)),
-        sweep=FocusSweep(z_step_um=z_step_um, n_frames=n_frames),
-        exposures_us=(UNKNOWN_EXPOSURE_US,),
+        sweep=FocusSweep(z_step_um=z_step_um, n_frames=len(one)),
+        exposures_us=(UNKNOWN_EXPOSURE_US,) * len(one[0]),
     )
 
 
@@ -224,8 +231,7 @@ def _require_free(target: Path) -> None:
         raise DatasetError(f"{target} exists already. {NOTHING_WRITTEN} Choose another name.")
 
 
-def _require_frames(stack: Iterable[Picture | None], what: str) -> None:
-    n_frames = sum(picture is not None for picture in stack)
+def _require_frames(n_frames: int, what: str) -> None:
     if n_frames < MIN_FRAMES:
         raise DatasetError(
             f"Import stopped: {what} has {n_frames} frames and at least {MIN_FRAMES} are needed to find a focus peak. "
