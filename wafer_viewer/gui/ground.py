@@ -17,6 +17,8 @@ from wafer_viewer.gui.stage import Handle, Item
 
 _PLINTH_SHARE = 0.062
 """Height of the plinth, as a share of the longer side."""
+_HATCH_SHARE = 1.5e-3
+"""How far the hatch lies below the lowest height and inside of its edges, as a share of the longer side."""
 _HATCH_PX_PER_SIDE = 1100
 
 
@@ -25,9 +27,13 @@ def plinth_mm(box: Box) -> float:
     return _PLINTH_SHARE * max(box[2] - box[0], box[3] - box[1])
 
 
+def _hatch_mm(box: Box) -> float:
+    return _HATCH_SHARE * max(box[2] - box[0], box[3] - box[1])
+
+
 def block_items(box: Box, dark: bool, *, plinth: bool) -> list[Item]:
     """Everything round a surface that covers a box, whose lowest height is drawn at 0."""
-    depth = plinth_mm(box) if plinth else 0.0
+    depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
     items = [
         Item("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
         Item("ground/hatch", (box, dark), partial(_hatch, box=box, dark=dark)),
@@ -54,7 +60,7 @@ def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) 
     picture = ground.hatch(
         max(2, round(height * scale)), max(2, round(width * scale)), dark=dark, pitch_px=16, line_px=4
     )
-    inset = 1.5e-3 * max(width, height)
+    inset = _hatch_mm(box)
     inner = (box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset)
     data = painted(mesh.flat(*inner, -inset), picture)
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
