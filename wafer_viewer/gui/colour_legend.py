@@ -15,6 +15,7 @@ WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
 MOST_BAR_PX, LEAST_BAR_PX = 320, 110
 BELOW_PX = 96
 """Room left under the bar for the read-out."""
+ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
 SIGNED = ("height", "deviation")
 
 
@@ -24,7 +25,7 @@ class ColourLegend:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
-        self._of_origins = Overlay(page.gui, -EDGE_PX, EDGE_PX, 236, 210, align="right")
+        self._of_origins = Overlay(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the legend up to date."""
@@ -33,11 +34,18 @@ class ColourLegend:
         bar_px = self._bar_px()
         bar = _bar(scale, view, bar_px) if scale is not None and not of_origins else ""
         self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2)
-        self._of_origins.show(_on_glass(origin_legend_html(scale.origins)) if scale is not None and of_origins else "")
+        origins = scale.origins if scale is not None and of_origins else {}
+        rows = sum(share > 0 for share in origins.values())
+        self._of_origins.show(_on_glass(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
 
     def _bar_px(self) -> int:
         room = self._page.client.camera.image_height - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
         return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
+
+
+def _origins_px(rows: int) -> int:
+    """How high the legend of so many origins is."""
+    return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 
 def _bar(scale: Scale, view: View, bar_px: int) -> str:
