@@ -16,6 +16,7 @@ from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.virtual.rig import virtual_limits
@@ -222,6 +223,24 @@ def a_frame(snapshot: Snapshot) -> LatestFrame:
     return LatestFrame(np.ascontiguousarray(image), field, 33, 31.5, 231, 0.0002)
 
 
+SETTLED = Recipe(
+    window=9,
+    focus_width_um=7.6,
+    min_confidence=0.24,
+    noise=Noise(gain_counts=0.0213, floor_counts2=1.31),
+    levy=Levy(n_sigma=3.5, alpha=1.0, iterations=2),
+    outliers=Outliers(floor_um=1.125),
+)
+NOTES = (
+    "3 exposures were fused, the longer ones x3.98, x15.8 as bright as the shortest.",
+    "The picture shifts by 3.1 px (1.45 um) through the stack: its frames were put right.",
+    "The picture shifts by 2.6 px (1.21 um) through the stack: its frames were put right.",
+    "3 exposures were fused, the longer ones x4.01, x15.9 as bright as the shortest.",
+    "The picture shifts by 2.9 px (1.36 um) through the stack: its frames were put right.",
+    "1 of 60 frames of field 3 are missing",
+)
+
+
 def measured(problem: str | None = None) -> Snapshot:
     data = dataset(dict.fromkeys(range(1, 10), FieldState.MEASURED), finished=True, problem=problem)
     info = SurfaceInfo(
@@ -242,6 +261,9 @@ def measured(problem: str | None = None) -> Snapshot:
         overlap_rms_um=0.11,
         low_um=-13.5,
         high_um=16.5,
+        recipe_notes=NOTES,
+        asked=Recipe(),
+        settled=SETTLED,
     )
     step = a_step(Region.rectangle(0, 0, 80, 60), Region.rectangle(0, -120, 80, -90))
     line = a_profile(Region.line(-200, 0, 500, 0, 3.0))[0]

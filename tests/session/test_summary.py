@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import load_summary, overlap_rms_um, save_summary, summarise
@@ -69,7 +70,7 @@ def test_a_summary_comes_back_from_the_disk_and_a_damaged_one_is_no_summary(tmp_
     result = Result.of(tmp_path, "default")
     result.path.mkdir()
     assert load_summary(result) is None
-    info = summarise(flat(2.0), [flat(2.0)], "default")
+    info = summarise(flat(2.0), [flat(2.0)], "default", Recipe.paper())
     save_summary(result, info)
     back = load_summary(result)
     assert isinstance(back, SurfaceInfo)

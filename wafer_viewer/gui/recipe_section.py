@@ -2,95 +2,153 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import viser
 
 from wafer_viewer.gui import html
+from wafer_viewer.gui import recipe_words as words
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
-FOCUS = {"Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv", "Log-Laplacian": "log_laplacian"}
-PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
-WINDOW = {"auto": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
-SMOOTHING = {
-    "Sigma filter": "sigma_filter",
-    "Switching median": "switching_median",
-    "Levy, guided": "guided",
-    "Levy, literal": "literal",
-    "None": "none",
-}
-OUTLIERS = {"Lattice": "lattice", "Cloud": "cloud", "None": "none"}
-FILL = {"Small gaps": "small_gaps", "All gaps": "all", "None": "none"}
+Put = Callable[[Recipe, Any], Recipe]
 
 
 class RecipeSection:
-    """One line that says how; opened, a form of the recipe and a button."""
+    """One line that says how; on demand what the data chose, or a form of the recipe and a button."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._open = False
+        self._unfolded: set[str] = set()
         self._recipe: Recipe | None = None
+        self._of: object = None
+        self._fields: list[tuple[Field[str], dict[str, Any], Callable[[Recipe], Any]]] = []
         gui = page.gui
         self._head = Cell(gui)
         self._form = gui.add_folder(None, visible=False)
         with self._form:
-            self._focus = self._choice("Focus measure", FOCUS, lambda r, v: replace(r, focus_measure=v))
-            self._window = self._choice("Window", WINDOW, lambda r, v: replace(r, window=v))
-            self._peak = self._choice("Peak", PEAK, lambda r, v: replace(r, peak=v))
-            self._levy = self._choice("Smoothing", SMOOTHING, lambda r, v: replace(r, levy=replace(r.levy, mode=v)))
-            self._out = self._choice(
-                "Outliers", OUTLIERS, lambda r, v: replace(r, outliers=replace(r.outliers, mode=v))
-            )
-            self._fill = self._choice("Fill", FILL, lambda r, v: replace(r, fill=replace(r.fill, mode=v)))
-            again = guarded(page, "The surface stays")(lambda _: self._again())
-            self._button = button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
-            in_a_row(gui, [self._button], 34)
-        page.on_pick("recipe", lambda _: self._toggle())
+            self._build()
+        page.on_pick("recipe", self._toggle)
 
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""
-        data = snapshot.dataset
-        used = data.job.recipe if data else Recipe()
-        recipe = self._recipe or used
-        action = "Close" if self._open else "Change"
-        link = f'<span class="wv-link" {html.pick("recipe")}>{action}</span>' if data else ""
-        notes = snapshot.surface.recipe_notes if snapshot.surface else ()
-        self._head.show(_head(used, link) + "".join(f'<div class="wv-lab">{html.safe(n)}</div>' for n in notes))
-        set_prop(self._form, "visible", self._open and data is not None)
-        self._focus.show(_name(FOCUS, recipe.focus_measure))
-        self._window.show(_name(WINDOW, recipe.window))
-        self._peak.show(_name(PEAK, recipe.peak))
-        self._levy.show(_name(SMOOTHING, recipe.levy.mode))
-        self._out.show(_name(OUTLIERS, recipe.outliers.mode))
-        self._fill.show(_name(FILL, recipe.fill.mode))
+        data, info = snapshot.dataset, snapshot.surface
+        self._forget_another(data)
+        self._head.show(_said(data, info, self._unfolded))
+        set_prop(self._form, "visible", "form" in self._unfolded and data is not None)
+        self._show_form(self._recipe or _asked(data, info))
         busy = data is None or data.read_only is not None or bool(snapshot.works)
         set_prop(self._button, "disabled", busy)
 
-    def _choice(self, label: str, names: dict[str, Any], put: Any) -> Field[str]:
-        def chosen(event: Any) -> None:
-            data = self._page.session.snapshot.dataset
-            base = self._recipe or (data.job.recipe if data else Recipe())
-            self._recipe = put(base, names[event.target.value])
+    # --- building
 
-        return Field(self._page.gui.add_dropdown(label, tuple(names)), chosen, self._page, "The recipe stays")
+    def _build(self) -> None:
+        """The choices in the order in which they are made use of."""
+        gui = self._page.gui
+        self._ready = self._dropdown("Ready recipe", tuple(words.READY), self._take_ready)
+        self._add("Drift", words.DRIFT, lambda r: r.drift, lambda r, v: replace(r, drift=v))
+        self._add("Focus measure", words.FOCUS, lambda r: r.focus_measure, lambda r, v: replace(r, focus_measure=v))
+        self._add("Window", words.WINDOW, lambda r: r.window, lambda r, v: replace(r, window=v))
+        self._add("Peak", words.PEAK, lambda r: r.peak, lambda r, v: replace(r, peak=v))
+        compare = words.SECOND_WINDOW
+        self._second = self._add(
+            "Second window", compare, lambda r: r.compare_windows, lambda r, v: replace(r, compare_windows=v)
+        )
+        self._edges = self._add("Beside walls", words.EDGES, lambda r: r.edges, lambda r, v: replace(r, edges=v))
+        self._why_not = Cell(gui)
+        self._add(
+            "Smoothing", words.SMOOTHING, lambda r: r.levy.mode, lambda r, v: replace(r, levy=replace(r.levy, mode=v))
+        )
+        self._add(
+            "Outliers",
+            words.OUTLIERS,
+            lambda r: r.outliers.mode,
+            lambda r, v: replace(r, outliers=replace(r.outliers, mode=v)),
+        )
+        self._add("Fill", words.FILL, lambda r: r.fill.mode, lambda r, v: replace(r, fill=replace(r.fill, mode=v)))
+        again = guarded(self._page, "The surface stays")(lambda _: self._again())
+        self._button = button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
+        in_a_row(gui, [self._button], 34)
 
-    def _toggle(self) -> None:
-        self._open = not self._open
+    def _add(self, label: str, names: dict[str, Any], get: Callable[[Recipe], Any], put: Put) -> Field[str]:
+        """A choice of the recipe, by the names that the page has for it."""
+        field = self._dropdown(label, tuple(names), lambda name: self._choose(put(self._now(), names[name])))
+        self._fields.append((field, names, get))
+        return field
+
+    def _dropdown(self, label: str, options: tuple[str, ...], act: Callable[[str], None]) -> Field[str]:
+        dropdown = self._page.gui.add_dropdown(label, options)
+        return Field(dropdown, lambda event: act(event.target.value), self._page, "The recipe stays")
+
+    # --- choices
+
+    def _now(self) -> Recipe:
+        snapshot = self._page.session.snapshot
+        return self._recipe or _asked(snapshot.dataset, snapshot.surface)
+
+    def _choose(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+        self._page.redraw()
+
+    def _take_ready(self, name: str) -> None:
+        if name in words.READY:
+            self._choose(READY_RECIPES[words.READY[name]])
+
+    def _toggle(self, part: str) -> None:
+        self._unfolded ^= {part}
         self._page.redraw()
 
     def _again(self) -> None:
-        self._page.ask("The surface stays", self._page.session.reconstruct(self._recipe))
+        self._page.ask("The surface stays", self._page.session.reconstruct(self._now()))
+
+    # --- showing
+
+    def _forget_another(self, data: OpenDataset | None) -> None:
+        """What was chosen for one dataset is not meant for the next."""
+        of = data.path if data else None
+        if of != self._of:
+            self._of, self._recipe = of, None
+
+    def _show_form(self, recipe: Recipe) -> None:
+        ready = words.ready_name(recipe)
+        set_prop(self._ready.handle, "options", (*words.READY, *((words.OWN,) if ready == words.OWN else ())))
+        self._ready.show(ready)
+        for field, names, get in self._fields:
+            field.show(words.name_of(names, get(recipe)))
+        doubts = not words.believes_all(recipe)
+        self._second.enable(doubts)
+        self._edges.enable(doubts)
+        self._why_not.show("" if doubts else f'<div class="wv-why">{words.BELIEVES_ALL}</div>')
 
 
-def _head(recipe: Recipe, link: str) -> str:
-    words = f"{_name(FOCUS, recipe.focus_measure)} · {_name(PEAK, recipe.peak)}"
-    return f'<div class="wv-h">Reconstruction<span>{html.safe(words)} · {link}</span></div>'
+def _asked(data: OpenDataset | None, info: SurfaceInfo | None) -> Recipe:
+    """The recipe that the surface was asked for by, with what it leaves to the data."""
+    if info is not None and info.asked is not None:
+        return info.asked
+    return data.job.recipe if data is not None else Recipe()
 
 
-def _name(names: dict[str, Any], value: Any) -> str:
-    return next(name for name, key in names.items() if key == value)
+def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]) -> str:
+    """Head, how it was made in one line, what the data chose, the notes."""
+    asked = _asked(data, info)
+    settled = (info.settled if info else None) or asked
+    values = words.chosen_by_data(asked, settled)
+    links = [_link("values", "Details", unfolded)] if values else []
+    links += [_link("form", "Change", unfolded)] if data else []
+    ready = words.ready_name(asked)
+    lead = f"{ready}: " if ready not in ("Default", words.OWN) else ""
+    said = f'<div class="wv-h">Reconstruction<span>{" · ".join(links)}</span></div>'
+    said += f"<div>{html.safe(lead + words.how(settled))}</div>"
+    if values and "values" in unfolded:
+        said += f'<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{html.pairs(values)}</div>'
+    return said + words.notes(info.recipe_notes if info else ())
+
+
+def _link(part: str, name: str, unfolded: set[str]) -> str:
+    shown = "Close" if part == "form" and part in unfolded else "Less" if part in unfolded else name
+    return f'<span class="wv-link" {html.pick("recipe", part)}>{shown}</span>'

@@ -37,7 +37,7 @@ def surface_of(
     files = src[0] if len(src) == 1 else tuple(src)
     stack = open_stack(files, z_step_um, pixel_um, progress=lambda share: tell(READ_SHARE * share))
     surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
-    return surface, summarise(surface, (surface,), result)
+    return surface, summarise(surface, (surface,), result, recipe)
 
 
 def make_surface(path: Path, recipe: Recipe, result: str, *, again: bool, tell: Tell) -> SurfaceInfo:

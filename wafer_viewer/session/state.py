@@ -12,6 +12,7 @@ from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Field, Job, ScanPlan
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
 
 
@@ -148,6 +149,9 @@ class SurfaceInfo:
     high_um: float
     """0.5 and 99.5 % of the heights: the colour range to begin with."""
     recipe_notes: tuple[str, ...] = ()
+    asked: Recipe | None = None
+    settled: Recipe | None = None
+    """The recipe it was made by, and the same with what ``auto`` chose; None where that was not kept."""
 
 
 @dataclass(frozen=True, slots=True)

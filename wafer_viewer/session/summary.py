@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.session.state import SurfaceInfo
@@ -24,8 +25,8 @@ OUTLIERS_BEYOND = 3.0
 """Robust deviations beyond which a difference in an overlap is a false height, not a misfit of fields."""
 
 
-def summarise(mosaic: Mosaic, heights: Sequence[HeightMap], result: str) -> SurfaceInfo:
-    """Read a mosaic once, a block of rows at a time. `heights` are the fields it was made of."""
+def summarise(mosaic: Mosaic, heights: Sequence[HeightMap], result: str, asked: Recipe | None = None) -> SurfaceInfo:
+    """Read a mosaic once, a block of rows at a time. `heights` are the fields it was made of, by the recipe `asked`."""
     rows, cols = mosaic.shape
     pixels = rows * cols
     counts = np.zeros(256, np.int64)
@@ -58,6 +59,8 @@ def summarise(mosaic: Mosaic, heights: Sequence[HeightMap], result: str) -> Surf
         low_um=low_um,
         high_um=high_um,
         recipe_notes=mosaic.provenance.notes,
+        asked=asked,
+        settled=mosaic.provenance.recipe,
     )
 
 
