@@ -69,12 +69,28 @@ def a_focus_curve(x_um: float, y_um: float, measured: bool = True) -> FocusCurve
     )
     clipped = Verdict(
         gate="clipped",
-        question="Is it dark enough for the camera?",
-        score=None,
-        limit=None,
-        unit="",
+        question="Is the window free of pixels that are too bright?",
+        score=0.0,
+        limit=0.3,
+        unit="share of the window",
         passed=True,
-        note="nothing clips in this stack",
+    )
+    inside = Verdict(
+        gate="range",
+        question="Does the peak lie within the sweep?",
+        score=0.0,
+        limit=0.0,
+        unit="1 at an end",
+        passed=True,
+    )
+    windows = Verdict(
+        gate="windows",
+        question="Does a window twice as wide see the same height?",
+        score=0.31 if measured else 28.02,
+        limit=None,
+        unit="um",
+        passed=True,
+        note="This gate is off.",
     )
     return FocusCurve(
         field=1,
@@ -92,7 +108,7 @@ def a_focus_curve(x_um: float, y_um: float, measured: bool = True) -> FocusCurve
         origin="measured" if measured else "ambiguous peak",
         confidence=0.65 if measured else 0.07,
         rivals=(Rival(z_um=TRENCH_UM, share=0.36 if measured else 0.93),),
-        verdicts=(texture, rival, clipped),
+        verdicts=(clipped, texture, inside, rival, windows),
         simulated=True,
     )
 

@@ -75,7 +75,8 @@ def test_a_click_explains_a_pixel_and_another_click_the_next(page: Page, session
         "+30.31",
         "Is there texture to focus on?",
         "passed",
-        "gate is off · nothing clips",
+        "gate is off",
+        "over × 1.56",
         "36 % of the peak",
     ):
         expect(panel).to_contain_text(words.replace(" %", "\u202f%"))

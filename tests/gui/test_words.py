@@ -26,6 +26,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.reconstruct.gate import POWERS
 from wafer_viewer.session.state import Fault
 
 
@@ -211,19 +212,36 @@ def test_a_curve_without_a_point_has_no_pieces():
 def test_every_verdict_says_in_words_what_its_sign_says():
     curve = seen.a_focus_curve(0.0, 0.0, measured=False)
     said = why_words.verdicts(curve)
-    for words in ("passed", "not passed", "gate is off · nothing clips in this stack", "Is there texture to focus on?"):
+    for words in ("passed", "not passed", "gate is off", "Is there texture to focus on?"):
         assert words in said
     assert said.count("<tr") == 1 + len(curve.verdicts)
     assert "Not measured" in why_words.answer(curve)
     assert "Ambiguous peak" in why_words.answer(curve)
 
 
-def test_units_stand_once_where_all_gates_share_them_and_else_with_each():
+def test_scores_and_limits_read_in_one_unit_that_needs_no_logarithm():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert why_words.verdicts(curve).count("powers of two") == 1
-    *others, last = curve.verdicts
-    mixed = replace(curve, verdicts=(*others, replace(last, unit="µm", score=1.0, limit=2.0)))
-    assert why_words.verdicts(mixed).count("powers of two") == 2
+    said = why_words.verdicts(curve)
+    for words in ("× 2.89", 'over</span> × 1.56"', "× 21.1", "up to</span> 30.0\u202f%", "0.31\u202fµm"):
+        assert words.replace('"', "") in said
+    assert "powers" not in said
+    assert "1 at an end" not in said
+    assert {v.unit for v in curve.verdicts} <= set(why_words.FIGURES)
+
+
+def test_the_units_of_gates_are_known():
+    assert POWERS in why_words.FIGURES
+    odd = replace(seen.a_focus_curve(0.0, 0.0).verdicts[0], unit="furlongs", score=1.0, limit=2.0)
+    said = why_words.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
+    assert "in furlongs" in said
+    assert "1.00" in said
+
+
+def test_what_is_off_says_so_once():
+    curve = seen.a_focus_curve(0.0, 0.0)
+    assert why_words.verdicts(curve).count("gate is off") == 1
+    told = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
+    assert "gate is off · Fewer than 12 frames." in why_words.verdicts(replace(curve, verdicts=(told,)))
 
 
 @given(st.text())

@@ -96,8 +96,7 @@ class ReadOutBox:
         view = self._page.view
         read = self._page.session.read_out(x_um, y_um, view.show)
         place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
-        height = f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;"
-        self._text = f'{place}{height}<br><span class="dim">{_trust(read)}</span>&ensp;'
+        self._text = f'{place}{_height(read)}<br><span class="dim">{_trust(read)}</span>&ensp;'
         self._of = _surface(self._page.session.snapshot, view)
         self._page.redraw()
 
@@ -113,6 +112,11 @@ class ReadOutBox:
 def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     stamp = snapshot.surface.stamp if snapshot.surface else None
     return (snapshot.dataset.path if snapshot.dataset else None, view.show, stamp)
+
+
+def _height(read: ReadOut) -> str:
+    """The height; where there is none, nothing: the reason stands below."""
+    return "" if read.z_um is None else f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;"
 
 
 def _trust(read: ReadOut) -> str:

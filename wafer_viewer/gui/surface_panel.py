@@ -192,7 +192,8 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> st
     if info is None:
         return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
     size = f"{number(info.cols, 0)} × {number(info.rows, 0)} points"
-    return f"{info.n_fields} fields · {size} · {share(info.measured_fraction)} measured{calibrated}"
+    fields = "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
+    return f"{fields} · {size} · {share(info.measured_fraction)} measured{calibrated}"
 
 
 def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:

@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import viser
 
 from wafer_viewer.draw.numbers import NOTHING, number, share, with_unit
 from wafer_viewer.gui import html
+from wafer_viewer.gui.recipe_words import FOCUS
 from wafer_viewer.model.evidence import FocusCurve, Verdict
 
-MEASURES = {"tenengrad": "Tenengrad", "sml": "SML", "glv": "GLV"}
+MEASURES = {key: name for name, key in FOCUS.items()}
 """Focus measures as they are written; others by their own name with spaces."""
+GATE_IS_OFF = "gate is off"
+
+
+def _times(powers: float) -> str:
+    """A ratio of the focus measure, told by its power of two: ``× 3.1``."""
+    factor = 2.0 ** min(powers, 60.0)
+    return f"× {number(factor, 2 if factor < 10 else 1 if factor < 100 else 0)}"
+
+
+FIGURES: dict[str, tuple[str, Callable[[float], str]]] = {
+    "powers of two": ("over", _times),
+    "um": ("up to", lambda um: with_unit(um, 2)),
+    "share of the window": ("up to", share),
+    "1 at an end": ("", lambda _: NOTHING),
+}
+"""By the unit of a gate: the word before its limit, and how its score and limit read. Others say their unit below."""
 
 
 def closing(word: str = "Close") -> str:
@@ -39,11 +58,10 @@ def answer(curve: FocusCurve) -> str:
 
 def verdicts(curve: FocusCurve) -> str:
     """Every gate in a row: its question, whether it was passed, score and limit."""
-    units = {v.unit for v in curve.verdicts if v.unit}
-    common = next(iter(units)) if len(units) == 1 else ""
-    rows = [_row(v, "" if common else v.unit) for v in curve.verdicts]
+    ratios = any(v.unit == "powers of two" for v in curve.verdicts)
     heads = ("", "Question", "Score", "Limit")
-    return html.head("What the gates found", common and f"in {common}") + html.table(heads, rows, "  nn")
+    beside = "×: the peak over the rest of the curve" if ratios else ""
+    return html.head("What the gates found", beside) + html.table(heads, map(_row, curve.verdicts), "  nn")
 
 
 def rivals(curve: FocusCurve) -> str:
@@ -64,25 +82,27 @@ def source(curve: FocusCurve) -> str:
     return f"{simulated}{measure}, window {curve.window} × {curve.window} px, {len(curve.z_um)} frames"
 
 
-def _row(verdict: Verdict, unit: str) -> str:
+def _row(verdict: Verdict) -> str:
     icon, tone, word = _sign(verdict)
-    said = " · ".join(text for text in (word, unit and f"in {unit}", verdict.note) if text)
+    before, figure = FIGURES.get(verdict.unit, ("", lambda value: number(value, 2)))
+    unit = f"in {verdict.unit}" if verdict.unit and verdict.unit not in FIGURES else ""
+    note = "" if verdict.note.rstrip(".").casefold().endswith(GATE_IS_OFF) else verdict.note
+    said = " · ".join(text for text in (word, unit, html.micro(note)) if text)
     sign = f'<span style="color:var(--{tone})" aria-hidden="true">{html.icon(icon, 17)}</span>'
     question = f'{html.safe(verdict.question)}<small style="color:var(--{tone})">{html.safe(said)}</small>'
-    return html.row((sign, question, _figure(verdict.score), _figure(verdict.limit)), "  nn")
+    score = NOTHING if verdict.score is None else figure(verdict.score)
+    limit = NOTHING if verdict.limit is None else figure(verdict.limit)
+    bound = f'<span class="dim">{before}</span> {limit}' if before and limit != NOTHING else limit
+    return html.row((sign, question, score, bound), "  nn")
 
 
 def _sign(verdict: Verdict) -> tuple[object, str, str]:
     """Icon, tone and word: never colour alone."""
     if verdict.limit is None and verdict.passed:
-        return viser.Icon.MINUS, "ink3", "gate is off"
+        return viser.Icon.MINUS, "ink3", GATE_IS_OFF
     if verdict.passed:
         return viser.Icon.CHECK, "good", "passed"
     return viser.Icon.X, "fault", "not passed"
-
-
-def _figure(value: float | None) -> str:
-    return NOTHING if value is None else number(value, 2)
 
 
 def _card(label: str, value: str, unit: str, below: str, style: str, size_px: int) -> str:
