@@ -12,6 +12,8 @@ from tests.browser.seen_session import SeenSession, a_focus_curve
 from tests.browser.steps import eventually, go_to, title_is
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.evidence import FocusCurve
+from wafer_viewer.model.surface import Origin
+from wafer_viewer.session.questions import ReadOut
 
 pytestmark = [
     pytest.mark.browser,
@@ -91,6 +93,15 @@ def test_a_click_explains_a_pixel_and_another_click_the_next(page: Page, session
     expect(panel).to_contain_text("Ambiguous peak")
     expect(panel).to_contain_text("not passed")
     expect(dock).to_contain_text("not believed")
+
+
+def test_of_a_pixel_without_a_height_the_read_out_says_only_why(page: Page, session: SeenSession):
+    unmeasured = ReadOut(z_um=None, confidence=0.1, origin=Origin.STEP_EDGE)
+    session.read_out = lambda x_um, y_um, show=0: unmeasured
+    expect(page.locator(".wv-read")).to_contain_text("z +21.86")
+    click_the_surface(page, 30, 10)
+    expect(page.locator(".wv-read")).to_contain_text("at the edge of a step")
+    expect(page.locator(".wv-read")).not_to_contain_text("z ")
 
 
 def test_the_line_through_the_curve_leads_through_the_frames(page: Page):
