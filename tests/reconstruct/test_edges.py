@@ -45,6 +45,13 @@ DIES = Layout(
     5,
     settings={"pitch_px": 150.0, "trench_px": 52.0, "bare_share": 0.0, "die_contrast": 0.18},
 )
+POLISHED = Layout(
+    "polished",
+    Optics(0.28, views=100),
+    10,
+    scene="rim",
+    settings={"pitch_px": 190.0, "trench_px": 40.0, "bare_share": 0.0, "die_contrast": 0.3},
+)
 REVERSED = replace(DIES, settings={**DIES.settings, "die_grey": 0.6, "trench_grey": 0.1})
 RECIPE = Recipe(focus_measure="log_laplacian", window=9, focus_width_um=8.0)
 CAMERA = CameraNoise(0.5, 80.0)
@@ -121,6 +128,15 @@ def test_bright_dies_over_a_dark_trench() -> None:
     assert before[1] > 0.1
     assert after[1] < 0.03
     assert after[0] > 0.7
+
+
+def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
+    taken = take(POLISHED, SHAPE, Z_UM)
+    inside = (taken.scene.layer == 1) & ~taken.scene.edge
+    before, after = (kept_and_false(made(taken.stack, mode), taken, inside) for mode in ("none", "rims"))
+    assert before[1] > 0.15
+    assert after[1] < 0.009
+    assert after[0] > 0.4
 
 
 def test_it_works_for_every_measure(dies: Taken) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.truth.layouts import Layout, Taken, take
 from tests.truth.views import Optics
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.recipe import Outliers, Recipe
+from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.clean import Cleaned, clean, settle_cleaning
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.jumps import apart_um
 from wafer_viewer.reconstruct.why import focus_curve
@@ -32,6 +35,42 @@ def test_heights_apart_are_seen_from_half_a_window_away() -> None:
     assert (found[:, away < 4] == 40).all()
     assert (found[:, away > 6] == 0).all()
     assert (apart_um(np.full((6, 7), np.nan, np.float32), 9) < 0).all()
+
+
+def test_a_slope_is_as_steep_at_the_border_as_inside() -> None:
+    z_um = np.broadcast_to(np.arange(40, dtype=np.float32), (30, 40))
+    for slope in (z_um, z_um.T):
+        found = apart_um(slope, 9)
+        assert np.ptp(found) == 0
+        assert found[0, 0] == 9
+
+
+def cleaned_of(z_um: NDArray[np.float32], bled_um: NDArray[np.float32] | None = None) -> Cleaned:
+    """A map whose resolution is 4 um and in which no silhouette tells sides apart."""
+    recipe = settle_cleaning([z_um], changed(Recipe(window=9), outliers=Outliers(mode="none")), 4.0)
+    return clean(z_um, 0.5, recipe, 4.0, np.zeros(z_um.shape, np.bool_), bled_um)
+
+
+def test_no_sliver_of_a_steep_slope_is_left() -> None:
+    z_um = np.zeros((60, 80), np.float32)
+    z_um[:, 20:] = 1.6 * np.arange(60)
+    z_um[:, 60:] = np.nan
+    z_um[30:33, 60:70] = 50.0
+    z_um[10, 50:] = np.nan
+    found = cleaned_of(z_um)
+    assert np.isfinite(found.raw_um[:, :14]).all()
+    assert np.isnan(found.raw_um[:, 22:]).all()
+    assert found.step_edge[20, 30]
+    assert found.outlier[31, 68]
+
+
+def test_what_goes_on_from_bled_heights_is_left_out() -> None:
+    everything = 1.6 * np.arange(80, dtype=np.float32) * np.ones((60, 1), np.float32)
+    beyond = np.arange(80) >= 76
+    z_um, bled_um = (np.where(where, everything, np.float32(np.nan)) for where in (beyond, ~beyond))
+    alone, beside = cleaned_of(z_um), cleaned_of(z_um, bled_um)
+    assert np.isfinite(alone.raw_um[:, 76:]).all()
+    assert beside.step_edge[:, 76:].all()
 
 
 def test_what_stays_beside_a_step_is_of_its_own_side(stair: Taken) -> None:

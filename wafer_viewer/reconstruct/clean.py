@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.recipe import Levy, Recipe
 from wafer_viewer.model.spec import replace
+from wafer_viewer.numerics.islands import small_islands
 from wafer_viewer.reconstruct.fill import fill
 from wafer_viewer.reconstruct.jumps import JUMP_STEPS, apart_um
 from wafer_viewer.reconstruct.levy import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth
@@ -45,22 +46,44 @@ class Cleaned:
 
 
 def clean(
-    z_um: Map, pixel_um: float, recipe: Recipe, resolution_um: float, told_apart: NDArray[np.bool_] | None = None
+    z_um: Map,
+    pixel_um: float,
+    recipe: Recipe,
+    resolution_um: float,
+    told_apart: NDArray[np.bool_] | None = None,
+    bled_um: Map | None = None,
 ) -> Cleaned:
     """Clean a gated map, NaN where unmeasured, by a settled recipe.
 
     resolution_um: what the optics resolve along z, the measure of what counts as a step of the surface; told_apart:
-    where it is known which side of a wall a pixel is on, None where nobody asks for the edges of steps.
+    where it is known which side of a wall a pixel is on, None where nobody asks for the edges of steps; bled_um: the
+    heights that were left out because light bled there, NaN elsewhere: what goes on from them is beside a jump, too.
     """
     smoothed = smooth(z_um, recipe.levy, resolution_um)
     outlier = find_outliers(z_um, smoothed, pixel_um, recipe)
     raw, step_edge = np.where(outlier, np.float32(np.nan), z_um), np.zeros(z_um.shape, np.bool_)
     if told_apart is not None:
-        near_jump = apart_um(raw, int(recipe.window)) > JUMP_STEPS * resolution_um
-        step_edge = near_jump & ~told_apart & np.isfinite(raw)
+        step_edge = _step_edges(raw, bled_um, recipe, resolution_um) & ~told_apart
         raw[step_edge] = np.nan
+        if step_edge.any():
+            outlier |= _leftovers(raw, recipe, resolution_um) & ~told_apart
+            raw[outlier] = np.nan
     smoothed[outlier | step_edge] = np.nan
     return Cleaned(fill(smoothed, recipe.fill, resolution_um), raw, outlier, step_edge)
+
+
+def _step_edges(z_um: Map, bled_um: Map | None, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
+    """Which heights have others within about half a window that are not of the same surface."""
+    seen_um = z_um if bled_um is None else np.where(np.isnan(z_um), bled_um, z_um)
+    return (apart_um(seen_um, int(recipe.window)) > JUMP_STEPS * resolution_um) & np.isfinite(z_um)
+
+
+def _leftovers(z_um: Map, recipe: Recipe, resolution_um: float) -> NDArray[np.bool_]:
+    """What stands alone once the edges of steps are gone, which took about half a window from each side of a piece.
+
+    A sliver of a slope that light made up may look flat by itself, and is smaller than the window that saw it.
+    """
+    return small_islands(z_um, OUTLIER_FLOOR_STEPS * resolution_um, int(recipe.window) ** 2)
 
 
 def settle_cleaning(maps: Sequence[Map], recipe: Recipe, resolution_um: float) -> Recipe:

@@ -62,7 +62,7 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged)
     peaks, origin = judged.peaks, judged.origin
     recipe, resolution_um = settled.recipe, settled.resolution_um
     raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
-    clear = clean(raw, stack.pixel_um, recipe, resolution_um, judged.told_apart)
+    clear = clean(raw, stack.pixel_um, recipe, resolution_um, judged.told_apart, judged.bled_um)
     origin = np.where(clear.outlier, np.uint8(Origin.OUTLIER), origin)
     origin = np.where(clear.step_edge, np.uint8(Origin.STEP_EDGE), origin)
     return HeightMap(

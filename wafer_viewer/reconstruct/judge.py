@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.evidence import Verdict
+from wafer_viewer.model.surface import Origin
 from wafer_viewer.reconstruct.edges import Edges, EdgeSearch, find_edges, judge_edges
 from wafer_viewer.reconstruct.gate import LEAST_FRAMES, POWERS, Check, Gate, checks, first_failed, gate_of
 from wafer_viewer.reconstruct.noise import noise_scores
@@ -53,6 +54,13 @@ class Judged:
         if not self.edges_asked:
             return None
         return np.zeros(self.origin.shape, np.bool_) if self.edges is None else self.edges.side != Side.AWAY
+
+    @property
+    def bled_um(self) -> NDArray[np.float32] | None:
+        """The heights as seen where light bled, NaN elsewhere; None where there are no walls."""
+        if self.edges is None:
+            return None
+        return np.where(self.origin == Origin.BLEEDING_EDGE, self.seen_um, np.float32(np.nan))
 
     def verdicts(self, row: int, col: int) -> tuple[Verdict, ...]:
         """What every gate says of a pixel, the one that explains most first."""
