@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Real, Whole
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel
 
 
 def small_islands(z: Float32s, max_step: Real, min_pixels: Whole) -> Bools:
@@ -30,7 +30,7 @@ def narrow_parts(z: Float32s, max_step: Real, side: Whole) -> Bools:
     return np.isfinite(z) & ~covered[side:-side, side:-side]
 
 
-@kernel
+@lean_kernel
 def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
     """Union-find with path halving; a root is the first pixel of its piece, so that a last sweep needs no search."""
     n_cols = z.shape[1]
@@ -51,7 +51,7 @@ def _join_alike(z: Float32s, max_step: Real, root: Int32s) -> None:
         root[n] = root[root[n]]
 
 
-@kernel
+@lean_kernel
 def _cover(z: Float32s, max_step: Real, side: Whole, scratch: Int32s, covered: Bools) -> None:
     """Mark what the joined squares cover: from their lower right pixels leftward, then upward.
 

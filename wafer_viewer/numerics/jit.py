@@ -75,9 +75,10 @@ def inlined_part(function: F) -> F:
     """A part of `lean_kernel`s that hands rows on: called it would copy their descriptions over the stack twice.
 
     A copy that is read in other pieces than it was written in waits until all that was written before has reached the
-    cache, and what was written before is a row of the focus volume.
+    cache, and what was written before is a row of the focus volume. It is copied into its callers before their types
+    are known, so that it is compiled with them and not once more alone.
     """
-    return cast(F, numba.njit(forceinline=True, **_PART)(function))
+    return cast(F, numba.njit(inline="always", **_PART)(function))
 
 
 def inline_kernel(function: F) -> F:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Int64s, Real, Whole
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel
 
 REACH_PX = 5
 """To either side: along a line of 11 pixels what is up to 5 wide is the lesser part."""
@@ -38,7 +38,7 @@ def line_medians_at(padded: Float32s, rows: Int64s, cols: Int64s) -> Float32s:
     return out
 
 
-@kernel
+@lean_kernel
 def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None:
     """A value is far from a line's median when most of the line is out of its reach on one side: counting, no sorting.
 
@@ -64,14 +64,14 @@ def _mark_far(padded: Float32s, limit: Real, counts: Int32s, far: Bools) -> None
             far[r, x] = lines[x] == 4
 
 
-@kernel
+@lean_kernel
 def _middle_medians(padded: Float32s, rows: Int64s, cols: Int64s, scratch: Float32s, out: Float32s) -> None:
     line_of, medians = scratch[0], scratch[1]
     for n in range(rows.size):
         row, col = int(rows[n]) + REACH_PX, int(cols[n]) + REACH_PX
         for line in range(4):
             down, right = (0, 1) if line == 0 else (1, line - 2)
-            count = 0
+            count = np.int64(0)
             for s in range(-REACH_PX, REACH_PX + 1):
                 v = padded[row + s * down, col + s * right]
                 if v == v:
@@ -80,7 +80,7 @@ def _middle_medians(padded: Float32s, rows: Int64s, cols: Int64s, scratch: Float
         out[n] = np.float32(0.5) * (medians[1] + medians[2])
 
 
-@kernel
+@lean_kernel
 def insert_sorted(values: Float32s, count: Whole, v: Real) -> int:
     """Put v into the first `count` values, which ascend; returns how many there are then."""
     at = count

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Int32s, Int64s, Real, Whole
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel
 
 REACH_PX = 3
 
@@ -28,7 +28,7 @@ def near_counts(padded: Float32s, limit: Real) -> Int32s:
     return out
 
 
-@kernel
+@lean_kernel
 def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
     for r in range(out.shape[0]):
         near, here = out[r], padded[r + REACH_PX, REACH_PX:]
@@ -39,7 +39,7 @@ def _count_near(padded: Float32s, limit: Real, out: Int32s) -> None:
                     near[x] += np.int32(abs(other[x] - here[x]) <= limit)
 
 
-@kernel
+@lean_kernel
 def _mean_distances(padded: Float32s, rows: Int64s, cols: Int64s, nearest: Float32s, out: Float32s) -> None:
     """`nearest` holds the sorted list of the nearest so far; the furthest drops out when it is full."""
     for n in range(rows.size):

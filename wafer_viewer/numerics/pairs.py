@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Real
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel
 
 REACH_PX = 4
 _STRIDE_PX = 2
@@ -24,7 +24,7 @@ def pair_mean(z: Float32s, limit: Real) -> Float32s:
     return out
 
 
-@kernel
+@lean_kernel
 def _average(padded: Float32s, limit: Real, scratch: Float32s, out: Float32s) -> None:
     """A middle has half the variance of a pixel, so that it weighs twice as much: the pixel itself counts a half."""
     total, count = scratch[0], scratch[1]

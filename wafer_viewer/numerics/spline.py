@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Real, Whole
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel
 
 
 def fill_rows(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
@@ -29,12 +29,12 @@ def fill_gaps(z: Float32s, max_gap: Whole, max_step: Real) -> Float32s:
     return np.float32(0.5) * (by_row + np.where(np.isnan(by_col), by_row, by_col))
 
 
-@kernel
+@lean_kernel
 def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> None:
     """One run after the other: from its first measured pixel to the last one before a step or a long gap."""
     at, bend, factor = scratch[0], scratch[1], scratch[2]
     for r in range(z.shape[0]):
-        row, count = z[r], 0
+        row, count = z[r], np.int64(0)
         for x in range(row.size + 1):
             ends = x == row.size
             if not ends and row[x] == row[x]:
@@ -45,12 +45,12 @@ def _fill(z: Float32s, max_gap: Whole, max_step: Real, scratch: Float64s) -> Non
                 continue
             if ends and count > 1 and at[count - 1] - at[0] > count - 1:
                 _spline(row, at, count, bend, factor)
-            count = 0 if ends else count
+            count = np.int64(0) if ends else count
             at[count] = x
             count += 1
 
 
-@kernel
+@lean_kernel
 def _spline(row: Float32s, at: Float64s, count: Whole, bend: Float64s, factor: Float64s) -> None:
     """Second derivatives at the measured pixels, zero at both ends; then the heights between them."""
     last = count - 1

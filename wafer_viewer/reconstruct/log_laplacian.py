@@ -145,7 +145,7 @@ def log_laplacian_block(
                 keep_row(volume, k, r - 2 * margin)
 
 
-@lean_part
+@inlined_part
 def _ring_unit(window: Whole) -> Real:
     """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
     unit = 1 << LEVEL_BITS
@@ -175,19 +175,18 @@ def _stabilise(
 ) -> None:
     """Row y in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
     scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), volume.levels.shape[0] - 1
-    grey, cols = rows.grey, volume.best.shape[1]
-    take_grey(source, k, y, margin, cols, grey[0])
+    grey = rows.grey
+    before, after = k - lag if k >= lag else k + lag, k + lag if k + lag <= last else k - lag
+    for n in range(3 if lag else 1):
+        take_grey(source, k if n == 0 else before if n == 1 else after, y, margin, volume.best.shape[1], grey[n])
     if lag == 0:
         _root(grey[0], scale, offset, stable)
-        return
-    at_an_end = k - lag < 0 or k + lag > last
-    here = np.float32(_HIGH_PASS_AT_AN_END if at_an_end else _HIGH_PASS)
-    take_grey(source, k - lag if k >= lag else k + lag, y, margin, cols, grey[1])
-    take_grey(source, k + lag if k + lag <= last else k - lag, y, margin, cols, grey[2])
-    _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
+    else:
+        here = np.float32(_HIGH_PASS_AT_AN_END if k < lag or k + lag > last else _HIGH_PASS)
+        _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
 
 
-@lean_part
+@inlined_part
 def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
     for x in range(stable.size - AHEAD):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
@@ -269,7 +268,7 @@ def _across(scale: Real, rows: LogRows, level: UInt16s) -> None:
     _as_level(rows.total, scale, level)
 
 
-@lean_part
+@inlined_part
 def _as_level(total: Int32s, scale: Real, level: UInt16s) -> None:
     half = np.float32(0.5)
     for x in range(level.size):

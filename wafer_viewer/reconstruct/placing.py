@@ -114,12 +114,18 @@ def place_row(how: Placing, spots: Spots, z_um: Float32s) -> None:
             z_um[x] = _tent(below[x], z[x], above[x], left[x], top[x], right[x])
     else:
         if how.estimator == _BLUR_LAW:
-            for x in range(z_um.size):
-                left[x] = _variance(left[x], top[x], floor[x], how.power)
-                right[x] = _variance(right[x], top[x], floor[x], how.power)
-                top[x] = -1.0
+            _variances(left, top, floor, how.power)
+            _variances(right, top, floor, how.power)
+            top[:] = -1.0
         for x in range(z_um.size):
             z_um[x] = _parabola(below[x], z[x], above[x], left[x], top[x], right[x])
+
+
+@lean_part
+def _variances(level: Float64s, top: Float64s, floor: Float64s, power: Real) -> None:
+    """`_variance` for a row of pixels, in their place."""
+    for x in range(level.size):
+        level[x] = _variance(level[x], top[x], floor[x], power)
 
 
 @inline_kernel

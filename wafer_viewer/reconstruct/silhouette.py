@@ -116,8 +116,8 @@ def silhouette_block(
     margin, cols = SILHOUETTE_MARGIN_PX, 2 * out.contrast.shape[1]
     for k in range(0, source.slots.size, every):
         for r in range(out.contrast.shape[0] + margin):
-            take_grey(source, k, 2 * r - margin, margin, cols, rows.grey[0])
-            take_grey(source, k, 2 * r - margin + 1, margin, cols, rows.grey[1])
+            for n in range(2):
+                take_grey(source, k, 2 * r - margin + n, margin, cols, rows.grey[n])
             _bin(rows.grey[0], rows.grey[1], rows.pairs, rows.bins[r % 3])
             if r >= 2:
                 _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, Whole, aligned
-from wafer_viewer.numerics.jit import lean_kernel, lean_part
+from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.log_laplacian import Stabiliser
 
@@ -108,13 +108,13 @@ def tangential_levels(block: Greys, window: Whole, stabiliser: Stabiliser, wall:
         _double_box(tile.logs, n_rows - 8, window, tile.rows, tile.smooth, tile.levels[k])
 
 
-@lean_part
+@inlined_part
 def _stabilised(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
     for x in range(stable.size):
         stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
 
 
-@lean_part
+@inlined_part
 def _binomial(values: Float32s, out: Float32s) -> None:
     """[1 4 6 4 1] / 16 along a row; the last four pixels hold nothing of use."""
     a, b, c, d = values[1:], values[2:], values[3:], values[4:]
@@ -123,7 +123,7 @@ def _binomial(values: Float32s, out: Float32s) -> None:
         out[x] = part * (values[x] + d[x] + np.float32(4) * (a[x] + c[x]) + np.float32(6) * b[x])
 
 
-@lean_part
+@inlined_part
 def _binomial_down(plane: Float32s, r: Whole, out: Float32s) -> None:
     v, a, b, c, d = plane[r], plane[r + 1], plane[r + 2], plane[r + 3], plane[r + 4]
     part = np.float32(1 / 16)
@@ -201,7 +201,7 @@ def _along(values: Float32s, window: Whole, out: Float32s) -> None:
             out[x] += ahead[x]
 
 
-@lean_part
+@inlined_part
 def _scaled(values: Float32s, part: Real, level: Float32s) -> None:
     for x in range(level.size):
         level[x] = part * values[x]
