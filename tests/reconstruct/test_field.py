@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.reconstruct.field import reconstruct, settled_recipe, warm_up
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
+from wafer_viewer.reconstruct.log_laplacian import log_laplacian_block
+from wafer_viewer.reconstruct.search import STRIPE_ROWS
 
 MakeStack = Callable[..., FieldStack]
+KERNEL: Any = log_laplacian_block
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +140,14 @@ def test_small_and_odd_frames_are_welcome(make_stack: MakeStack, shape: tuple[in
 
 
 def test_warming_up_compiles_what_a_reconstruction_needs(plane_stack: FieldStack) -> None:
-    from wafer_viewer.reconstruct.paper_measures import focus_block
-
     warm_up()
-    compiled = len(focus_block.signatures)
+    compiled = len(KERNEL.signatures)
     reconstruct(plane_stack)
-    assert len(focus_block.signatures) == compiled
+    assert len(KERNEL.signatures) == compiled
+
+
+def test_fields_of_one_stripe_and_of_several_take_the_same_kernels(plane_stack: FieldStack) -> None:
+    reconstruct(plane_stack)
+    reconstruct(plane_stack.part(slice(0, STRIPE_ROWS), slice(0, 128)))
+    of_images = [images for images, *_ in KERNEL.signatures]
+    assert len(set(of_images)) == len(of_images)

@@ -125,9 +125,15 @@ def search_block(source: Source, z_um: NDArray[np.float64], search: Search, benc
 
 
 def fill_volume(source: Source, search: Search, rows: Any, volume: Volume) -> None:
-    """Measure the frames of a source; `rows` are those that the measure made to work in."""
+    """Measure the frames of a source; `rows` are those that the measure made to work in.
+
+    The coarse levels of a stripe lie apart in those of a field, and those of a small field do not: two types to the
+    kernels, which would be compiled for each. So they are written side by side and then copied.
+    """
     focusing = Focusing(search.window, search.camera, search.lag)
-    FOCUS_MEASURES[search.measure].fill(source, focusing, rows, volume)
+    coarse = np.empty(volume.coarse.shape, np.uint16)
+    FOCUS_MEASURES[search.measure].fill(source, focusing, rows, volume._replace(coarse=coarse))
+    volume.coarse[:] = coarse
 
 
 def find_peaks(
