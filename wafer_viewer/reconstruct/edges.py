@@ -196,13 +196,15 @@ def _search_along(
     stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
 
     def one(at: tuple[slice, slice]) -> None:
-        part, (rows, cols) = expected[at], at
+        part, (rows, cols) = np.ascontiguousarray(expected[at]), at  # views would be compiled for once more
         first = max(0, int(np.nanmin(part)) - near.frames)
         stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
         tile = Tile.make(stop - first, part.shape, how.window)
         block = read_part(frames, slice(first, stop), rows, cols, margin)
         tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
-        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, z_um[at], fall[at])
+        found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
+        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
+        z_um[at], fall[at] = found_um, found_fall
 
     on_threads(one, _tiles(np.isfinite(wanted_um)), threads)
 

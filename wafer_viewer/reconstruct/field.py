@@ -14,6 +14,7 @@ from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct import edges
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled
+from wafer_viewer.reconstruct.gate import LEAST_FRAMES
 from wafer_viewer.reconstruct.judge import Judged, judge
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames, prepare
@@ -79,10 +80,12 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged)
 
 
 def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
-    """Compile every kernel, or load what an earlier run compiled, on a tiny stack."""
-    grey = np.random.default_rng(0).integers(0, 200, (8, 32, 64)).astype(dtype)
+    """Compile every kernel, or load what an earlier run compiled, on a tiny stack that is sharp in its middle."""
+    n_frames = LEAST_FRAMES  # in fewer the windows are not compared
+    sharp = 5 + 40 * np.exp(-((np.arange(n_frames) - n_frames // 2) ** 2.0))[:, None, None]
+    grey = (128 + sharp * np.random.default_rng(0).normal(0, 1, (n_frames, 48, 64))).clip(0, 255).astype(dtype)
     field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
-    stack = FieldStack(field, grey, np.arange(8.0), np.ones(8, bool), 1.0)
+    stack = FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)
     reconstruct(stack, recipe, threads=1)
     if recipe.edges != "none":
         edges.warm_up(prepare(stack), window=9)

@@ -63,6 +63,7 @@ def _search_rows(
     spots: Spots,
     out: Float32s,
 ) -> None:
+    only = np.int64(0)  # a plain 0 would be a type of its own, and what takes it compiled once more
     for y in range(out.shape[0]):
         curves.best[:] = 0
         curves.peak[:] = 0
@@ -70,9 +71,9 @@ def _search_rows(
             _average(coarse, k, y, cells, line, curves.levels[k, 0])
             note(curves.levels[k, 0], np.uint16(k), curves.best[0], curves.peak[0])
         if how.blend:
-            gather_blended(curves, 0, z_um, how, spots)
+            gather_blended(curves, only, z_um, how, spots)
         else:
-            gather(curves, 0, z_um, how, spots)
+            gather(curves, only, z_um, how, spots)
         place_row(how, spots, out[y])
 
 
