@@ -22,7 +22,7 @@ from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.log_laplacian import Stabiliser
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.sides import BAND_REACH_PX, find_band
-from wafer_viewer.reconstruct.silhouette import silhouette_of
+from wafer_viewer.reconstruct.silhouette import Silhouette, silhouette_of
 from wafer_viewer.reconstruct.tangential import (
     Near,
     Tile,
@@ -48,9 +48,9 @@ DIES = Layout(
 POLISHED = Layout(
     "polished",
     Optics(0.28, views=100),
-    10,
+    7,
     scene="rim",
-    settings={"pitch_px": 190.0, "trench_px": 40.0, "bare_share": 0.0, "die_contrast": 0.3},
+    settings={"pitch_px": 170.0, "trench_px": 40.0, "bare_share": 0.0, "die_contrast": 0.4},
 )
 REVERSED = replace(DIES, settings={**DIES.settings, "die_grey": 0.6, "trench_grey": 0.1})
 RECIPE = Recipe(focus_measure="log_laplacian", window=9, focus_width_um=8.0)
@@ -134,9 +134,20 @@ def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
     taken = take(POLISHED, SHAPE, Z_UM)
     inside = (taken.scene.layer == 1) & ~taken.scene.edge
     before, after = (kept_and_false(made(taken.stack, mode), taken, inside) for mode in ("none", "rims"))
-    assert before[1] > 0.15
-    assert after[1] < 0.009
-    assert after[0] > 0.4
+    assert before[1] > 0.05
+    assert after[1] < 0.002
+    assert after[0] > 0.25
+
+
+def test_sides_are_told_where_the_nearest_wall_is_sharp() -> None:
+    found = Silhouette.empty((60, 100))
+    for col, contrast, frame in ((20, 1.0, 10), (26, 2.0, 30)):
+        found.contrast[:, col], found.frame[:, col], found.standing[:, col] = contrast, frame, 20
+    band = find_band(found, 4)
+    assert band is not None
+    assert (band.frame[:, 18:23] == 10).all()
+    assert (band.frame[:, 24:29] == 30).all()
+    assert (band.frame[band.inside] > 0).all()
 
 
 def test_it_works_for_every_measure(dies: Taken) -> None:

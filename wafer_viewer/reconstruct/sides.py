@@ -32,7 +32,7 @@ DEEP_SHARE = 0.9
 
 _LEVELS_PX = 5
 _REACH = BAND_REACH_PX // 2
-_RIDGE_REACH = 2 * _REACH
+_NEARER_FIRST = (_REACH // 2, 2 * _REACH)
 _RIDGE_SHARE = 0.8
 _CONTRAST_UNIT = 16384.0
 _LOG_UNIT = 4096.0
@@ -123,14 +123,20 @@ def outline_grey(source: Source, first: Whole, inside: Bools, frame: UInt16s, gr
 
 
 def _strongest(contrast: NDArray[np.float32], carried: NDArray[np.uint16]) -> NDArray[np.uint32]:
-    """What the wall of the greatest contrast near by carries, in the lower 16 bits; 0 where there is no wall."""
+    """What the wall next to each pixel carries, in the lower 16 bits; 0 where there is no wall.
+
+    Of the walls that are about as near the strongest one speaks: a bright line beside a wall speaks for itself only.
+    """
     strength = np.minimum(contrast * np.float32(_CONTRAST_UNIT), np.float32(65535)).astype(np.uint32)
-    keyed = (strength << np.uint32(16)) | carried.astype(np.uint32)
-    return highest(np.where(contrast > 0, keyed, np.uint32(0)), 2 * _RIDGE_REACH + 1)
+    keyed = np.where(contrast > 0, (strength << np.uint32(16)) | carried.astype(np.uint32), np.uint32(0))
+    found = np.zeros_like(keyed)
+    for reach in _NEARER_FIRST:
+        found = np.where(found > 0, found, highest(keyed, 2 * reach + 1))
+    return found
 
 
 def _spread(contrast: NDArray[np.float32], log: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A logarithm as it is at the strongest wall near by, smoothed a little."""
+    """A logarithm as it is at the wall next to each pixel, smoothed a little."""
     found = _strongest(contrast, (np.clip(log, 0, 15) * np.float32(_LOG_UNIT)).astype(np.uint16))
     return mean_of_known(found & np.uint32(0xFFFF), found > 0, 3) / np.float32(_LOG_UNIT)
 
