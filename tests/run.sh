@@ -80,7 +80,7 @@ if [ "$what" != setup ]; then
   step "Fast tests" "$bin/python" -m pytest -q -m "not slow and not browser and not hardware"
 fi
 if [ "$what" = all ]; then
-  for bench in tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/speed.py; do
+  for bench in tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py; do
     step "Benchmark $(basename "$bench" .py), quick run" "$bin/python" "$bench" --quick
   done
   step "Slow tests and browser tests" "$bin/python" -m pytest -q -m "(slow or browser) and not hardware"
