@@ -70,7 +70,8 @@ class Judged:
 def judge(frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = None) -> Judged:
     """Hold the peaks of a field to everything that the recipe asks for. threads: all cores when left out."""
     gate, enough = gate_for(settled, frames.n_frames), frames.n_frames >= LEAST_FRAMES
-    wide_um = _wide_um(frames, settled, peaks) if np.isfinite(gate.window_tolerance_um) else None
+    compare = np.isfinite(gate.window_tolerance_um)
+    wide_um = wide_heights(peaks, frames.z_um, settled.search) if compare else None
     asked = checks(peaks, gate, frames.n_frames, wide_um)
     origin = mark_uncovered(first_failed(asked), frames, settled.search.margin_px)
     how = edge_search(settled) if enough else None
@@ -108,10 +109,6 @@ def window_along(search: Search) -> int:
     if search.measure == "log_laplacian":
         return search.window
     return 2 * round((search.window * _BOXES_OF_A_TRIANGLE - 1) / 2) + 1
-
-
-def _wide_um(frames: Frames, settled: Settled, peaks: Peaks) -> NDArray[np.float32]:
-    return wide_heights(peaks, frames.z_um, settled.search)
 
 
 def _off(settled: Settled, n_frames: int) -> tuple[str, ...]:
