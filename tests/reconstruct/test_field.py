@@ -46,7 +46,7 @@ def test_it_lies_where_the_field_was(make_stack: MakeStack, plane_um: NDArray) -
 def test_the_result_says_how_it_was_made(make_stack: MakeStack, plane_um: NDArray) -> None:
     stack = make_stack(plane_um, np.arange(20.0, 104.0, 4.0), simulated=True, checksum="abc")
     made = reconstruct(stack).provenance
-    assert not made.recipe.has_auto
+    assert not made.recipe.heights_have_auto
     assert made.recipe == settled_recipe(stack)
     assert made.simulated
     assert (made.input_checksum, made.software_version, made.z_step_um) == ("abc", __version__, 4.0)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.model.spec import Positive, Spec, Within
+from wafer_viewer.model.spec import Positive, Spec, Within, replace
 
 Auto = Literal["auto"]
 Window = Annotated[int, Within(3, 25, odd=True)]
@@ -62,11 +62,21 @@ class Noise(Spec, frozen=True, kw_only=True):
 
 
 class Stitching(Spec, frozen=True, kw_only=True):
-    """How fields become one surface: where they are placed and how overlaps are blended."""
+    """How fields become one surface: where they are placed and how overlaps are blended.
+
+    poses: found from the overlaps (`registered`), with the stage as prior, or those of the stage; blend: by confidence,
+    fading out towards a field's border, or the paper's linear ramps along X and Y (eq. 15-16).
+    stage_error_um, z_error_um, tilt_error: how far the stage is off as a rule, standard deviations (tilt in um per um);
+    search_um: how far from the stage's word a neighbour is looked for. ``auto`` asks the overlaps.
+    """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    poses: Literal["stage"] = "stage"
-    blend: Literal["ramp"] = "ramp"
+    poses: Literal["registered", "stage"] = "stage"
+    blend: Literal["confidence", "ramp"] = "ramp"
+    search_um: Positive | Auto = "auto"
+    stage_error_um: Positive | Auto = "auto"
+    z_error_um: Positive | Auto = "auto"
+    tilt_error: Positive | Auto = "auto"
 
 
 class Recipe(Spec, frozen=True, kw_only=True):
@@ -114,6 +124,7 @@ class Recipe(Spec, frozen=True, kw_only=True):
             levy=Levy(mode="literal", n_sigma=3.0, alpha=0.5, beta=1.5, iterations=30),
             outliers=Outliers(mode="cloud", n_sigma=1.0, floor_um=0.001),
             fill=Fill(mode="all"),
+            stitching=Stitching(poses="stage", blend="ramp"),
             measure_on="smoothed",
         )
 
@@ -121,6 +132,15 @@ class Recipe(Spec, frozen=True, kw_only=True):
     def has_auto(self) -> bool:
         """Whether any choice is left to the data."""
         return "auto" in _values(msgspec.to_builtins(self))
+
+    @property
+    def heights_have_auto(self) -> bool:
+        """Whether any choice is left to the data on the way to the heights of a field."""
+        return replace(self, stitching=_STAGE_ONLY).has_auto
+
+
+_STAGE_ONLY = Stitching(search_um=1.0, stage_error_um=1.0, z_error_um=1.0, tilt_error=1.0)
+"""Nothing in it is left to the data."""
 
 
 def _values(data: object) -> list[object]:

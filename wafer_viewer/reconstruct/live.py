@@ -35,7 +35,7 @@ class LiveField:
     """
 
     def __init__(self, images: Image, z_step_um: float, recipe: Recipe) -> None:
-        if recipe.has_auto:
+        if recipe.heights_have_auto:
             raise ComputeError("A live field needs a settled recipe: this one leaves choices to data yet to come.")
         if images.dtype != np.uint8 or not images.flags.c_contiguous:
             raise ComputeError(f"A live field needs whole pages of 8-bit grey, not {images.dtype}: wait for its stack.")

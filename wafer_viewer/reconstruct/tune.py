@@ -64,7 +64,7 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
     confidence = _min_confidence(recipe, search, frames.n_frames)
     settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
-    maps = gated_tiles(frames, settled, search) if settled.has_auto else []
+    maps = gated_tiles(frames, settled, search) if settled.heights_have_auto else []
     return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um)
 
 

@@ -35,7 +35,7 @@ def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Re
     Raises ComputeError when the place lies outside of the field, and what `reconstruct` raises.
     """
     row, col = pixel_at(stack, x_um, y_um)
-    recipe = settled_recipe(stack, recipe) if recipe.has_auto else recipe
+    recipe = settled_recipe(stack, recipe) if recipe.heights_have_auto else recipe
     rows, cols = _around(row), _around(col)
     part, r, c = stack.part(rows, cols), row - rows.start, col - cols.start
     frames = prepare(stack, recipe).part(rows, cols)

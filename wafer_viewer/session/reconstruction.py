@@ -50,7 +50,7 @@ class Run:
     @property
     def settling(self) -> bool:
         """Whether the first field is still to say what `auto` means for all: it goes alone."""
-        return self.recipe.has_auto and not self.answered
+        return self.recipe.heights_have_auto and not self.answered
 
     @property
     def idle(self) -> bool:

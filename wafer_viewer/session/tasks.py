@@ -60,7 +60,7 @@ def reconstruct_field(
     recipe = kept.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
     kept.save_surface(data.field(field_number), surface)
-    if recipe.has_auto and speaks_for_scan(surface):
+    if recipe.heights_have_auto and speaks_for_scan(surface):
         kept.save_settled(surface.provenance.recipe)
 
 

@@ -1,0 +1,145 @@
+"""Where fields really lie and how they lean, and what their overlaps said about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.float64]
+
+
+class SaidBy(IntEnum):
+    """What told where a field lies beside its neighbour."""
+
+    PICTURE = 0
+    HEIGHT = 1
+    STAGE = 2
+
+
+class Doubt(IntEnum):
+    """Why an overlap is not believed; codes are never reused."""
+
+    NONE = 0
+    BLANK = 1
+    UNLIKE = 2
+    AMBIGUOUS = 3
+    END_OF_SEARCH = 4
+    DISAGREES = 5
+
+
+DOUBT_TITLES: dict[Doubt, str] = {
+    Doubt.NONE: "believed",
+    Doubt.BLANK: "nothing to compare",
+    Doubt.UNLIKE: "the two do not look alike",
+    Doubt.AMBIGUOUS: "it fits at several places",
+    Doubt.END_OF_SEARCH: "it fits best at the end of the search",
+    Doubt.DISAGREES: "the other overlaps say otherwise",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shifts:
+    """What overlaps say about x and y, all [n]: fields by their place in the list, lengths in um.
+
+    x_um, y_um: how much further right and up the second lies from the first than the stage says; u_x_um, u_y_um:
+    standard uncertainty, infinite where the overlap tells nothing; correlation: of the two pictures (or heights) where
+    they fit, -1 ... 1; by: `SaidBy`; doubt: `Doubt`, as the overlap alone tells it until the poses are solved; weight:
+    0 ... 1, how much of it the solution believed; residual_x_um, residual_y_um: measured minus solved.
+    """
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    x_um: Numbers
+    y_um: Numbers
+    u_x_um: Numbers
+    u_y_um: Numbers
+    correlation: NDArray[np.float32]
+    by: NDArray[np.uint8]
+    doubt: NDArray[np.uint8]
+    weight: NDArray[np.float32]
+    residual_x_um: Numbers
+    residual_y_um: Numbers
+
+    @property
+    def believed(self) -> NDArray[np.bool_]:
+        """Which of them count."""
+        return self.doubt == Doubt.NONE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seams:
+    """What overlaps say about z once x and y are known, all [n] but `information`.
+
+    In the overlap, heights of the second minus heights of the first are z_um + slope_x (x - mid_x_um) + slope_y (y -
+    mid_y_um), with the inverse covariance `information`, float64 [n, 3, 3], of (z_um, slope_x, slope_y); zero where
+    nothing is to be compared. n_pixels: compared; weight: 0 ... 1, how much the solution believed; step_um: median
+    difference that is left after the poses, rms_um: root mean square of what is left, NaN where nothing is compared.
+    """
+
+    first: NDArray[np.int32]
+    second: NDArray[np.int32]
+    mid_x_um: Numbers
+    mid_y_um: Numbers
+    z_um: Numbers
+    slope_x: Numbers
+    slope_y: Numbers
+    information: Numbers
+    n_pixels: NDArray[np.int32]
+    weight: NDArray[np.float32]
+    step_um: Numbers
+    rms_um: Numbers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Form:
+    """The part of the form that overlaps cannot tell from errors of the stage, and that is held to the stage.
+
+    names: the terms over the whole surface, lowest first (height, tilt along x and y, bow, twist, saddle); u_um:
+    expanded uncertainty (k = 2) of each at the rim of the surface, from the stage's own errors; camera_turn,
+    camera_scale: by how much the camera's axes are turned (rad, anticlockwise) and its pixels are too large (fraction)
+    against the stage, with standard uncertainties; field_form_um: sag that all fields share (x^2, x y, y^2, in um at
+    the field's corner).
+    """
+
+    names: tuple[str, ...] = ()
+    u_um: tuple[float, ...] = ()
+    camera_turn: float = 0.0
+    u_camera_turn: float = float("inf")
+    camera_scale: float = 0.0
+    u_camera_scale: float = float("inf")
+    field_form_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Fields in the order of their list, all [n_fields]; lengths in um, field centres.
+
+    stage_x_um, stage_y_um: where the stage says they are; x_um, y_um: where they are. Heights of a field are too high
+    by z_um + tilt_x (x - x_um) + tilt_y (y - y_um). u_x_um, u_y_um, u_z_um: standard uncertainties of the pose (of z at
+    the field's centre). group: fields joined by believed overlaps have one number; left_out: fields that fit none of
+    their neighbours and are not in the mosaic. stage_error_um, z_error_um: standard deviation of the stage's errors in
+    the plane and along z, as found.
+    """
+
+    numbers: NDArray[np.int32]
+    stage_x_um: Numbers
+    stage_y_um: Numbers
+    x_um: Numbers
+    y_um: Numbers
+    z_um: Numbers
+    tilt_x: Numbers
+    tilt_y: Numbers
+    u_x_um: Numbers
+    u_y_um: Numbers
+    u_z_um: Numbers
+    group: NDArray[np.int32]
+    left_out: NDArray[np.bool_]
+    shifts: Shifts
+    seams: Seams
+    form: Form = Form()
+    stage_error_um: float = 0.0
+    z_error_um: float = 0.0
+    notes: tuple[str, ...] = ()
