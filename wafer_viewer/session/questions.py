@@ -9,6 +9,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
@@ -42,6 +43,10 @@ class Questions:
     def surface_source(self, show: int) -> Mosaic:
         """What a browser shows: 0 the stitched surface, else the field of that number."""
         return self.mosaic() if show == 0 else self.height_map(show)
+
+    def poses(self) -> Poses | None:
+        """Where the fields of the stitched surface lie and what their overlaps said; None where only the stage did."""
+        return self._library.result.poses()
 
     def frame(self, field_number: int, k: int) -> Image:
         """One frame of a field, as it was stored."""

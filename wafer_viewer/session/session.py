@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
@@ -229,6 +230,10 @@ class Session:
     def surface_source(self, show: int) -> Mosaic:
         """What a browser shows: 0 the stitched surface, else the field of that number."""
         return self._questions.surface_source(show)
+
+    def poses(self) -> Poses | None:
+        """Where the fields of the stitched surface lie and what their overlaps said; None where only the stage did."""
+        return self._questions.poses()
 
     def frame(self, field: int, k: int) -> Image:
         """One frame of a field, as it was stored."""

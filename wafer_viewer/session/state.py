@@ -126,6 +126,33 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
+class StitchingInfo:
+    """How the fields of a stitched surface were placed, in numbers; lengths of U are expanded (k = 2).
+
+    doubts: why overlaps are not believed, in words, with their number, the most frequent first. moved: how far fields
+    lie from where the stage says. step: what is left between neighbours along z; None where no overlap is compared.
+    form: the terms of the whole surface's form that only the stage knows, each with its U. left_out: fields that fit
+    none of their neighbours, by number.
+    """
+
+    n_overlaps: int
+    n_believed: int
+    doubts: tuple[tuple[str, int], ...]
+    stage_error_um: float
+    z_error_um: float
+    moved_rms_um: float
+    moved_max_um: float
+    position_u_um: float
+    height_u_um: float
+    step_median_um: float | None
+    step_p95_um: float | None
+    form: tuple[tuple[str, float], ...] = ()
+    n_groups: int = 1
+    left_out: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class SurfaceInfo:
     """The stitched surface of the open dataset. `stamp` changes whenever its contents do."""
 
@@ -152,6 +179,8 @@ class SurfaceInfo:
     asked: Recipe | None = None
     settled: Recipe | None = None
     """The recipe it was made by, and the same with what ``auto`` chose; None where that was not kept."""
+    stitching: StitchingInfo | None = None
+    """None where fields lie at their stage positions, without a look at their overlaps."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,14 +10,17 @@ from pathlib import Path
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.plan import Field
+from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
+from wafer_viewer.store.poses import read_poses, write_poses
 
-RECIPE, SETTLED, FINDINGS, SURFACES, MOSAIC = "recipe.json", "settled.json", "findings.json", "surfaces", "mosaic.zarr"
+RECIPE, SETTLED, FINDINGS = "recipe.json", "settled.json", "findings.json"
+SURFACES, MOSAIC, POSES = "surfaces", "mosaic.zarr", "poses.npz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,15 @@ class Result:
         if not self.has_mosaic:
             raise DatasetError(f"Result {self.name!r} has no stitched surface: stitch its fields first.")
         return ZarrMosaic.open(self.mosaic_path)
+
+    def poses(self) -> Poses | None:
+        """Where the fields of the stitched surface lie; None where they lie where the stage says, or none are."""
+        return read_poses(self.path / POSES) if (self.path / POSES).exists() else None
+
+    def save_poses(self, poses: Poses) -> None:
+        """Keep where the fields lie."""
+        self._make_folder(self.path)
+        write_poses(poses, self.path / POSES)
 
     def findings(self) -> Findings:
         """What was measured; nothing at first."""

@@ -1,0 +1,48 @@
+"""Poses are kept with everything the overlaps said."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
+from wafer_viewer.store.poses import read_poses, write_poses
+
+NUMBERS = np.random.default_rng(1)
+
+
+def _table(kind: type, n: int, **known: object) -> dict[str, object]:
+    fresh = {f.name: NUMBERS.normal(size=n) for f in dataclasses.fields(kind) if "Numbers" in str(f.type)}
+    whole = {f.name: NUMBERS.integers(0, 5, n) for f in dataclasses.fields(kind) if "NDArray" in str(f.type)}
+    return fresh | whole | known
+
+
+def some_poses() -> Poses:
+    shifts = Shifts(**_table(Shifts, 4))
+    seams = Seams(**_table(Seams, 4, information=NUMBERS.normal(size=(4, 3, 3))))
+    form = Form(names=("height", "bow"), u_um=(0.5, 0.25), camera_turn=1e-3, u_camera_turn=1e-5)
+    return Poses(**_table(Poses, 3, shifts=shifts, seams=seams, form=form, notes=("Field 3 stands alone.",)))
+
+
+def test_poses_come_back_as_they_were(tmp_path: Path) -> None:
+    poses = some_poses()
+    write_poses(poses, tmp_path / "poses.npz")
+    again = read_poses(tmp_path / "poses.npz")
+    assert again.form == poses.form
+    assert again.notes == poses.notes
+    for table, kept in ((poses, again), (poses.shifts, again.shifts), (poses.seams, again.seams)):
+        for item in dataclasses.fields(table):
+            if isinstance(value := getattr(table, item.name), np.ndarray):
+                np.testing.assert_array_equal(getattr(kept, item.name), value)
+
+
+def test_a_torn_file_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "poses.npz"
+    write_poses(some_poses(), file)
+    file.write_bytes(file.read_bytes()[:200])
+    with pytest.raises(DatasetError, match=r"poses\.npz holds no poses"):
+        read_poses(file)

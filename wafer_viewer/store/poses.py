@@ -1,0 +1,60 @@
+"""The poses of a result on disk: one npz of plain arrays, a prefix for each table in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
+from wafer_viewer.store.files import replacing
+
+_TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": Seams, "form": Form}
+
+
+def write_poses(poses: Poses, path: Path) -> None:
+    """Keep poses, in place of earlier ones."""
+    with replacing(path) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **_flat(poses, ""))
+
+
+def read_poses(path: Path) -> Poses:
+    """Read poses back. Raises DatasetError when the file is damaged."""
+    try:
+        with np.load(path) as arrays:
+            tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
+            return _built(Poses, arrays, "", **tables)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as fault:
+        raise DatasetError(f"{path} holds no poses that can be read: stitch the fields again.") from fault
+
+
+def _flat(table: Any, prefix: str) -> dict[str, Any]:
+    """Each field of a table under its name, those of the tables in it with a prefix."""
+    flat: dict[str, Any] = {}
+    for item in dataclasses.fields(table):
+        value = getattr(table, item.name)
+        flat |= _flat(value, f"{prefix}{item.name}.") if item.name in _TABLES else {prefix + item.name: _array(value)}
+    return flat
+
+
+def _array(value: Any) -> Any:
+    return np.asarray(value, dtype=str) if isinstance(value, tuple) and not value else np.asarray(value)
+
+
+def _built(kind: type[Any], arrays: Any, prefix: str, **known: Any) -> Any:
+    """A table from its arrays, in the kinds of value that it declares."""
+    values = dict(known)
+    for item in dataclasses.fields(kind):
+        if item.name not in known:
+            values[item.name] = _value(arrays[prefix + item.name], str(item.type))
+    return kind(**values)
+
+
+def _value(array: Any, declared: str) -> Any:
+    if declared.startswith("tuple"):
+        return tuple(array.tolist())
+    return float(array) if declared == "float" else array
