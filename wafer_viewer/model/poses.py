@@ -93,7 +93,7 @@ class Seams:
     rms_um: Numbers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Form:
     """The part of the form that overlaps cannot tell from errors of the stage, and that is held to the stage.
 

@@ -25,7 +25,7 @@ def write_poses(poses: Poses, path: Path) -> None:
 def read_poses(path: Path) -> Poses:
     """Read poses back. Raises DatasetError when the file is damaged."""
     try:
-        with np.load(path) as arrays:
+        with path.open("rb") as file, np.load(file) as arrays:
             tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
             return _built(Poses, arrays, "", **tables)
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as fault:
