@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +119,7 @@ class Form:
 class Poses:
     """Fields in the order of their list, all [n_fields]; lengths in um, field centres.
 
+    numbers: running numbers of the fields; marks: of the surfaces that were placed, to tell one that was made again.
     stage_x_um, stage_y_um: where the stage says they are; x_um, y_um: where they are. Heights of a field are too high
     by z_um + tilt_x (x - x_um) + tilt_y (y - y_um). u_x_um, u_y_um, u_z_um: standard uncertainties of the pose (of z at
     the field's centre). group: fields joined by believed overlaps have one number; left_out: fields that fit none of
@@ -125,6 +128,7 @@ class Poses:
     """
 
     numbers: NDArray[np.int32]
+    marks: NDArray[np.int64]
     stage_x_um: Numbers
     stage_y_um: Numbers
     x_um: Numbers
@@ -143,3 +147,31 @@ class Poses:
     stage_error_um: float = 0.0
     z_error_um: float = 0.0
     notes: tuple[str, ...] = ()
+
+
+T = TypeVar("T", Shifts, Seams)
+
+
+def selected(table: T, rows: NDArray[Any]) -> T:
+    """Some rows of a table, by number or by a mask."""
+    return replace(table, **{item.name: getattr(table, item.name)[rows] for item in fields(table)})
+
+
+def joined(tables: Sequence[T]) -> T:
+    """Tables below one another, at least one."""
+    columns = {item.name: np.concatenate([getattr(t, item.name) for t in tables]) for item in fields(tables[0])}
+    return replace(tables[0], **columns)
+
+
+def no_shifts() -> Shifts:
+    """A table without rows."""
+    whole, real = np.zeros(0, np.int32), np.zeros(0)
+    code, share = np.zeros(0, np.uint8), np.zeros(0, np.float32)
+    return Shifts(whole, whole, real, real, real, real, share, code, code, share, real, real)
+
+
+def no_seams() -> Seams:
+    """A table without rows."""
+    whole, real = np.zeros(0, np.int32), np.zeros(0)
+    share = np.zeros(0, np.float32)
+    return Seams(whole, whole, real, real, real, real, real, np.zeros((0, 3, 3)), whole, share, real, real)
