@@ -1,0 +1,82 @@
+"""What is known of fields placed earlier: overlaps are looked at once, and what hardly moved stays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from wafer_viewer.model.poses import Doubt, Poses, Shifts, no_seams
+from wafer_viewer.reconstruct.growing import Known, held_still
+
+
+def _shifts(pairs: np.ndarray) -> Shifts:
+    n = len(pairs)
+    zero, code = np.zeros(n), np.zeros(n, np.uint8)
+    share = np.ones(n, np.float32)
+    first, second = pairs.T.astype(np.int32)
+    return Shifts(first, second, 10.0 * first + second, zero, zero, zero, share, code, code, share, zero, zero)
+
+
+def _poses(numbers: list[int], marks: list[int], shifts: Shifts) -> Poses:
+    zero = np.zeros(len(numbers))
+    return Poses(
+        np.array(numbers, np.int32),
+        np.array(marks),
+        *(zero,) * 10,
+        np.zeros(len(numbers), np.int32),
+        np.zeros(len(numbers), bool),
+        shifts,
+        no_seams(),
+    )
+
+
+class _Looker:
+    def __init__(self) -> None:
+        self.asked: list[tuple[int, int]] = []
+
+    def __call__(self, pairs: np.ndarray) -> Shifts:
+        self.asked += [tuple(pair) for pair in pairs.tolist()]
+        return _shifts(pairs)
+
+
+def test_only_overlaps_of_new_fields_and_of_those_made_again_are_looked_at():
+    earlier = _poses([3, 1, 2], [30, 10, 20], _shifts(np.array([[0, 2], [1, 2]])))
+    known = Known.of(earlier, np.array([1, 2, 3, 4], np.int32), np.array([10, 20, 31, 40]))
+    assert known.unchanged.tolist() == [True, True, False, False]
+
+    look = _Looker()
+    shifts = known.shifts(np.array([[0, 1], [1, 2], [2, 3]], np.int32), look)
+    assert look.asked == [(1, 2), (2, 3)]
+    found = dict(zip(zip(shifts.first.tolist(), shifts.second.tolist(), strict=True), shifts.x_um, strict=True))
+    assert found == {(0, 1): 12.0, (1, 2): 12.0, (2, 3): 23.0}  # the first is what field 1 and 2 said earlier
+
+
+def test_what_an_earlier_solution_did_not_believe_is_judged_anew():
+    shifts = _shifts(np.array([[0, 1], [1, 2]]))
+    doubted = replace(shifts, doubt=np.array([Doubt.DISAGREES, Doubt.BLANK], np.uint8))
+    known = Known.of(_poses([1, 2, 3], [1, 1, 1], doubted), np.array([1, 2, 3], np.int32), np.ones(3, np.int64))
+    again = known.shifts(np.array([[0, 1], [1, 2]], np.int32), _Looker())
+    assert again.doubt.tolist() == [Doubt.NONE, Doubt.BLANK]
+
+
+def test_a_field_that_hardly_moves_stays_where_it_is_drawn():
+    numbers, marks = [1, 2, 3, 4, 5], [1, 1, 1, 1, 1]
+    earlier = _poses(numbers, marks, _shifts(np.zeros((0, 2), int)))
+    known = Known.of(earlier, np.array(numbers, np.int32), np.array([1, 1, 1, 1, 2]))
+    now = replace(
+        earlier,
+        x_um=np.array([0.04, 0.06, 0.0, 0.0, 0.01]),
+        tilt_x=np.array([0.0, 0.0, 3e-5, 0.0, 0.0]),
+        left_out=np.array([False, False, False, True, False]),
+    )
+    held, moved = held_still(now, known, pixel_um=0.5, corner_um=400.0)
+    assert moved.tolist() == [False, True, True, True, True]
+    assert held.x_um.tolist() == [0.0, 0.06, 0.0, 0.0, 0.01]
+
+
+def test_without_an_earlier_solution_everything_is_new():
+    known = Known.of(None, np.array([1, 2], np.int32), np.ones(2, np.int64))
+    assert not known.unchanged.any()
+    poses = _poses([1, 2], [1, 1], _shifts(np.zeros((0, 2), int)))
+    assert held_still(poses, known, 0.5, 400.0)[1].all()

@@ -1,0 +1,107 @@
+"""A mosaic that grows: what is known of fields placed earlier, and which of them have to be drawn again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.poses import Doubt, Poses, Seams, Shifts, joined, selected
+
+Pairs = NDArray[np.int32]
+T = TypeVar("T", Shifts, Seams)
+A = TypeVar("A", np.float64, np.bool_)
+STILL_PX = 0.1
+"""A field that moves by less than a tenth of a pixel stays where it is drawn."""
+STILL_UM = 0.01
+"""The same along z, at the corner of a field that moves most: under the repeatability of any height."""
+POSE = ("x_um", "y_um", "z_um", "tilt_x", "tilt_y")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What an earlier solution says about the fields of a list, all [n_fields].
+
+    row: of each field in the earlier list, -1 where it is new or its surface was made again; poses: the earlier ones.
+    """
+
+    row: NDArray[np.intp]
+    poses: Poses | None
+
+    @classmethod
+    def of(cls, poses: Poses | None, numbers: NDArray[np.int32], marks: NDArray[np.int64]) -> Known:
+        """What poses say about fields whose surfaces have these marks now."""
+        if poses is None or poses.numbers.size == 0:
+            return cls(np.full(len(numbers), -1), poses)
+        order = np.argsort(poses.numbers)
+        at = np.minimum(np.searchsorted(poses.numbers, numbers, sorter=order), len(order) - 1)
+        row = order[at]
+        same = (poses.numbers[row] == numbers) & (poses.marks[row] == marks)
+        return cls(np.where(same, row, -1), poses)
+
+    @property
+    def unchanged(self) -> NDArray[np.bool_]:
+        """The fields that are what they were."""
+        return self.row >= 0
+
+    def earlier(self, name: str, without: NDArray[A]) -> NDArray[A]:
+        """A quantity of the earlier poses, `without` where a field has none."""
+        if self.poses is None or not self.unchanged.any():
+            return without
+        return np.where(self.unchanged, getattr(self.poses, name)[self.row], without)
+
+    def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
+        """What overlaps say about x and y; only those are looked at that changed."""
+        return _fresh(self._and(pairs, look, None if self.poses is None else self.poses.shifts))
+
+    def seams(self, pairs: Pairs, look: Callable[[Pairs], Seams]) -> Seams:
+        """The same about z, for fields that stay where they are."""
+        return self._and(pairs, look, None if self.poses is None else self.poses.seams)
+
+    def _and(self, pairs: Pairs, look: Callable[[Pairs], T], earlier: T | None) -> T:
+        if earlier is None or earlier.first.size == 0:
+            return look(pairs)
+        first, second = self._now(earlier.first), self._now(earlier.second)
+        kept = selected(earlier, (first >= 0) & (second >= 0))
+        kept = replace(kept, first=self._now(kept.first), second=self._now(kept.second))
+        n = len(self.row)
+        new = ~np.isin(_keys(pairs[:, 0], pairs[:, 1], n), _keys(kept.first, kept.second, n))
+        return joined([kept, look(pairs[new])]) if new.any() else kept
+
+    def _now(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Places in the earlier list as places in this one, -1 for what is gone or was made again."""
+        n_before = 0 if self.poses is None else self.poses.numbers.size
+        place = np.full(n_before, -1, np.int32)
+        place[self.row[self.unchanged]] = np.flatnonzero(self.unchanged)
+        return place[rows]
+
+
+def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArray[np.int64]:
+    """One number for each pair of n fields."""
+    return first.astype(np.int64) * n + second
+
+
+def _fresh(shifts: Shifts) -> Shifts:
+    """Without the verdict of an earlier solution: what one of them disagreed with may have changed."""
+    doubt = np.where(shifts.doubt == Doubt.DISAGREES, np.uint8(Doubt.NONE), shifts.doubt)
+    return replace(shifts, doubt=doubt.astype(np.uint8))
+
+
+def held_still(poses: Poses, known: Known, pixel_um: float, corner_um: float) -> tuple[Poses, NDArray[np.bool_]]:
+    """Poses of which fields that hardly moved keep the one they are drawn at, and which fields are to be drawn.
+
+    corner_um: from the centre of a field to its corner.
+    """
+    if known.poses is None:
+        return poses, np.ones(poses.numbers.size, bool)
+    before = {name: known.earlier(name, getattr(poses, name)) for name in POSE}
+    apart = {name: getattr(poses, name) - before[name] for name in POSE}
+    away_px = np.hypot(apart["x_um"], apart["y_um"]) / pixel_um
+    higher_um = np.abs(apart["z_um"]) + corner_um * np.hypot(apart["tilt_x"], apart["tilt_y"])
+    turned_up = poses.left_out != known.earlier("left_out", poses.left_out)
+    moved = ~known.unchanged | (away_px > STILL_PX) | (higher_um > STILL_UM) | turned_up
+    kept = {name: np.where(moved, getattr(poses, name), before[name]) for name in POSE}
+    return replace(poses, **kept), moved
