@@ -80,3 +80,9 @@ def test_without_an_earlier_solution_everything_is_new():
     assert not known.unchanged.any()
     poses = _poses([1, 2], [1, 1], _shifts(np.zeros((0, 2), int)))
     assert held_still(poses, known, 0.5, 400.0)[1].all()
+
+
+def test_what_moved_changed_or_is_gone_is_not_shown_where_it_was():
+    earlier = _poses([5, 1, 2, 3], [1, 1, 1, 1], _shifts(np.zeros((0, 2), int)))
+    known = Known.of(earlier, np.array([1, 2, 3], np.int32), np.array([1, 1, 2]))
+    assert known.stale(np.array([False, True, True])).tolist() == [0, 2, 3]

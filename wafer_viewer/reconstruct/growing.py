@@ -53,6 +53,11 @@ class Known:
             return without
         return np.where(self.unchanged, getattr(self.poses, name)[self.row], without)
 
+    def stale(self, moved: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Rows of the earlier list that are not to be shown any more: of fields that moved, changed or are gone."""
+        n_before = 0 if self.poses is None else self.poses.numbers.size
+        return np.setdiff1d(np.arange(n_before), self.row[self.unchanged & ~moved])
+
     def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
         """What overlaps say about x and y; only those are looked at that changed."""
         return _fresh(self._and(pairs, look, None if self.poses is None else self.poses.shifts))

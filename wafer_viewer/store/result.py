@@ -20,7 +20,7 @@ from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import read_poses, write_poses
 
 RECIPE, SETTLED, FINDINGS = "recipe.json", "settled.json", "findings.json"
-SURFACES, MOSAIC, POSES = "surfaces", "mosaic.zarr", "poses.npz"
+SURFACES, MOSAIC, POSES, DRAWING = "surfaces", "mosaic.zarr", "poses.npz", "poses-being-drawn.npz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +102,28 @@ class Result:
         """Where the fields of the stitched surface lie; None where they lie where the stage says, or none are."""
         return read_poses(self.path / POSES) if (self.path / POSES).exists() else None
 
-    def save_poses(self, poses: Poses) -> None:
-        """Keep where the fields lie."""
+    def begin_drawing(self, poses: Poses) -> Path:
+        """Say where fields will lie; until `end_drawing` the mosaic may show some of them so and others not."""
         self._make_folder(self.path)
-        write_poses(poses, self.path / POSES)
+        write_poses(poses, self.path / DRAWING)
+        return self.path / DRAWING
+
+    def end_drawing(self) -> None:
+        """The mosaic shows the fields where they were said to lie."""
+        with writing(self.path / POSES):
+            (self.path / DRAWING).replace(self.path / POSES)
+
+    @property
+    def broken_off(self) -> bool:
+        """Whether a drawing of the mosaic was begun and not ended: all of it is to be made anew."""
+        return (self.path / DRAWING).exists()
+
+    def surface_mark(self, field: Field) -> int:
+        """A number that changes when the surface of a field is made again. Raises DatasetError when there is none."""
+        try:
+            return self._surface_file(field).stat().st_mtime_ns
+        except OSError as fault:
+            raise DatasetError(f"The surface of field {field.number} is gone: reconstruct it again.") from fault
 
     def findings(self) -> Findings:
         """What was measured; nothing at first."""
