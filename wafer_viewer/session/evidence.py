@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +12,7 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import Field, ScanPlan
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.session.placement import as_stitched
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
@@ -31,7 +33,9 @@ def focus_curve(
 ) -> FocusCurve:
     """The focus curve at a place of a dataset; field_number 0: of the field whose centre is nearest.
 
-    recipe: None stands for the one that the field's surface was made with, or the default where it has none yet.
+    A place on the stitched surface (field_number 0) is looked up where that shows the field, one of a field where the
+    stage says it is. recipe: None stands for the one that the field's surface was made with, or the default where it
+    has none yet.
     Raises DatasetError when no field holds the place or its frames are not there.
     """
     from wafer_viewer.reconstruct import why
@@ -40,13 +44,17 @@ def focus_curve(
     data = Dataset.open(dataset)
     kept = data.result(result)
     field = data.field(field_number) if field_number else field_at(data, kept, x_um, y_um)
-    return why.focus_curve(data.stack(field.number), x_um, y_um, recipe or _recipe_of(kept, field))
+    stack = dataclasses.replace(data.stack(field.number), field=field)
+    return why.focus_curve(stack, x_um, y_um, recipe or _recipe_of(kept, field))
 
 
 def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:
-    """Of the fields that hold a place the one whose centre is nearest; those with a surface come first."""
+    """Of the fields that hold a place the one whose centre is nearest, lying where the stitched surface shows it.
+
+    Fields with a surface come first.
+    """
     plan = data.scan.plan
-    holding = [f for f in data.fields if _holds(plan, f, data.scan.pixel_um, x_um, y_um)]
+    holding = [f for f in as_stitched(data.fields, kept.poses()) if _holds(plan, f, data.scan.pixel_um, x_um, y_um)]
     if not holding:
         raise DatasetError(
             f"({x_um:.1f}, {y_um:.1f}) um lies in no field of {data.path.name}: "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import multiprocessing
 import os
@@ -123,8 +124,14 @@ def _surface(source: Source) -> Mosaic:
 
 @lru_cache(maxsize=2)
 def _stacks(source: Source) -> list[FieldStack]:
+    from wafer_viewer.session.placement import as_stitched
     from wafer_viewer.store.dataset import Dataset
 
     dataset = Dataset.open(source.dataset)
-    numbers = [source.show] if source.show else sorted(dataset.complete_fields())
-    return [dataset.stack(number) for number in numbers]
+    if source.show:
+        return [dataset.stack(source.show)]
+    complete = dataset.complete_fields()
+    shown = as_stitched(dataset.fields, dataset.result(source.result).poses())
+    return [
+        dataclasses.replace(dataset.stack(field.number), field=field) for field in shown if field.number in complete
+    ]

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.plan import Field
 from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import StitchingInfo
 
 COVERAGE = 2.0
@@ -37,6 +41,15 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
         left_out=tuple(poses.numbers[poses.left_out].tolist()),
         notes=poses.notes,
     )
+
+
+def as_stitched(fields: Sequence[Field], poses: Poses | None) -> list[Field]:
+    """Fields where the stitched surface shows them; those that it does not show where the stage says they are."""
+    if poses is None:
+        return list(fields)
+    row = {number: i for i, number in enumerate(poses.numbers.tolist())}
+    moved = ((field, row.get(field.number)) for field in fields)
+    return [f if i is None else replace(f, x_um=float(poses.x_um[i]), y_um=float(poses.y_um[i])) for f, i in moved]
 
 
 def _doubts(codes: NDArray[np.uint8]) -> tuple[tuple[str, int], ...]:
