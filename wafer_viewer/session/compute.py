@@ -7,9 +7,9 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.session.crew import require_tls
 from wafer_viewer.session.link import Link
-from wafer_viewer.session.messages import Cancel, Run
+from wafer_viewer.session.messages import Cancel, Lead, Run
 
 
 class Compute:
@@ -21,11 +21,7 @@ class Compute:
     def __init__(
         self, scheduler: str | None, on_event: Callable[[Any], None], on_gone: Callable[[int | None], None]
     ) -> None:
-        if scheduler is not None and not scheduler.startswith("tls://"):
-            raise ComputeError(
-                f"The scheduler's address is {scheduler}: it must begin with tls://, for any program could run code "
-                "through an open one."
-            )
+        require_tls(scheduler)
         self._scheduler, self._on_event, self._on_gone = scheduler, on_event, on_gone
         self._link: Link | None = None
 
@@ -38,6 +34,10 @@ class Compute:
     def run(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:
         """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors come out of the future."""
         return self.start().ask(Run(work, task, args))
+
+    def lead(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:
+        """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, which may hand the crew many tasks."""
+        return self.start().ask(Lead(work, task, args))
 
     def cancel(self, work: str) -> None:
         """Tell the tasks of a work to stop."""

@@ -1,61 +1,46 @@
 """The process that hosts the compute cluster, apart from the viewer: it hands tasks to workers and reports.
 
-The cluster is dask.distributed: it reruns what a killed worker had in hand. A local one talks TLS with certificates
-of its own, made at the start, so that no other program of this machine can run code in it.
+The cluster is dask.distributed: it reruns what a killed worker had in hand. A work of many tasks is led from here, on a
+thread of its own, because a worker may be killed.
 """
 
 from __future__ import annotations
 
-import os
+import threading
+from concurrent.futures import Future as LocalFuture
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
-import dask.config
-from distributed import CancelledError, Client, Event, Future, LocalCluster, Security
+from distributed import CancelledError, Client, Event, Future
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
+from wafer_viewer.session.cluster import client_of, n_local_workers
+from wafer_viewer.session.crew import Cluster
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.session.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Progressed, Run
-from wafer_viewer.session.tasks import PROGRESS_TOPIC, run_watched, stop_sign, warm_up
+from wafer_viewer.session.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Lead, Progressed, Run
+from wafer_viewer.session.tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign, warm_up
 
 NICENESS = 5
-WORKER_MEMORY = "3GiB"
-PATIENCE_S = 20.0
-_SETTINGS = {
-    # The stacks that workers read are memory-mapped and count as theirs, though the system can drop them at any time.
-    "distributed.worker.memory.target": False,
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.terminate": 0.95,
-    "distributed.comm.timeouts.connect": PATIENCE_S,
-    "distributed.scheduler.allowed-failures": 3,
-    "distributed.admin.tick.limit": "1 hour",
-    # No pages of dask's own: they would be open to every program of this machine.
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-}
+LEADS = 4
+"""Works of many tasks that are led at a time; others wait."""
+RUN_PRIORITY = 10
+"""A single task, such as a field that is being taken, goes before the many of a work that is led."""
 
 
 def run_compute(pipe: Connection, scheduler: str | None) -> None:
     """Live as the compute host until the pipe ends."""
     live_in_the_background(NICENESS)
     end = ChildEnd(pipe)
-    with ExitStack() as until_end, dask.config.set(_SETTINGS):
+    with ExitStack() as until_end:
         try:
-            client = _join(scheduler, until_end) if scheduler else _own_cluster(until_end)
-        except (OSError, TimeoutError, ValueError) as fault:
-            end.tell(ComputeAbsent(f"There is no cluster at {scheduler or 'this machine'}: {_line(fault)}."))
+            client = until_end.enter_context(client_of(scheduler, n_local_workers()))
+        except ComputeError as fault:
+            end.tell(ComputeAbsent(str(fault)))
             return
-        client.subscribe_topic(
-            PROGRESS_TOPIC, lambda event: end.tell(Progressed(event[1]["work"], event[1]["fraction"]))
-        )
         Host(client, end).work()
-
-
-def n_local_workers() -> int:
-    """One worker a processor, two at least, so that one that is busy or was killed does not stop the others."""
-    return min(8, max(2, (os.cpu_count() or 2) - 1))
 
 
 class Host:
@@ -65,7 +50,9 @@ class Host:
         self._client, self._end = client, end
         self._futures: dict[int, Future[Any]] = {}
         self._warming: list[Future[Any]] = []
-        self._do = {Run: self._run, Cancel: self._cancel}
+        self._leaders = ThreadPoolExecutor(LEADS, "lead")
+        self._stops: dict[str, threading.Event] = {}
+        self._do = {Run: self._run, Lead: self._lead, Cancel: self._cancel}
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
@@ -73,23 +60,49 @@ class Host:
         addresses = list(self._client.scheduler_info(n_workers=-1)["workers"])
         self._end.tell(ComputeUp(len(addresses)))
         self._warm_up(addresses)
-        for ask in self._end.verbs():
-            self._do[type(ask.verb)](ask)
+        try:
+            for ask in self._end.verbs():
+                self._do[type(ask.verb)](ask)
+        finally:
+            for stop in self._stops.values():
+                stop.set()
+            self._leaders.shutdown(cancel_futures=True)
 
     def _run(self, ask: Ask) -> None:
         verb: Run = ask.verb
         key = f"{verb.task.__name__}-{verb.work}-{ask.number}"
-        future = self._client.submit(run_watched, verb.work, verb.task, verb.args, key=key, pure=False)
+        future = self._client.submit(
+            run_watched, verb.work, verb.task, verb.args, key=key, pure=False, priority=RUN_PRIORITY
+        )
         self._futures[ask.number] = future
         future.add_done_callback(lambda done: self._done(ask, done))
 
+    def _lead(self, ask: Ask) -> None:
+        verb: Lead = ask.verb
+        stop = self._stops[verb.work] = threading.Event()
+        watched = {"progress": sparing(partial(self._tell, verb.work)), "should_stop": stop.is_set}
+        led = self._leaders.submit(verb.task, *verb.args, crew=Cluster(self._client), **watched)
+        led.add_done_callback(partial(self._led, ask))
+
+    def _led(self, ask: Ask, done: LocalFuture[Any]) -> None:
+        self._stops.pop(ask.verb.work, None)
+        if done.cancelled() or done.exception() is not None:
+            self._end.refuse(ask, _sentence(ask.verb, done))
+        else:
+            self._end.answer(ask, done.result())
+
     def _cancel(self, ask: Ask) -> None:
+        if stop := self._stops.get(ask.verb.work):
+            stop.set()
         Event(stop_sign(ask.verb.work), client=self._client).set()
         self._end.answer(ask)
 
     def _progressed(self, event: tuple[float, dict[str, Any]]) -> None:
         _, told = event
-        self._end.tell(Progressed(told["work"], told["fraction"]))
+        self._tell(told["work"], told["fraction"])
+
+    def _tell(self, work: str, fraction: float) -> None:
+        self._end.tell(Progressed(work, fraction))
 
     def _done(self, ask: Ask, done: Future[Any]) -> None:
         self._futures.pop(ask.number)
@@ -113,43 +126,11 @@ class Host:
         return self._client.submit(warm_up, workers=[address], pure=False)
 
 
-def _own_cluster(until_end: ExitStack) -> Client:
-    cluster = LocalCluster(
-        n_workers=n_local_workers(),
-        threads_per_worker=1,
-        host="127.0.0.1",
-        protocol="tls://",
-        security=Security.temporary(),
-        memory_limit=WORKER_MEMORY,
-        dashboard_address="127.0.0.1:0",
-        worker_dashboard_address=None,
-        silence_logs=50,
-    )
-    until_end.enter_context(cluster)
-    return until_end.enter_context(Client(cluster))
-
-
-def _join(scheduler: str, until_end: ExitStack) -> Client:
-    """A cluster that runs already; its certificates come from dask's own configuration."""
-    security = Security()
-    if not (security.tls_ca_file and security.tls_client_cert):
-        raise ValueError("dask's configuration names no certificates: set distributed.comm.tls.ca-file and .client")
-    client = until_end.enter_context(Client(scheduler, security=security, timeout=PATIENCE_S))
-    client.wait_for_workers(1, timeout=PATIENCE_S)
-    return client
-
-
-def _line(fault: BaseException) -> str:
-    return " ".join(str(fault).split()).rstrip(".")
-
-
-def _sentence(verb: Run, done: Future[Any]) -> WaferViewerError:
+def _sentence(verb: Run | Lead, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:
     """What went wrong with a task, as an error that the viewer can show."""
-    if done.status == "cancelled":
-        return ComputeError("The work was given up, because the compute cluster ended.")
-    fault = done.exception()
+    fault = None if done.cancelled() else done.exception()
     if isinstance(fault, WaferViewerError):
         return fault
-    if isinstance(fault, CancelledError):
+    if fault is None or isinstance(fault, CancelledError):
         return ComputeError("The work was given up, because the compute cluster ended.")
     return ComputeError(f"{verb.task.__name__} failed: {type(fault).__name__}: {fault}.")

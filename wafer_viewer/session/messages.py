@@ -132,6 +132,18 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
+class Lead:
+    """Carry out ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, where it hands the crew many tasks.
+
+    Answered with what it returns.
+    """
+
+    work: str
+    task: Callable[..., Any]
+    args: tuple[Any, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Cancel:
     """Tell the tasks of a work to stop. Answered at once."""
 

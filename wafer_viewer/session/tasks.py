@@ -211,18 +211,23 @@ def stop_sign(work: str) -> str:
     return f"stop-{work}"
 
 
-def _teller(work: str) -> Progress:
-    from distributed import get_worker
-
+def sparing(tell: Progress) -> Progress:
+    """Progress that is told a few times a second, and at the end."""
     told_at = 0.0
 
-    def tell(fraction: float) -> None:
+    def tell_sometimes(fraction: float) -> None:
         nonlocal told_at
         if fraction >= 1 or time.monotonic() - told_at >= ASK_EVERY_S:
             told_at = time.monotonic()
-            get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(fraction)})
+            tell(fraction)
 
-    return tell
+    return tell_sometimes
+
+
+def _teller(work: str) -> Progress:
+    from distributed import get_worker
+
+    return sparing(lambda done: get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(done)}))
 
 
 def _listener(work: str) -> ShouldStop:

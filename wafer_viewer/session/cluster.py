@@ -1,0 +1,124 @@
+"""The dask.distributed cluster that does the heavy work: one of our own on this machine, or one that runs already.
+
+One of our own talks TLS with certificates made at its start, so that no other program of this machine can run code in
+it. With a running one both ends show the certificates that `wafer-viewer cluster` made.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import dask.config
+from distributed import Client, LocalCluster, Security
+
+from wafer_viewer.model.errors import ComputeError
+
+WORKER_MEMORY = "3GiB"
+PATIENCE_S = 20.0
+SETTINGS: dict[str, Any] = {
+    # Workers hand on small answers only: there is nothing to spill, and one that waits for room would wait for ever.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+    "distributed.nanny.preload": ["wafer_viewer.session.worker"],
+    "distributed.worker.preload": ["wafer_viewer.session.worker"],
+    "distributed.comm.timeouts.connect": PATIENCE_S,
+    "distributed.scheduler.allowed-failures": 3,
+    "distributed.admin.tick.limit": "1 hour",
+    # No pages of dask's own: they would be open to every program of this machine.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+_TLS = "distributed.comm.tls"
+
+
+def n_local_workers() -> int:
+    """One worker a processor, two at least, so that one that is busy or was killed does not stop the others."""
+    return min(8, max(2, (os.cpu_count() or 2) - 1))
+
+
+@contextmanager
+def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
+    """A client of the cluster at an address, or else of one of our own with some workers, which ends with the client.
+
+    Raises ComputeError where there are no certificates, they are not believed, or no worker answers.
+    """
+    with dask.config.set(SETTINGS), _quiet(), _joined(scheduler) if scheduler else _own(workers) as client:
+        yield client
+
+
+@contextmanager
+def _own(workers: int) -> Generator[Client]:
+    with _where("this machine"):
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            protocol="tls://",
+            security=Security.temporary(),
+            memory_limit=WORKER_MEMORY,
+            dashboard_address="127.0.0.1:0",
+            worker_dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )
+    with cluster, Client(cluster) as client:
+        yield client
+
+
+@contextmanager
+def _joined(scheduler: str) -> Generator[Client]:
+    """A cluster that runs already; its certificates come from dask's own configuration."""
+    with _where(scheduler):
+        client = Client(scheduler, security=_security(), timeout=PATIENCE_S)
+    with client:
+        with _where(scheduler):
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        yield client
+
+
+def _security() -> Security:
+    """Names of certificates in a configuration are relative to its folder, which may lie anywhere."""
+    files = {kind: dask.config.get(f"{_TLS}.{kind}") for kind in ("ca-file", "client.cert", "client.key")}
+    if not (files["ca-file"] and files["client.cert"]):
+        raise ValueError(
+            "dask's configuration names no certificates: set DASK_CONFIG to a folder that `wafer-viewer cluster` made"
+        )
+    folder = Path(os.environ.get("DASK_CONFIG", "."))
+    folder = folder if folder.is_dir() else folder.parent
+    found = {kind: str(folder / name) for kind, name in files.items() if name}
+    if missing := [file for file in found.values() if not Path(file).is_file()]:
+        raise ValueError(f"there is no certificate {missing[0]}")
+    return Security(
+        require_encryption=True,
+        tls_ca_file=found["ca-file"],
+        tls_client_cert=found["client.cert"],
+        tls_client_key=found.get("client.key"),
+    )
+
+
+@contextmanager
+def _where(place: str) -> Generator[None]:
+    """Turn what dask says of a cluster that cannot be had into one sentence."""
+    try:
+        yield
+    except (OSError, TimeoutError, ValueError) as fault:
+        reason = " ".join(str(fault).split()).rstrip(".")
+        raise ComputeError(f"There is no cluster at {place}: {reason}.") from fault
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """A person hears what matters from us, and not in dask's words as well."""
+    log = logging.getLogger("distributed")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)

@@ -1,0 +1,144 @@
+"""The worker's end of a cluster: its habits, whether it is fit for a dataset, and how it carries out a task.
+
+dask loads this module into every worker and into the nanny that watches it, and calls `dask_setup`.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import logging
+import signal
+import socket
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wafer_viewer import __version__
+from wafer_viewer.model.errors import WaferViewerError
+
+if TYPE_CHECKING:
+    from distributed import Nanny, Worker
+
+RECORD = "scan.json"
+Outcome = tuple[Any, WaferViewerError | None]
+_FIT_FOR: set[Sight] = set()
+"""What this worker has looked at and seen: a record of many fields takes long to read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a machine sees: the program's version and marks of its sources and of a dataset's record, "" for none."""
+
+    version: str
+    sources: str
+    dataset: Path
+    record: str
+
+    @classmethod
+    def of(cls, dataset: Path) -> Sight:
+        """What this machine sees of a dataset."""
+        record = ""
+        with suppress(OSError):
+            record = hashlib.sha256((dataset / RECORD).read_bytes()).hexdigest()
+        return cls(__version__, _sources(), dataset, record)
+
+
+def why_unfit(wanted: Sight) -> str:
+    """Why this machine cannot do the work of one that sees `wanted`, in a sentence; "" where it can."""
+    seen, host = Sight.of(wanted.dataset), socket.gethostname()
+    if (seen.version, seen.sources) != (wanted.version, wanted.sources):
+        return (
+            f"The worker on {host} runs wafer-viewer {seen.version} ({seen.sources}) and this machine {wanted.version} "
+            f"({wanted.sources}): install the same on both."
+        )
+    if not seen.record:
+        return f"The worker on {host} does not see {wanted.dataset}: mount the shared folder there under the same path."
+    if seen.record != wanted.record:
+        return f"The worker on {host} sees another dataset at {wanted.dataset}: mount the same folder on both machines."
+    return ""
+
+
+def attempt(task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
+    """What a task returns, and the fault that it met."""
+    try:
+        return task(*item), None
+    except WaferViewerError as fault:
+        return None, fault
+
+
+def attempt_if_fit(wanted: Sight | None, task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
+    """`attempt` on a worker; one that is unfit takes no more tasks and leaves this one to the others."""
+    if wanted is not None and wanted not in _FIT_FOR:
+        if why := why_unfit(wanted):
+            _step_aside(why)
+        _FIT_FOR.add(wanted)
+    return attempt(task, item)
+
+
+def works_on(job: str, dask_worker: Worker) -> bool:
+    """Whether a worker does a task of a job."""
+    return any(job in str(task.key) for task in dask_worker.state.executing)
+
+
+def dask_setup(server: Worker | Nanny) -> None:
+    """What dask calls when a worker or its nanny starts."""
+    from distributed import Nanny
+
+    if isinstance(server, Nanny):
+        _count_own_memory_only(server)
+    else:
+        # Ctrl-C in a terminal reaches all its processes: a worker leaves it to the one that started it.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _count_own_memory_only(nanny: Nanny) -> None:
+    """Let the memory limit count what a worker holds itself.
+
+    Stacks and surfaces are memory-mapped: they are in its resident memory, but the system drops them at any time.
+    """
+    from tornado.ioloop import PeriodicCallback
+
+    manager = nanny.memory_manager
+    if not manager.memory_limit or not manager.memory_terminate_fraction:
+        return
+    limit_bytes = manager.memory_limit * manager.memory_terminate_fraction
+
+    def look() -> None:
+        process = nanny.process and nanny.process.process
+        if process and process.pid and _own_bytes(process.pid) > limit_bytes:
+            manager.memory_monitor(nanny)
+
+    every_ms = 1000 * float(manager.memory_monitor_interval or 0.1)
+    nanny.periodic_callbacks["memory_monitor"] = PeriodicCallback(look, every_ms)
+
+
+def _own_bytes(pid: int) -> int:
+    import psutil
+
+    try:
+        memory = psutil.Process(pid).memory_info()
+    except psutil.Error:
+        return 0
+    return memory.rss - getattr(memory, "shared", 0)
+
+
+def _step_aside(why: str) -> None:
+    from distributed import Reschedule, get_worker
+    from distributed.core import Status
+
+    worker = get_worker()
+    logging.getLogger("distributed.worker").error("%s It takes no more tasks.", why)
+    worker.loop.add_callback(setattr, worker, "status", Status.paused)
+    raise Reschedule
+
+
+@functools.cache
+def _sources() -> str:
+    """Eight hex digits that change with any line of the program."""
+    package = Path(__file__).parent.parent
+    files = sorted(package.rglob("*.py"))
+    return f"{functools.reduce(lambda crc, file: zlib.crc32(file.read_bytes(), crc), files, 0):08x}"
