@@ -69,7 +69,8 @@ class HeightMap:
 
     z_um: float32, NaN where unmeasured, cleaned as the recipe says; z_raw_um: float32, gated but neither smoothed nor
     filled, what is measured on as a rule; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey;
-    origin: uint8 codes of `Origin`.
+    origin: uint8 codes of `Origin`; overlap_um: float32, of a mosaic: highest minus lowest raw height where two fields
+    or more measured a pixel, NaN elsewhere; None of a field.
 
     Raises MeasureError when the shapes disagree.
     """
@@ -83,9 +84,11 @@ class HeightMap:
     x0_um: float
     y0_um: float
     provenance: Provenance = Provenance()
+    overlap_um: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         shapes = {a.shape for a in (self.z_um, self.z_raw_um, self.confidence, self.all_in_focus, self.origin)}
+        shapes |= set() if self.overlap_um is None else {self.overlap_um.shape}
         if len(shapes) != 1:
             raise MeasureError(f"The layers of a height map have the shapes {sorted(shapes)}: they must be one shape.")
 
@@ -134,6 +137,7 @@ class HeightMap:
             confidence=self.confidence[rows, cols],
             all_in_focus=self.all_in_focus[rows, cols],
             origin=self.origin[rows, cols],
+            overlap_um=None if self.overlap_um is None else self.overlap_um[rows, cols],
             x0_um=self.x0_um + (_start(cols)) * self.pixel_um,
             y0_um=self.y0_um - (_start(rows)) * self.pixel_um,
         )

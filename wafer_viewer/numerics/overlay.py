@@ -1,4 +1,8 @@
-"""Weighted sums of lattices that lie on a common one, at whole or broken pixels: what a mosaic is blended from."""
+"""Lattices that lie on a common one, at whole or broken pixels: read there, and blended one after the other.
+
+The loops over a row write one array each: the compiler makes vectors of those, because it can still tell whether what
+is written overlaps with what is read.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from wafer_viewer.numerics.arrays import Float32s, Greys, Real, UInt8s, Whole
-from wafer_viewer.numerics.jit import kernel
+from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 _MEASURED = 0
-_FILLED = 1
 _NOT_COVERED = 10
 
 
-class Sums(NamedTuple):
-    """What a window of a mosaic has added up so far, all [row, col]."""
-
-    z: Float32s
-    raw: Float32s
-    confidence: Float32s
-    weight: Float32s
-    origin: UInt8s
-
-
 class Shift(NamedTuple):
-    """Pixel (r, c) of a window lies at (r + row + row_part, c + col + col_part) of a field, the parts in 0 ... 1."""
+    """Pixel (r, c) of a piece lies at (r + row + row_part, c + col + col_part) of a field, the parts in 0 ... 1."""
 
     row: int
     col: int
@@ -33,78 +26,141 @@ class Shift(NamedTuple):
     col_part: float
 
 
-@kernel
-def add_heights(
-    z: Float32s,
-    raw: Float32s,
-    confidence: Float32s,
-    origin: UInt8s,
-    shift: Shift,
-    row_weights: Float32s,
-    col_weights: Float32s,
-    max_step: Real,
-    sums: Sums,
-) -> None:
-    """Add one field to the part of the sums that it covers.
+class Leaning(NamedTuple):
+    """What is subtracted from the heights at (r, c) of a piece: rows[r] + cols[c] + up[r] * right[c]."""
 
-    Where the field lies between the pixels it is read bilinearly, but never across NaN or a step over `max_step`. A
-    measured height replaces filled ones and is not mixed with them.
+    rows: Float32s
+    cols: Float32s
+    up: Float32s
+    right: Float32s
+
+
+class Blended(NamedTuple):
+    """The layers of a window that one field after the other is blended into, all [row, col]."""
+
+    z: Float32s
+    raw: Float32s
+    confidence: Float32s
+    origin: UInt8s
+    overlap: Float32s
+
+
+class Piece(NamedTuple):
+    """The same layers of one field over a piece of the window, in the window's pixels."""
+
+    z: Float32s
+    raw: Float32s
+    confidence: Float32s
+    origin: UInt8s
+    row_weights: Float32s
+    col_weights: Float32s
+
+
+class Tally(NamedTuple):
+    """What a piece of the window keeps beside its layers: the weight so far, and the span of raw heights."""
+
+    weight: Float32s
+    lowest: Float32s
+    highest: Float32s
+
+
+class Rule(NamedTuple):
+    """The weight of a height is floor + trust * confidence; those that differ by over `limit` are not averaged."""
+
+    floor: float
+    trust: float
+    limit: float
+
+
+@lean_kernel
+def read_heights(
+    layer: Float32s, shift: Shift, leaning: Leaning, max_step: Real, out: Float32s, row: Whole, col: Whole
+) -> None:
+    """Heights of a field in the window's pixels, from (row, col) of `out` on, as many as `leaning` has.
+
+    Where the field lies between the pixels it is read bilinearly, but never across NaN or a step over `max_step`.
     """
-    n = col_weights.size
-    heights, raws, new, kept = (
-        np.empty(n, np.float32),
-        np.empty(n, np.float32),
-        np.empty(n, np.float32),
-        np.empty(n, np.float32),
-    )
-    near_col = shift.col + (1 if shift.col_part > 0.5 else 0)
-    for r in range(row_weights.size):
-        near_row = r + shift.row + (1 if shift.row_part > 0.5 else 0)
-        codes = origin[near_row, near_col : near_col + n]
-        _read(z, r, shift, max_step, heights)
-        _read(raw, r, shift, max_step, raws)
-        _weigh(heights, codes, row_weights[r], col_weights, sums.origin[r], new, kept)
-        _add(heights, new, kept, sums.z[r])
-        _add(raws, new, kept, sums.raw[r])
-        _add(confidence[near_row, near_col : near_col + n], new, kept, sums.confidence[r])
-        _add_weight(new, kept, sums.weight[r])
+    n = leaning.cols.size
+    s, t, limit = np.float32(shift.row_part), np.float32(shift.col_part), np.float32(max_step)
+    ahead = shift.col + (1 if t > 0 else 0)
+    near = ahead if t > 0.5 else shift.col
+    for r in range(leaning.rows.size):
+        i = r + shift.row
+        k = i + (1 if s > 0 else 0)
+        nearest = layer[k if s > 0.5 else i, near : near + n]
+        target = out[row + r, col : col + n]
+        base, up = leaning.rows[r], leaning.up[r]
+        if s == 0 and t == 0:
+            _upright(nearest, base, up, leaning.cols, leaning.right, target)
+        else:
+            a, b = layer[i, shift.col : shift.col + n], layer[i, ahead : ahead + n]
+            c, d = layer[k, shift.col : shift.col + n], layer[k, ahead : ahead + n]
+            _between(a, b, c, d, nearest, s, t, limit, base, up, leaning.cols, leaning.right, target)
 
 
-@kernel
-def add_picture(
-    picture: Greys, shift: Shift, row_weights: Float32s, col_weights: Float32s, grey: Float32s, weight: Float32s
-) -> None:
-    """Add the grey of one picture to the part of the sums that it covers, bilinearly between the pixels."""
-    n = col_weights.size
+@lean_kernel
+def read_grey(picture: Greys, shift: Shift, out: Float32s) -> None:
+    """The grey of a picture in the pixels of a piece, bilinearly between its own."""
+    n = out.shape[1]
     ahead = shift.col + (1 if shift.col_part > 0 else 0)
     s, t = np.float32(shift.row_part), np.float32(shift.col_part)
-    for r in range(row_weights.size):
+    for r in range(out.shape[0]):
         i = r + shift.row
         k = i + (1 if shift.row_part > 0 else 0)
         a, b = picture[i, shift.col : shift.col + n], picture[i, ahead : ahead + n]
         c, d = picture[k, shift.col : shift.col + n], picture[k, ahead : ahead + n]
-        _add_grey(a, b, t, row_weights[r] * (np.float32(1) - s), col_weights, grey[r])
-        if s > 0:
-            _add_grey(c, d, t, row_weights[r] * s, col_weights, grey[r])
-        for x in range(n):
+        _grey_between(a, b, c, d, s, t, out[r])
+
+
+@lean_kernel
+def blend_in(
+    piece: Piece, rule: Rule, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
+) -> None:
+    """Blend one more field into a piece of the window that begins at (row, col).
+
+    A measured height replaces a filled one; of two that differ grossly the weightier stays; others are averaged by
+    their weights. scratch: [2, columns].
+    """
+    n = piece.col_weights.size
+    new, share = scratch[0], scratch[1]
+    limit = np.float32(rule.limit)
+    for r in range(piece.row_weights.size):
+        z, raw = window.z[row + r, col : col + n], window.raw[row + r, col : col + n]
+        origin, weight = window.origin[row + r, col : col + n], tally.weight[r]
+        _weigh(piece.confidence[r], piece.row_weights[r], piece.col_weights, rule, new)
+        _share(z, piece.z[r], weight, new, origin, piece.origin[r], limit, share)
+        _mix(z, piece.z[r], share)
+        _mix(raw, piece.raw[r], share)
+        _mix(window.confidence[row + r, col : col + n], piece.confidence[r], share)
+        _take_over(origin, piece.origin[r], share)
+        _gain(weight, new, share)
+        _spread(tally.lowest[r], tally.highest[r], piece.raw[r], window.overlap[row + r, col : col + n])
+
+
+@lean_kernel
+def blend_grey(grey: Float32s, row_weights: Float32s, col_weights: Float32s, weight: Float32s, total: Float32s) -> None:
+    """Blend the grey of one more picture into that of a piece, which has had a weight so far."""
+    for r in range(row_weights.size):
+        _mix_grey(total[r], grey[r], row_weights[r], col_weights, weight[r])
+        for x in range(col_weights.size):
             weight[r, x] += row_weights[r] * col_weights[x]
 
 
-@kernel
-def _read(layer: Float32s, r: Whole, shift: Shift, max_step: Real, out: Float32s) -> None:
-    """One row of a layer, in the window's pixels."""
-    n, i, j = out.size, r + shift.row, shift.col
-    if shift.row_part == 0 and shift.col_part == 0:
-        out[:] = layer[i, j : j + n]
-        return
-    k, ahead = i + (1 if shift.row_part > 0 else 0), j + (1 if shift.col_part > 0 else 0)
-    near_row, near_col = k if shift.row_part > 0.5 else i, ahead if shift.col_part > 0.5 else j
-    nearest = layer[near_row, near_col : near_col + n]
-    a, b, c, d = layer[i, j : j + n], layer[i, ahead : ahead + n], layer[k, j : j + n], layer[k, ahead : ahead + n]
-    _between(a, b, c, d, nearest, np.float32(shift.row_part), np.float32(shift.col_part), np.float32(max_step), out)
+@lean_kernel
+def round_grey(grey: Float32s, out: Greys, row: Whole, col: Whole) -> None:
+    """Grey of a piece as whole numbers, from (row, col) of `out` on."""
+    n = grey.shape[1]
+    for r in range(grey.shape[0]):
+        _round(grey[r], out[row + r, col : col + n])
 
 
-@kernel
+@lean_part
+def _upright(heights: Float32s, base: Real, up: Real, cols: Float32s, right: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = heights[x] - (base + cols[x] + up * right[x])
+
+
+@lean_part
 def _between(
     a: Float32s,
     b: Float32s,
@@ -113,54 +169,100 @@ def _between(
     nearest: Float32s,
     s: Real,
     t: Real,
-    max_step: Real,
+    limit: Real,
+    base: Real,
+    up: Real,
+    cols: Float32s,
+    right: Float32s,
     out: Float32s,
 ) -> None:
-    """The bilinear value, or the nearest one beside NaN (which no comparison lets pass) or a step."""
+    """The bilinear value, or the nearest one beside NaN (which no comparison lets pass) or a step; put upright."""
     for x in range(out.size):
         above, below = a[x] + t * (b[x] - a[x]), c[x] + t * (d[x] - c[x])
-        flat = (abs(b[x] - a[x]) <= max_step) & (abs(d[x] - c[x]) <= max_step) & (abs(c[x] - a[x]) <= max_step)
-        out[x] = above + s * (below - above) if flat else nearest[x]
+        flat = (abs(b[x] - a[x]) <= limit) & (abs(d[x] - c[x]) <= limit) & (abs(c[x] - a[x]) <= limit)
+        value = above + s * (below - above) if flat else nearest[x]
+        out[x] = value - (base + cols[x] + up * right[x])
 
 
-@kernel
-def _weigh(
-    heights: Float32s,
-    codes: UInt8s,
-    row_weight: Real,
-    col_weights: Float32s,
-    origin: UInt8s,
+@lean_part
+def _grey_between(a: Greys, b: Greys, c: Greys, d: Greys, s: Real, t: Real, out: Float32s) -> None:
+    for x in range(out.size):
+        left, below = np.float32(a[x]), np.float32(c[x])
+        above = left + t * (np.float32(b[x]) - left)
+        out[x] = above + s * (below + t * (np.float32(d[x]) - below) - above)
+
+
+@lean_part
+def _weigh(confidence: Float32s, row_weight: Real, col_weights: Float32s, rule: Rule, out: Float32s) -> None:
+    floor, trust = row_weight * np.float32(rule.floor), row_weight * np.float32(rule.trust)
+    for x in range(out.size):
+        out[x] = col_weights[x] * (floor + trust * confidence[x])
+
+
+@lean_part
+def _share(
+    old: Float32s,
     new: Float32s,
-    kept: Float32s,
+    old_weight: Float32s,
+    new_weight: Float32s,
+    old_origin: UInt8s,
+    new_origin: UInt8s,
+    limit: Real,
+    share: Float32s,
 ) -> None:
-    """What the new heights count, what becomes of the old sums (1 kept, 0 replaced), and whose origin it is."""
-    for x in range(new.size):
-        old, code = origin[x], codes[x]
-        there = heights[x] == heights[x]
-        taken = there & ((code == _MEASURED) | (old != _MEASURED))
-        replaces = taken & (code == _MEASURED) & (old != _MEASURED)
-        new[x] = row_weight * col_weights[x] if taken else np.float32(0)
-        kept[x] = np.float32(0) if replaces else np.float32(1)
-        origin[x] = code if taken | (old == _NOT_COVERED) else old
+    """How much of the blended height is the new one's: 0 where it does not count, 1 where it takes the place."""
+    for x in range(share.size):
+        there, had = new[x] == new[x], old[x] == old[x]
+        measured, was_measured = new_origin[x] == _MEASURED, old_origin[x] == _MEASURED
+        off = abs(new[x] - old[x]) > limit
+        wins = (measured & (not was_measured)) | ((measured == was_measured) & off & (new_weight[x] > old_weight[x]))
+        joins = (measured == was_measured) & (not off)
+        part = new_weight[x] / (old_weight[x] + new_weight[x]) if joins else np.float32(0)
+        share[x] = np.float32(0) if not there else (np.float32(1) if wins | (not had) else part)
 
 
-@kernel
-def _add(values: Float32s, new: Float32s, kept: Float32s, total: Float32s) -> None:
-    """NaN counts only where it is taken and stays: neither a weight of nothing nor a replaced sum brings it in."""
+@lean_part
+def _mix(old: Float32s, new: Float32s, share: Float32s) -> None:
+    """NaN counts only where it is all that counts."""
+    for x in range(old.size):
+        mixed = old[x] + share[x] * (new[x] - old[x]) if share[x] < 1 else new[x]
+        old[x] = mixed if share[x] > 0 else old[x]
+
+
+@lean_part
+def _take_over(origin: UInt8s, codes: UInt8s, share: Float32s) -> None:
+    for x in range(origin.size):
+        origin[x] = codes[x] if (share[x] > 0) | (origin[x] == _NOT_COVERED) else origin[x]
+
+
+@lean_part
+def _gain(weight: Float32s, new: Float32s, share: Float32s) -> None:
+    for x in range(weight.size):
+        kept = weight[x] if share[x] < 1 else np.float32(0)
+        weight[x] = kept + (new[x] if share[x] > 0 else np.float32(0))
+
+
+@lean_part
+def _spread(lowest: Float32s, highest: Float32s, raw: Float32s, overlap: Float32s) -> None:
+    """Widen the span of raw heights; where it has two of them, it is the overlap's difference."""
+    for x in range(raw.size):
+        top = raw[x] if raw[x] > highest[x] else highest[x]
+        bottom = raw[x] if raw[x] < lowest[x] else lowest[x]
+        overlap[x] = top - bottom if (raw[x] == raw[x]) & (lowest[x] == lowest[x]) else overlap[x]
+    for x in range(raw.size):
+        lowest[x] = raw[x] if (raw[x] < lowest[x]) | (lowest[x] != lowest[x]) else lowest[x]
+    for x in range(raw.size):
+        highest[x] = raw[x] if (raw[x] > highest[x]) | (highest[x] != highest[x]) else highest[x]
+
+
+@lean_part
+def _mix_grey(total: Float32s, grey: Float32s, row_weight: Real, col_weights: Float32s, weight: Float32s) -> None:
     for x in range(total.size):
-        old = total[x] if kept[x] > 0 else np.float32(0)
-        v = values[x] if new[x] > 0 else np.float32(0)
-        total[x] = old + new[x] * v
+        new = row_weight * col_weights[x]
+        total[x] += new / (weight[x] + new) * (grey[x] - total[x])
 
 
-@kernel
-def _add_weight(new: Float32s, kept: Float32s, total: Float32s) -> None:
-    for x in range(total.size):
-        total[x] = kept[x] * total[x] + new[x]
-
-
-@kernel
-def _add_grey(a: Greys, b: Greys, t: Real, row_weight: Real, col_weights: Float32s, grey: Float32s) -> None:
-    for x in range(grey.size):
-        left = np.float32(a[x])
-        grey[x] += row_weight * col_weights[x] * (left + t * (np.float32(b[x]) - left))
+@lean_part
+def _round(grey: Float32s, out: Greys) -> None:
+    for x in range(out.size):
+        out[x] = np.int32(grey[x] + np.float32(0.5))

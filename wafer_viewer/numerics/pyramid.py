@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.numerics.arrays import Float32s, Greys, UInt8s
+from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 Layers = dict[str, NDArray[Any]]
 """Arrays [row, col] of one window of a level by name."""
-Children = list[NDArray[Any]]
-"""Four arrays [row, col]: upper left, upper right, lower left and lower right pixel under each pixel of the half."""
 _BEYOND = 255
 """An origin that loses against every other: past an odd edge."""
+_NOT_COVERED = int(Origin.NOT_COVERED)
+_MEANS = ("z_raw_um", "confidence", "overlap_um")
 
 
 def halve(layers: Layers) -> Layers:
@@ -23,34 +25,120 @@ def halve(layers: Layers) -> Layers:
     A pixel with a measured child is measured and is the mean of its measured children; filled children count only
     where there is no measured one. Its z_min_um and z_max_um span all heights below it, measured or filled.
     """
-    origins = _children(layers["origin"], _BEYOND)
-    origin = np.minimum.reduce(origins)
-    z, raw = _children(layers["z_um"], np.nan), _children(layers["z_raw_um"], np.nan)
-    confidence, grey = _children(layers["confidence"], np.nan), _children(layers["all_in_focus"], 0)
-    covered = [(o != Origin.NOT_COVERED) & (o != _BEYOND) for o in origins]
-    return {
-        "z_um": _mean(z, [np.isfinite(c) & (o == origin) for c, o in zip(z, origins, strict=True)]),
-        "z_raw_um": _mean(raw, [np.isfinite(c) for c in raw]),
-        "z_min_um": np.fmin.reduce(_children(layers.get("z_min_um", layers["z_um"]), np.nan)),
-        "z_max_um": np.fmax.reduce(_children(layers.get("z_max_um", layers["z_um"]), np.nan)),
-        "confidence": _mean(confidence, [np.isfinite(c) for c in confidence]),
-        "all_in_focus": np.rint(np.nan_to_num(_mean(grey, covered))).astype(layers["all_in_focus"].dtype),
-        "origin": origin,
-    }
+    origins, heights = _even(layers["origin"], _BEYOND), _even(layers["z_um"], np.nan)
+    shape = origins.shape[0] // 2, origins.shape[1] // 2
+    half: Layers = {"origin": np.empty(shape, np.uint8)}
+    _best(origins, half["origin"])
+    for name in ("z_um", "z_min_um", "z_max_um", *(name for name in _MEANS if name in layers)):
+        half[name] = np.empty(shape, np.float32)
+    _mean_of_best(heights, origins, half["origin"], half["z_um"])
+    _lowest(_even(layers["z_min_um"], np.nan) if "z_min_um" in layers else heights, half["z_min_um"])
+    _highest(_even(layers["z_max_um"], np.nan) if "z_max_um" in layers else heights, half["z_max_um"])
+    for name in set(_MEANS) & set(layers):
+        _mean_of_known(_even(layers[name], np.nan), half[name])
+    half["all_in_focus"] = np.empty(shape, layers["all_in_focus"].dtype)
+    _mean_of_covered(_even(layers["all_in_focus"], 0), origins, half["all_in_focus"])
+    return half
 
 
-def _children(layer: NDArray[Any], beyond: float) -> Children:
-    """The four children of each pixel; `beyond` stands outside of the layer."""
+def _even(layer: NDArray[Any], beyond: float) -> NDArray[Any]:
+    """A layer with whole squares of 2 x 2 pixels; `beyond` stands outside of it."""
     rows, cols = layer.shape
     if rows % 2 or cols % 2:
         layer = np.pad(layer, ((0, rows % 2), (0, cols % 2)), constant_values=beyond)
-    return [layer[r::2, c::2] for r in (0, 1) for c in (0, 1)]
+    return np.ascontiguousarray(layer)
 
 
-def _mean(children: Children, counted: list[NDArray[np.bool_]]) -> NDArray[np.float32]:
-    """The mean of the children that count, NaN where none does."""
-    total, n = np.zeros(children[0].shape, np.float32), np.zeros(children[0].shape, np.float32)
-    for child, counts in zip(children, counted, strict=True):
-        np.add(total, child, out=total, where=counts)
-        n += counts
-    return np.divide(total, n, out=np.full(n.shape, np.nan, np.float32), where=n > 0)
+@lean_kernel
+def _best(origins: UInt8s, out: UInt8s) -> None:
+    for r in range(out.shape[0]):
+        _least(origins[2 * r], origins[2 * r + 1], out[r])
+
+
+@lean_part
+def _least(above: UInt8s, below: UInt8s, out: UInt8s) -> None:
+    for x in range(out.size):
+        out[x] = min(min(above[2 * x], above[2 * x + 1]), min(below[2 * x], below[2 * x + 1]))
+
+
+@lean_kernel
+def _mean_of_best(heights: Float32s, origins: UInt8s, best: UInt8s, out: Float32s) -> None:
+    """The mean of those of the four whose origin is the best of them, NaN where they have no height."""
+    for r in range(out.shape[0]):
+        _of_best(heights[2 * r], heights[2 * r + 1], origins[2 * r], origins[2 * r + 1], best[r], out[r])
+
+
+@lean_part
+def _of_best(a: Float32s, b: Float32s, origin_a: UInt8s, origin_b: UInt8s, best: UInt8s, out: Float32s) -> None:
+    zero = np.float32(0)
+    for x in range(out.size):
+        i, j, o = 2 * x, 2 * x + 1, best[x]
+        p, q = (a[i] == a[i]) & (origin_a[i] == o), (a[j] == a[j]) & (origin_a[j] == o)
+        s, t = (b[i] == b[i]) & (origin_b[i] == o), (b[j] == b[j]) & (origin_b[j] == o)
+        total = (a[i] if p else zero) + (a[j] if q else zero) + (b[i] if s else zero) + (b[j] if t else zero)
+        out[x] = total / (np.float32(p) + np.float32(q) + np.float32(s) + np.float32(t))
+
+
+@lean_kernel
+def _mean_of_known(layer: Float32s, out: Float32s) -> None:
+    """The mean of those of the four that are not NaN."""
+    for r in range(out.shape[0]):
+        _of_known(layer[2 * r], layer[2 * r + 1], out[r])
+
+
+@lean_part
+def _of_known(a: Float32s, b: Float32s, out: Float32s) -> None:
+    zero = np.float32(0)
+    for x in range(out.size):
+        i, j = 2 * x, 2 * x + 1
+        p, q, s, t = a[i] == a[i], a[j] == a[j], b[i] == b[i], b[j] == b[j]
+        total = (a[i] if p else zero) + (a[j] if q else zero) + (b[i] if s else zero) + (b[j] if t else zero)
+        out[x] = total / (np.float32(p) + np.float32(q) + np.float32(s) + np.float32(t))
+
+
+@lean_kernel
+def _lowest(layer: Float32s, out: Float32s) -> None:
+    for r in range(out.shape[0]):
+        _low(layer[2 * r], layer[2 * r + 1], out[r])
+
+
+@lean_part
+def _low(a: Float32s, b: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        p = a[2 * x] if (a[2 * x] <= a[2 * x + 1]) | (a[2 * x + 1] != a[2 * x + 1]) else a[2 * x + 1]
+        q = b[2 * x] if (b[2 * x] <= b[2 * x + 1]) | (b[2 * x + 1] != b[2 * x + 1]) else b[2 * x + 1]
+        out[x] = p if (p <= q) | (q != q) else q
+
+
+@lean_kernel
+def _highest(layer: Float32s, out: Float32s) -> None:
+    for r in range(out.shape[0]):
+        _high(layer[2 * r], layer[2 * r + 1], out[r])
+
+
+@lean_part
+def _high(a: Float32s, b: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        p = a[2 * x] if (a[2 * x] >= a[2 * x + 1]) | (a[2 * x + 1] != a[2 * x + 1]) else a[2 * x + 1]
+        q = b[2 * x] if (b[2 * x] >= b[2 * x + 1]) | (b[2 * x + 1] != b[2 * x + 1]) else b[2 * x + 1]
+        out[x] = p if (p >= q) | (q != q) else q
+
+
+@lean_kernel
+def _mean_of_covered(grey: Greys, origins: UInt8s, out: Greys) -> None:
+    """The mean grey of those of the four that a field covers, 0 where none does."""
+    for r in range(out.shape[0]):
+        _of_covered(grey[2 * r], grey[2 * r + 1], origins[2 * r], origins[2 * r + 1], out[r])
+
+
+@lean_part
+def _of_covered(a: Greys, b: Greys, origin_a: UInt8s, origin_b: UInt8s, out: Greys) -> None:
+    for x in range(out.size):
+        i, j = 2 * x, 2 * x + 1
+        p = np.int32((origin_a[i] != _NOT_COVERED) & (origin_a[i] != _BEYOND))
+        q = np.int32((origin_a[j] != _NOT_COVERED) & (origin_a[j] != _BEYOND))
+        s = np.int32((origin_b[i] != _NOT_COVERED) & (origin_b[i] != _BEYOND))
+        t = np.int32((origin_b[j] != _NOT_COVERED) & (origin_b[j] != _BEYOND))
+        n = p + q + s + t
+        total = np.float32(p * a[i] + q * a[j] + s * b[i] + t * b[j])
+        out[x] = np.int32(total / np.float32(max(n, 1)) + np.float32(0.5))

@@ -1,4 +1,4 @@
-"""Many height maps as one surface: linear ramps over the overlaps, X then Y (eq. 15 and 16), a window at a time.
+"""Many height maps as one surface, a window at a time: by confidence, or by the paper's ramps (eq. 15 and 16).
 
 Blending along X and then along Y is the same as one weight for each field, the product of its ramps; where a
 neighbour is missing or saw nothing, the weights of what was measured add up to one again.
@@ -11,24 +11,20 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer import __version__
 from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.plan import Field
+from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
-from wafer_viewer.numerics.overlay import Shift, Sums, add_heights, add_picture
-from wafer_viewer.reconstruct.place import Layout, Place, layout
+from wafer_viewer.model.surface import HeightMap, Provenance, pixel_window
+from wafer_viewer.reconstruct.overlay import BLENDS, lay_over, lay_pictures
+from wafer_viewer.reconstruct.place import Layout, layout
 from wafer_viewer.reconstruct.pyramid import halved, joined
 
-MAX_STEP_FRAMES = 2.0
 _COARSEST_PX = 512
 _BAND_PX = 4_000_000
 
@@ -40,6 +36,11 @@ class StitchedMosaic:
     heights: Sequence[HeightMap]
     layout: Layout
     provenance: Provenance
+
+    @property
+    def poses(self) -> Poses | None:
+        """Where its fields lie; None where they lie where the maps say."""
+        return self.layout.poses
 
     @property
     def pixel_um(self) -> float:
@@ -130,37 +131,23 @@ def blend_window(
 ) -> HeightMap:
     """The pixels [rows, cols] of the mosaic of some height maps; only the maps that touch them are looked at.
 
-    Memory is that of the window, however many fields there are.
+    They are blended as the recipe of the provenance says. Memory is that of the window, however many fields there are.
     """
     lattice = lattice or layout(heights)
-    touching = [(lattice.places[n], heights[n]) for n in lattice.touching(rows, cols)]
-    sums, picture = _empty_sums(rows, cols), _Picture.empty(rows, cols)
-    for place, height in touching:
-        spot = _spot(place, rows, cols)
-        if spot is not None:
-            _add_heights(height, spot, sums)
-            picture.add(height.all_in_focus, spot)
+    touching = lattice.touching(rows, cols)
+    provenance = provenance or mosaic_provenance([heights[n].provenance for n in touching], Recipe())
     return HeightMap(
-        z_um=_mean(sums.z, sums.weight),
-        z_raw_um=_mean(sums.raw, sums.weight),
-        confidence=_mean(sums.confidence, sums.weight, 0.0),
-        all_in_focus=picture.grey([h.all_in_focus for _, h in touching]),
-        origin=sums.origin,
+        **lay_over(heights, lattice, rows, cols, BLENDS[provenance.recipe.stitching.blend]),
         pixel_um=lattice.pixel_um,
         x0_um=lattice.x0_um + cols.start * lattice.pixel_um,
         y0_um=lattice.y0_um - rows.start * lattice.pixel_um,
-        provenance=provenance or mosaic_provenance([h.provenance for _, h in touching], Recipe()),
+        provenance=provenance,
     )
 
 
 def blend_pictures(pictures: Sequence[Image], lattice: Layout, rows: slice, cols: slice) -> Image:
-    """The pixels [rows, cols] of the mosaic of one picture a field, with the ramps of the heights; 0 where none is."""
-    picture = _Picture.empty(rows, cols)
-    for n in lattice.touching(rows, cols):
-        spot = _spot(lattice.places[n], rows, cols)
-        if spot is not None:
-            picture.add(pictures[n], spot)
-    return picture.grey(pictures)
+    """The pixels [rows, cols] of the mosaic of one picture a field, fading over the overlaps; 0 where none is."""
+    return lay_pictures(pictures, lattice, rows, cols, BLENDS["ramp"])
 
 
 def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance:
@@ -178,75 +165,3 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
         simulated=any(p.simulated for p in parts),
         notes=tuple(dict.fromkeys(note for p in parts for note in p.notes)),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Spot:
-    """The part of a window that a field covers, the way from there to the field's pixels, and the field's weights."""
-
-    part: tuple[slice, slice]
-    shift: Shift
-    row_weights: NDArray[np.float32]
-    col_weights: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Picture:
-    """Grey that is being added up over a window."""
-
-    total: NDArray[np.float32]
-    weight: NDArray[np.float32]
-
-    @classmethod
-    def empty(cls, rows: slice, cols: slice) -> _Picture:
-        shape = rows.stop - rows.start, cols.stop - cols.start
-        return cls(np.zeros(shape, np.float32), np.zeros(shape, np.float32))
-
-    def add(self, picture: Image, spot: _Spot) -> None:
-        total, weight = self.total[spot.part], self.weight[spot.part]
-        add_picture(_fixed(picture), spot.shift, spot.row_weights, spot.col_weights, total, weight)
-
-    def grey(self, like: Sequence[Image]) -> Image:
-        """The mean grey, in the numbers of the pictures it is from; 0 where there was none."""
-        dtype = np.result_type(*{p.dtype for p in like}) if like else np.dtype(np.uint8)
-        return np.rint(_mean(self.total, self.weight, 0.0)).astype(dtype)
-
-
-def _empty_sums(rows: slice, cols: slice) -> Sums:
-    shape = rows.stop - rows.start, cols.stop - cols.start
-    z, raw, confidence, weight = (np.zeros(shape, np.float32) for _ in range(4))
-    return Sums(z, raw, confidence, weight, np.full(shape, Origin.NOT_COVERED, np.uint8))
-
-
-def _add_heights(height: HeightMap, spot: _Spot, sums: Sums) -> None:
-    z, raw, confidence, origin = map(_fixed, (height.z_um, height.z_raw_um, height.confidence, height.origin))
-    max_step = np.float32(MAX_STEP_FRAMES * height.provenance.z_step_um)
-    part = Sums(*(layer[spot.part] for layer in sums))  # pyright: ignore[reportArgumentType]
-    add_heights(z, raw, confidence, origin, spot.shift, spot.row_weights, spot.col_weights, max_step, part)
-
-
-def _spot(place: Place, rows: slice, cols: slice) -> _Spot | None:
-    """Where a field lies in a window; None when it covers no pixel of it."""
-    top, bottom = max(rows.start, math.ceil(place.row)), min(rows.stop, math.floor(place.last_row) + 1)
-    left, right = max(cols.start, math.ceil(place.col)), min(cols.stop, math.floor(place.last_col) + 1)
-    if bottom <= top or right <= left:
-        return None
-    row_part, row = math.modf(top - place.row)
-    col_part, col = math.modf(left - place.col)
-    return _Spot(
-        (slice(top - rows.start, bottom - rows.start), slice(left - cols.start, right - cols.start)),
-        Shift(int(row), int(col), row_part, col_part),
-        place.row_weights(np.arange(top, bottom, dtype=np.float64)),
-        place.col_weights(np.arange(left, right, dtype=np.float64)),
-    )
-
-
-def _fixed(layer: NDArray[Any]) -> NDArray[Any]:
-    """A read-only view: kernels compile once for maps in memory and for those in a file."""
-    view = layer.view()
-    view.flags.writeable = False
-    return view if view.flags.c_contiguous else _fixed(np.ascontiguousarray(layer))
-
-
-def _mean(total: NDArray[np.float32], weight: NDArray[np.float32], without: float = np.nan) -> NDArray[np.float32]:
-    return np.divide(total, weight, out=np.full(total.shape, without, np.float32), where=weight > 0)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.numerics.pyramid import halve
@@ -13,12 +15,19 @@ from wafer_viewer.numerics.pyramid import halve
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 
 
+def layers_of(height: HeightMap) -> dict[str, NDArray[Any]]:
+    """The layers of a map by name, the differences of overlaps among them where it has them."""
+    names = LAYERS if height.overlap_um is None else (*LAYERS, "overlap_um")
+    return {name: getattr(height, name) for name in names}
+
+
 def halved(height: HeightMap) -> HeightMap:
     """The next level up: each pixel stands for 2 x 2 of which unmeasured ones are left out."""
-    half = halve({name: getattr(height, name) for name in LAYERS})
+    layers = layers_of(height)
+    half = halve(layers)
     return dataclasses.replace(
         height,
-        **{name: half[name] for name in LAYERS},
+        **{name: half[name] for name in layers},
         pixel_um=2 * height.pixel_um,
         x0_um=height.x0_um + 0.5 * height.pixel_um,
         y0_um=height.y0_um - 0.5 * height.pixel_um,
@@ -29,5 +38,5 @@ def joined(bands: Sequence[HeightMap]) -> HeightMap:
     """Maps that lie below one another as one, at the position of the first."""
     if len(bands) == 1:
         return bands[0]
-    layers = {name: np.concatenate([getattr(b, name) for b in bands]) for name in LAYERS}
+    layers = {name: np.concatenate([getattr(b, name) for b in bands]) for name in layers_of(bands[0])}
     return dataclasses.replace(bands[0], **layers)
