@@ -98,7 +98,7 @@ def _look(place, form, texture, blanks, z_um, grey, sure):
 @numba.njit(cache=True, nogil=True)
 def _at(x, y, textured_fraction, texture):
     """Height, grey and sureness of a place, but for the form of the wafer."""
-    u, v = x % DIE_WIDTH_UM, y % DIE_HEIGHT_UM
+    u, v = (x + TRENCH_UM / 2) % DIE_WIDTH_UM - TRENCH_UM / 2, (y + TRENCH_UM / 2) % DIE_HEIGHT_UM - TRENCH_UM / 2
     across = _inside(u, DIE_WIDTH_UM - TRENCH_UM, WALL_UM)
     along = _inside(v, DIE_HEIGHT_UM - TRENCH_UM, WALL_UM)
     die = across * along

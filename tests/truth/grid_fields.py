@@ -13,7 +13,7 @@ from tests.truth.grid_truth import PIXEL_UM, Grid, Truth
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 
-Z_STEP_UM, GREY_NOISE, FALSE_UM, WRONG_PX = 4.0, 2.0, 15.0, 15.0
+Z_STEP_UM, FALSE_UM, WRONG_PX = 4.0, 15.0, 15.0
 
 
 def simulated(truth: Truth, field: Field, n: int) -> HeightMap:
@@ -23,7 +23,7 @@ def simulated(truth: Truth, field: Field, n: int) -> HeightMap:
     first = tuple(rng.uniform(0, 1000, 2))
     confidence = _confidence(sure, first)
     z = z + _lean(truth, n) + _height_noise(grid, confidence, rng)
-    grey = grey * _light(grid, rng) + GREY_NOISE * rng.standard_normal(z.shape, np.float32)
+    grey = grey * _light(grid, rng) + grid.grey_noise * rng.standard_normal(z.shape, np.float32)
     origin = _origin(grid, sure, first)
     if n in grid.empty:
         origin[:] = Origin.NO_TEXTURE
