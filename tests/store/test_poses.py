@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
-from wafer_viewer.store.poses import read_poses, write_poses
+from wafer_viewer.store.poses import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)
 
@@ -46,3 +47,13 @@ def test_a_torn_file_is_named(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:200])
     with pytest.raises(DatasetError, match=r"poses\.npz holds no poses"):
         read_poses(file)
+
+
+def test_a_table_of_poses_has_a_line_for_each_field(tmp_path: Path) -> None:
+    poses = some_poses()
+    write_poses_csv(poses, tmp_path / "poses.csv")
+    with (tmp_path / "poses.csv").open(encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    assert [int(line["field"]) for line in lines] == poses.numbers.tolist()
+    np.testing.assert_allclose([float(line["x_um"]) for line in lines], poses.x_um, rtol=1e-4)
+    assert [bool(int(line["left_out"])) for line in lines] == [bool(v) for v in poses.left_out]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import zipfile
 from pathlib import Path
@@ -13,6 +14,10 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
 from wafer_viewer.store.files import replacing
 
+PLACES = (
+    *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
+    *("u_x_um", "u_y_um", "u_z_um"),
+)
 _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": Seams, "form": Form}
 
 
@@ -30,6 +35,22 @@ def read_poses(path: Path) -> Poses:
             return _built(Poses, arrays, "", **tables)
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as fault:
         raise DatasetError(f"{path} holds no poses that can be read: stitch the fields again.") from fault
+
+
+def write_poses_csv(poses: Poses, path: Path) -> None:
+    """A line for each field: where the stage says it is, where it lies, and how sure that is (k = 1); um and um per um.
+
+    Raises DatasetError when the place cannot be written to.
+    """
+    columns = ("numbers", *PLACES, "group", "left_out")
+    lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(("field", *PLACES, "group", "left_out"))
+        table.writerows(
+            (number, *(f"{v:.6g}" if abs(v) < 1 else f"{v:.4f}" for v in place), group, int(left_out))
+            for number, *place, group, left_out in lines
+        )
 
 
 def _flat(table: Any, prefix: str) -> dict[str, Any]:
