@@ -5,8 +5,10 @@ import pytest
 
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.reconstruct.blend import stitch
 from wafer_viewer.session.state import SurfaceInfo
-from wafer_viewer.session.summary import load_summary, overlap_rms_um, save_summary, summarise
+from wafer_viewer.session.summary import load_summary, save_summary, summarise
+from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.result import Result
 
 
@@ -34,7 +36,7 @@ def test_it_says_how_much_is_measured_and_why_the_rest_is_not():
     surface = unmeasured(flat(5.0), slice(0, 10), slice(None), Origin.CLIPPED)
     surface = unmeasured(surface, slice(10, 12), slice(None), Origin.NO_TEXTURE)
     surface.z_um[20, 20], surface.origin[30] = 9.0, Origin.FILLED
-    info = summarise(surface, [surface], "default")
+    info = summarise(surface, 1, "default")
     assert info.unmeasured == (("too bright", 0.25), ("no texture", 0.05))
     assert info.filled_fraction == 1 / 40
     assert info.measured_fraction == pytest.approx(1 - 0.3 - 1 / 40)
@@ -44,7 +46,7 @@ def test_it_says_how_much_is_measured_and_why_the_rest_is_not():
 
 def test_a_surface_without_any_height_is_summarised_as_well():
     nothing = unmeasured(flat(0.0), slice(None), slice(None), Origin.NO_TEXTURE)
-    info = summarise(nothing, [nothing], "default")
+    info = summarise(nothing, 1, "default")
     assert info.measured_fraction == 0
     assert info.low_um < info.high_um
     assert info.overlap_rms_um is None
@@ -52,25 +54,39 @@ def test_a_surface_without_any_height_is_summarised_as_well():
 
 @pytest.mark.parametrize(("dx", "dy"), [(25.0, 0.0), (-25.0, 5.0), (0.0, 15.0), (10.0, -10.0)])
 def test_the_misfit_of_neighbours_is_found_where_they_overlap(dx, dy):
-    a, b = flat(1.0), flat(1.25, x0_um=dx, y0_um=dy)
-    assert overlap_rms_um([a, b]) == pytest.approx(0.25)
+    assert misfit_of(flat(1.0), flat(1.25, x0_um=dx, y0_um=dy)) == pytest.approx(0.25)
 
 
 def test_false_heights_do_not_count_as_misfit():
     a, b = flat(1.0, noise_um=0.01), flat(1.0, x0_um=10.0, noise_um=0.02)
     b.z_raw_um[5, 5] = 500.0
-    assert overlap_rms_um([a, b]) < 0.05
+    assert 0.005 < misfit_of(a, b) < 0.05
 
 
 def test_fields_that_do_not_touch_have_no_misfit():
-    assert overlap_rms_um([flat(1.0), flat(2.0, x0_um=1000.0)]) is None
+    assert misfit_of(flat(1.0), flat(2.0, x0_um=1000.0)) is None
+
+
+def test_a_mosaic_on_disk_is_summarised_from_what_is_kept_beside_it(tmp_path):
+    surface = unmeasured(flat(5.0, shape=(700, 1100), noise_um=0.1), slice(0, 70), slice(None), Origin.CLIPPED)
+    surface = stitch([surface, flat(5.1, shape=(700, 1100), x0_um=500.0)])
+    stored = write_mosaic(tmp_path / "m.zarr", surface)
+    kept, read = summarise(stored, 2, "default"), summarise(surface.window(), 2, "default")
+    assert kept.overlap_rms_um == pytest.approx(read.overlap_rms_um, rel=0.01)
+    for name in ("measured_fraction", "unmeasured", "highest_um", "lowest_um", "n_fields"):
+        assert getattr(kept, name) == getattr(read, name)
+    assert (kept.low_um, kept.high_um) == pytest.approx((read.low_um, read.high_um), abs=0.02)
+
+
+def misfit_of(a, b):
+    return summarise(stitch([a, b]).window(), 2, "default").overlap_rms_um
 
 
 def test_a_summary_comes_back_from_the_disk_and_a_damaged_one_is_no_summary(tmp_path):
     result = Result.of(tmp_path, "default")
     result.path.mkdir()
     assert load_summary(result) is None
-    info = summarise(flat(2.0), [flat(2.0)], "default", Recipe.paper())
+    info = summarise(flat(2.0), 1, "default", Recipe.paper())
     save_summary(result, info)
     back = load_summary(result)
     assert isinstance(back, SurfaceInfo)

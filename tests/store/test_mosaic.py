@@ -16,9 +16,8 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.numerics.pyramid import halve
-from wafer_viewer.store import mosaic, mosaic_layout
-from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, write_mosaic, write_shard
-from wafer_viewer.store.mosaic_layout import shards
+from wafer_viewer.store import mosaic_layout
+from wafer_viewer.store.mosaic import ZarrMosaic, lay_out, patches, write_mosaic, write_patch
 
 SIZES = mosaic_layout.CHUNK, mosaic_layout.SHARD
 
@@ -27,9 +26,8 @@ SIZES = mosaic_layout.CHUNK, mosaic_layout.SHARD
 def small_shards():
     """Shards of 64 pixels, so that a small surface has many of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mosaic, "SHARD", 64)
-        patch.setattr(mosaic, "CHUNK", 16)
         patch.setattr(mosaic_layout, "SHARD", 64)
+        patch.setattr(mosaic_layout, "CHUNK", 16)
         patch.setattr(mosaic_layout, "COARSEST_PX", 40)
         yield
 
@@ -149,14 +147,14 @@ def test_the_real_sizes_are_those_of_the_format():
     assert SIZES == (256, 2048)
 
 
-def test_shards_can_be_written_in_any_order_within_a_level(tmp_path, surface, stored):
+def test_patches_can_be_written_in_any_order_within_a_level(tmp_path, surface, stored):
     path = tmp_path / "n.zarr"
     lay_out(path, surface)
-    work = shards(surface.shape)
-    assert len({(s.level, s.row, s.col) for s in work}) == len(work)
-    for _, of_level in itertools.groupby(work, lambda s: s.level):
-        for shard in reversed(list(of_level)):
-            write_shard(path, surface, shard)
+    work = patches(surface.shape)
+    assert len(set(work)) == len(work)
+    for _, of_level in itertools.groupby(work, lambda patch: patch.level):
+        for patch in reversed(list(of_level)):
+            write_patch(path, surface, patch)
     for level in range(4):
         assert_same_surface(ZarrMosaic.open(path).window(level=level), stored.window(level=level))
 

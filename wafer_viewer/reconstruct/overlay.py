@@ -135,7 +135,8 @@ class Laid:
 def lay_over(heights: Sequence[HeightMap], layout: Layout, rows: slice, cols: slice, blend: Blend) -> dict[str, Any]:
     """The layers of a window [rows, cols] of the mosaic by name; only the fields that touch it are looked at."""
     fields = _laid(heights, layout, rows, cols, blend)
-    window = _empty((rows.stop - rows.start, cols.stop - cols.start), [height for height, _ in fields])
+    seen = [height for height, _ in fields] or [heights[0]]
+    window = _empty((rows.stop - rows.start, cols.stop - cols.start), _type([height.all_in_focus for height in seen]))
     for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
         here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
         if here:
@@ -146,7 +147,8 @@ def lay_over(heights: Sequence[HeightMap], layout: Layout, rows: slice, cols: sl
 def lay_pictures(pictures: Sequence[Image], layout: Layout, rows: slice, cols: slice, blend: Blend) -> Image:
     """The same of one picture a field; 0 where none is."""
     fields = _laid(pictures, layout, rows, cols, blend)
-    out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type([picture for picture, _ in fields]))
+    seen = [picture for picture, _ in fields] or [pictures[0]]
+    out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type(seen))
     for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
         here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
         if here:
@@ -186,14 +188,14 @@ def _feather(
     return np.maximum(feather(share), LEAST_WEIGHT).astype(np.float32)
 
 
-def _empty(shape: tuple[int, int], fields: Sequence[HeightMap]) -> dict[str, Any]:
+def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
     """The layers of a window that nothing covers yet."""
     z, raw, overlap = (np.full(shape, np.nan, np.float32) for _ in range(3))
     return {
         "z_um": z,
         "z_raw_um": raw,
         "confidence": np.zeros(shape, np.float32),
-        "all_in_focus": np.zeros(shape, _type([height.all_in_focus for height in fields])),
+        "all_in_focus": np.zeros(shape, grey),
         "origin": np.full(shape, Origin.NOT_COVERED, np.uint8),
         "overlap_um": overlap,
     }
@@ -201,7 +203,7 @@ def _empty(shape: tuple[int, int], fields: Sequence[HeightMap]) -> dict[str, Any
 
 def _type(pictures: Sequence[Image]) -> np.dtype[Any]:
     """The numbers of the pictures of a mosaic."""
-    return np.result_type(*{picture.dtype for picture in pictures}) if pictures else np.dtype(np.uint8)
+    return np.result_type(*{picture.dtype for picture in pictures})
 
 
 def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:

@@ -39,4 +39,4 @@ def _lengthen(lengths: Lengths, fields: Rectangles, own: NDArray[np.int64], othe
         (LEFT, across & (right < 0), fields.right[other] - fields.left[own]),
         (RIGHT, across & (right > 0), fields.right[own] - fields.left[other]),
     ):
-        np.maximum.at(lengths, (own[counts], side), overlap[counts])
+        np.maximum.at(lengths[:, side], own[counts], overlap[counts])

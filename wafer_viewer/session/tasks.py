@@ -119,7 +119,7 @@ def stitch_fields(
     fields = [f for f in data.fields if f.number in done]
     heights = [kept.surface(f) for f in fields]
     write_mosaic(kept.mosaic_path, stitch(heights, fields, recipe), progress, should_stop)
-    info = summarise(kept.mosaic(), heights, result, recipe)
+    info = summarise(kept.mosaic(), len(heights), result, recipe)
     save_summary(kept, info)
     return info
 
@@ -134,7 +134,7 @@ def describe_mosaic(
     data = Dataset.open(dataset)
     kept = data.result(result)
     heights = [kept.surface(f) for f in data.fields if f.number in kept.surfaces_done(data.fields)]
-    info = summarise(kept.mosaic(), heights, result, kept.recipe())
+    info = summarise(kept.mosaic(), len(heights), result, kept.recipe())
     save_summary(kept, info)
     return info
 

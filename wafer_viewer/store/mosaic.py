@@ -1,13 +1,16 @@
 """A stitched surface on disk: a pyramid of levels in Zarr 3, one OME-NGFF 0.5 multiscale group for each layer.
 
 Level l has pixels of 2^l pixels of level 0. z_min_um and z_max_um are the span of what a pixel stands for; at level 0
-they would equal z_um, so their groups begin with level 1. The work is cut into shards that no two writers share.
+they would equal z_um, so their groups begin with level 1. The work is cut into patches that share no shard; each shard
+is replaced in one rename, so that others can read while patches are made again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,27 +22,42 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
 from wafer_viewer.numerics.pyramid import Layers, halve
-from wafer_viewer.store.files import replacing, writing
+from wafer_viewer.store import mosaic_layout
+from wafer_viewer.store.files import replacing, write_text, writing
+from wafer_viewer.store.mosaic_facts import Facts, blocks_of, keep_blocks, kept_facts, sampling_step
 from wafer_viewer.store.mosaic_layout import (
-    CHUNK,
     FILLS,
     HEADER,
-    SHARD,
     SPANS,
     SURFACE,
     MosaicHeader,
-    Shard,
-    dtype_of,
     header_of,
     levels_of,
     multiscale,
-    shards,
+    shards_of,
 )
+from wafer_viewer.store.patches import Patch, Window, patches
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.shard import ShardedArray, codecs
+
+__all__ = [
+    "Patch",
+    "ZarrMosaic",
+    "lay_out",
+    "patches",
+    "rewrite_header",
+    "write_mosaic",
+    "write_patch",
+    "write_windows",
+]
 
 
 def write_mosaic(
-    path: Path, source: Mosaic, progress: Progress | None = None, should_stop: ShouldStop | None = None
+    path: Path,
+    source: Mosaic,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    threads: int = 1,
 ) -> ZarrMosaic:
     """Write a surface and its pyramid beside `path` and move it into place; memory for a few shards is enough.
 
@@ -47,14 +65,28 @@ def write_mosaic(
     """
     with replacing(path) as beside:
         lay_out(beside, source)
-        work = shards(source.shape)
-        for shard in watched(work, len(work), "Writing the mosaic", progress, should_stop):
-            write_shard(beside, source, shard)
+        _write(beside, source, patches(source.shape), progress, should_stop, threads)
     return ZarrMosaic.open(path)
 
 
+def write_windows(
+    path: Path,
+    source: Mosaic,
+    windows: Sequence[Window],
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    threads: int = 1,
+) -> None:
+    """Make windows (rows and columns of level 0) of a mosaic again, on all levels; what lies beside them is not read.
+
+    Raises DatasetError when the place cannot be written to or the work is stopped: then some of them are new.
+    """
+    _write(path, source, patches(source.shape, windows), progress, should_stop, threads)
+    rewrite_header(path, source)
+
+
 def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
-    """Make the empty mosaic: its header and all arrays. Shards can be written to it in parallel from then on."""
+    """Make the empty mosaic: its header and all arrays. Patches can be written to it in parallel from then on."""
     import zarr
 
     header = header_of(source)
@@ -63,13 +95,13 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
         for name, fill in FILLS.items():
             group = root.create_group(name, attributes={"ome": multiscale(header, name)})
             for level in levels_of(name, header):
-                shape = header.shape_of(level)
                 group.create_array(
                     str(level),
-                    shape=shape,
-                    dtype=dtype_of(name, header),
-                    chunks=(CHUNK, CHUNK),
-                    shards=(SHARD, SHARD),
+                    shape=header.shape_of(level),
+                    dtype=shards_of(name, header).dtype,
+                    chunks=(mosaic_layout.CHUNK, mosaic_layout.CHUNK),
+                    shards=(mosaic_layout.SHARD, mosaic_layout.SHARD),
+                    compressors=codecs(),
                     fill_value=fill,
                     dimension_names=("y", "x"),
                 )
@@ -77,14 +109,74 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
     return header
 
 
-def write_shard(path: Path, source: Mosaic, shard: Shard) -> None:
-    """Write one shard: at level 0 from the source, above it from the level before, which must be there."""
+def rewrite_header(path: Path, source: Mosaic) -> None:
+    """Let a mosaic say that it comes from where a source on its lattice does, after windows of it were made again.
+
+    Raises DatasetError when the source lies on another lattice.
+    """
+    old, new = ZarrMosaic.open(path).header, header_of(source)
+    if old.lattice != new.lattice:
+        raise DatasetError(f"{path} lies on another lattice than what it is to show: stitch the fields again.")
+    write_text(path / HEADER, encode(new, "json"))
+
+
+def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
+    """Write one patch: from the level before, which a patch of level 1 writes first, from the source.
+
+    Doing it again makes the same. Raises DatasetError when the place cannot be written to.
+    """
     stored = ZarrMosaic.open(path)
-    window = shard.window(stored.header.shape_of(shard.level))
-    layers = _from_source(source, window) if shard.level == 0 else _from_below(stored, shard, window)
-    with writing(path):
-        for name, layer in layers.items():
-            stored.array(name, shard.level)[window] = layer
+    shape = patch.bottom - patch.top, patch.right - patch.left
+    whole: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
+    for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
+        layers = _drawn(stored, source, rows, cols) if patch.level == 1 else stored.layers(patch.level - 1, rows, cols)
+        top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
+        for name, half in halve(layers).items():
+            whole[name][top : top + half.shape[0], left : left + half.shape[1]] = half
+    _write_layers(stored, patch.level, patch.top, patch.left, whole)
+
+
+def _write(
+    path: Path,
+    source: Mosaic,
+    work: Sequence[Patch],
+    progress: Progress | None,
+    should_stop: ShouldStop | None,
+    threads: int,
+) -> None:
+    """All patches, those of one level side by side."""
+    with ThreadPoolExecutor(threads) as pool:
+        each: Iterable[None] = (
+            done
+            for _, of_level in groupby(work, lambda patch: patch.level)
+            for done in pool.map(partial(write_patch, path, source), of_level)
+        )
+        try:
+            for _ in watched(each, len(work), "Writing the mosaic", progress, should_stop):
+                pass
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Layers:
+    """A window of level 0 from the source, once it is written."""
+    x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
+    part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
+    layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
+    _write_layers(stored, 0, rows.start, cols.start, layers)
+    with writing(stored.path):
+        keep_blocks(stored.path, rows.start, cols.start, blocks_of(layers, sampling_step(stored.shape)))
+    return layers
+
+
+def _write_layers(stored: ZarrMosaic, level: int, top: int, left: int, layers: Layers) -> None:
+    for name, layer in layers.items():
+        with writing(stored.path):
+            stored.array(name, level).write(layer, top, left)
+
+
+def _at(first_um: float, pixel_um: float, index: int) -> float:
+    return first_um + index * pixel_um
 
 
 class ZarrMosaic:
@@ -92,7 +184,6 @@ class ZarrMosaic:
 
     def __init__(self, path: Path, header: MosaicHeader) -> None:
         self.path, self.header = path, header
-        self._arrays: dict[tuple[str, int], Any] = {}
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -159,21 +250,24 @@ class ZarrMosaic:
         low, high = ("z_um", "z_um") if level == 0 else SPANS
         return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
 
+    def facts(self) -> Facts:
+        """What it holds, in numbers. Raises DatasetError when they are missing or damaged."""
+        return kept_facts(self.path)
+
+    def layers(self, level: int, rows: slice, cols: slice) -> Layers:
+        """A part of all layers that a level has."""
+        names = [name for name in FILLS if level in levels_of(name, self.header)]
+        return {name: self.read(name, level, rows, cols) for name in names}
+
     def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:
-        """A part of one layer of a level."""
-        return np.asarray(self.array(name, level)[rows, cols])
+        """A part of one layer of a level. Raises DatasetError when the layer is missing or a shard of it is damaged."""
+        return self.array(name, level).read(rows, cols)
 
-    def array(self, name: str, level: int) -> Any:
-        """The Zarr array of a layer at a level. Raises DatasetError when it is not there."""
-        import zarr
-
-        place = self.path / name / str(level)
-        if (name, level) not in self._arrays:
-            try:
-                self._arrays[name, level] = zarr.open_array(place, mode="r+")
-            except (OSError, KeyError, ValueError) as fault:
-                raise DatasetError(f"{place} is missing or damaged: stitch the fields again.") from fault
-        return self._arrays[name, level]
+    def array(self, name: str, level: int) -> ShardedArray:
+        """A layer at a level. Raises DatasetError when it is not there."""
+        return ShardedArray.open(
+            self.path / name / str(level), shards_of(name, self.header), self.header.shape_of(level)
+        )
 
     def _window(self, region: Region | None, level: int) -> tuple[slice, slice]:
         if not 0 <= level < self.levels:
@@ -184,30 +278,3 @@ class ZarrMosaic:
             return pixel_window(self, region, level)
         rows, cols = self.header.shape_of(level)
         return slice(0, rows), slice(0, cols)
-
-
-def _from_source(source: Mosaic, window: tuple[slice, slice]) -> Layers:
-    rows, cols = window
-    x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
-    part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
-    return {name: getattr(part, name) for name in SURFACE}
-
-
-def _at(first_um: float, pixel_um: float, index: int) -> float:
-    return first_um + index * pixel_um
-
-
-def _from_below(stored: ZarrMosaic, shard: Shard, window: tuple[slice, slice]) -> Layers:
-    """The four shards below it, one after the other, each halved into its quarter."""
-    shape = (window[0].stop - window[0].start, window[1].stop - window[1].start)
-    whole: Layers = {name: np.full(shape, fill, dtype_of(name, stored.header)) for name, fill in FILLS.items()}
-    for row, col in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        below = Shard(shard.level - 1, 2 * shard.row + row, 2 * shard.col + col)
-        rows, cols = below.window(stored.header.shape_of(below.level))
-        if rows.start >= rows.stop or cols.start >= cols.stop:
-            continue
-        names = [name for name in FILLS if below.level in levels_of(name, stored.header)]
-        for name, layer in halve({name: stored.read(name, below.level, rows, cols) for name in names}).items():
-            top, left = row * SHARD // 2, col * SHARD // 2
-            whole[name][top : top + layer.shape[0], left : left + layer.shape[1]] = layer
-    return whole

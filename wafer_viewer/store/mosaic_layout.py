@@ -1,15 +1,17 @@
-"""How a mosaic lies on disk: its header, the levels of each layer, and the shards in which the work is cut."""
+"""How a mosaic lies on disk: its header, the levels of each layer, and how their arrays are made."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, ClassVar
+
+import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Positive, Spec
 from wafer_viewer.model.surface import Mosaic, Origin, Provenance
+from wafer_viewer.store.shard import Shards
 
 CHUNK, SHARD = 256, 2048
 COARSEST_PX = 512
@@ -23,6 +25,7 @@ FILLS: dict[str, float] = {
     "confidence": 0.0,
     "all_in_focus": 0,
     "origin": Origin.NOT_COVERED,
+    "overlap_um": math.nan,
 }
 SPANS = ("z_min_um", "z_max_um")
 SURFACE = tuple(name for name in FILLS if name not in SPANS)
@@ -41,6 +44,11 @@ class MosaicHeader(Spec, frozen=True, kw_only=True):
     provenance: Provenance
 
     @property
+    def lattice(self) -> tuple[float, float, float, int, int]:
+        """Where its pixels lie."""
+        return self.pixel_um, self.x0_um, self.y0_um, self.rows, self.cols
+
+    @property
     def levels(self) -> int:
         """Levels of the pyramid, at least 2."""
         return levels_for((self.rows, self.cols))
@@ -48,31 +56,6 @@ class MosaicHeader(Spec, frozen=True, kw_only=True):
     def shape_of(self, level: int) -> tuple[int, int]:
         """(rows, cols) of a level."""
         return -(-self.rows // 2**level), -(-self.cols // 2**level)
-
-
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """A square of 2048 pixels of one level: the unit of work of one writer."""
-
-    level: int
-    row: int
-    col: int
-
-    def window(self, shape: tuple[int, int]) -> tuple[slice, slice]:
-        """Its rows and columns in a level of a shape."""
-        top, left = self.row * SHARD, self.col * SHARD
-        return slice(top, min(top + SHARD, shape[0])), slice(left, min(left + SHARD, shape[1]))
-
-
-def shards(shape: tuple[int, int]) -> list[Shard]:
-    """All shards of a mosaic of a shape; those of a level need all those below them of the level before."""
-    rows, cols = shape
-    return [
-        Shard(level, row, col)
-        for level in range(levels_for(shape))
-        for row in range(math.ceil(rows / 2**level / SHARD))
-        for col in range(math.ceil(cols / 2**level / SHARD))
-    ]
 
 
 def levels_for(shape: tuple[int, int]) -> int:
@@ -95,9 +78,10 @@ def header_of(source: Mosaic) -> MosaicHeader:
     )
 
 
-def dtype_of(name: str, header: MosaicHeader) -> str:
-    """The type of a layer."""
-    return {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
+def shards_of(name: str, header: MosaicHeader) -> Shards:
+    """How the shards of a layer are made."""
+    dtype = {"origin": "uint8", "all_in_focus": f"uint{header.grey_bits}"}.get(name, "float32")
+    return Shards(np.dtype(dtype), FILLS[name], CHUNK, SHARD)
 
 
 def levels_of(name: str, header: MosaicHeader) -> range:
