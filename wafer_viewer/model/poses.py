@@ -102,8 +102,9 @@ class Form:
     names: the terms over the whole surface, lowest first (height, tilt along x and y, bow, twist, saddle); u_um:
     expanded uncertainty (k = 2) of each at the rim of the surface, from the stage's own errors; camera_turn,
     camera_scale: by how much the camera's axes are turned (rad, anticlockwise) and its pixels are too large (fraction)
-    against the stage, with standard uncertainties; field_form_um: sag that all fields share (x^2, x y, y^2, in um at
-    the field's corner).
+    against the stage, with standard uncertainties; middle_um: (x, y) where camera and stage coordinates agree;
+    field_form_um: sag that all fields share (x^2, x y, y^2, in um at the field's corner); field_size_um: (width,
+    height) of the field that this corner is of.
     """
 
     names: tuple[str, ...] = ()
@@ -112,7 +113,15 @@ class Form:
     u_camera_turn: float = float("inf")
     camera_scale: float = 0.0
     u_camera_scale: float = float("inf")
+    middle_um: tuple[float, float] = (0.0, 0.0)
     field_form_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    field_size_um: tuple[float, float] = (1.0, 1.0)
+
+    def sag_um(self, dx_um: Numbers, dy_um: Numbers) -> Numbers:
+        """By how much every field is too high at (dx_um, dy_um) from its centre, beside its own offset and tilt."""
+        x, y = 2 * dx_um / self.field_size_um[0], 2 * dy_um / self.field_size_um[1]
+        xx, xy, yy = self.field_form_um
+        return xx * x**2 + xy * x * y + yy * y**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +130,10 @@ class Poses:
 
     numbers: running numbers of the fields; marks: of the surfaces that were placed, to tell one that was made again.
     stage_x_um, stage_y_um: where the stage says they are; x_um, y_um: where they are. Heights of a field are too high
-    by z_um + tilt_x (x - x_um) + tilt_y (y - y_um). u_x_um, u_y_um, u_z_um: standard uncertainties of the pose (of z at
-    the field's centre). group: fields joined by believed overlaps have one number; left_out: fields that fit none of
-    their neighbours and are not in the mosaic. stage_error_um, z_error_um: standard deviation of the stage's errors in
-    the plane and along z, as found.
+    by z_um + tilt_x (x - x_um) + tilt_y (y - y_um) + form.sag_um(x - x_um, y - y_um). u_x_um, u_y_um, u_z_um: standard
+    uncertainties of the pose (of z at the field's centre). group: fields joined by believed overlaps have one number;
+    left_out: fields that fit none of their neighbours and are not in the mosaic. stage_error_um, z_error_um: standard
+    deviation of the stage's errors in the plane and along z, as found.
     """
 
     numbers: NDArray[np.int32]

@@ -1,0 +1,49 @@
+"""The terms of second degree: what all fields share, and what the stage alone can tell of the whole surface."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.model.poses import Numbers
+
+FORM_TERMS = ("height", "tilt along x", "tilt along y", "bow", "twist", "saddle")
+
+_UNKNOWN_UM = 1e4
+"""More than this is said to be infinite: a single row tells nothing of its tilt across."""
+
+Arms = tuple[Numbers, Numbers]
+
+
+def sag_between(first: Arms, second: Arms, field_size_um: tuple[float, float]) -> Numbers:
+    """[e, 3, 3] the plane (height, slopes) in the middle of seams for each term of a sag that all fields share.
+
+    first, second: from the centres of the two fields to the middle. Of two equal parabolas side by side the difference
+    is exactly a plane.
+    """
+    half_x, half_y = field_size_um[0] / 2, field_size_um[1] / 2
+    (ax, ay), (bx, by) = first, second
+    zero = np.zeros_like(ax)
+    xx = np.column_stack((bx**2 - ax**2, 2 * (bx - ax), zero)) / half_x**2
+    xy = np.column_stack((bx * by - ax * ay, by - ay, bx - ax)) / (half_x * half_y)
+    yy = np.column_stack((by**2 - ay**2, zero, 2 * (by - ay))) / half_y**2
+    return np.stack((xx, xy, yy), axis=-1)
+
+
+def uncertainty_of_form(
+    x_um: Numbers, y_um: Numbers, z_error_um: float, tilt_error: float, lean: float
+) -> tuple[float, ...]:
+    """Expanded uncertainties (k = 2) of `FORM_TERMS` at the rim of fields at (x_um, y_um), from the stage alone.
+
+    z_error_um, tilt_error: of each field by itself; lean: standard deviation of the tilt that all fields share.
+    """
+    x, y = x_um - x_um.mean(), y_um - y_um.mean()
+    rim_um = float(np.hypot(x, y).max()) or 1.0
+    x, y, one, zero = x / rim_um, y / rim_um, np.ones_like(x_um), np.zeros_like(x_um)
+    height = np.column_stack((one, x, y, x**2 + y**2, 2 * x * y, x**2 - y**2, zero, zero))
+    along_x = np.column_stack((zero, one, zero, 2 * x, 2 * y, 2 * x, -one, zero)) / rim_um
+    along_y = np.column_stack((zero, zero, one, 2 * y, 2 * x, -2 * y, zero, -one)) / rim_um
+    told = height.T @ height / z_error_um**2 + (along_x.T @ along_x + along_y.T @ along_y) / tilt_error**2
+    before = np.array([_UNKNOWN_UM] * 6 + [lean * rim_um] * 2) * 10
+    covariance = np.linalg.inv(told + np.diag(before**-2.0))
+    u_um = 2 * np.sqrt(np.diag(covariance)[:6])
+    return tuple(float(u) if u < _UNKNOWN_UM else float("inf") for u in u_um)

@@ -1,0 +1,190 @@
+"""Solves the large sparse systems of poses: conjugate gradients, preconditioned by smoothed aggregation.
+
+Fields that lie together are lumped into one coarse field, which moves them like a rigid plate; coarse fields are fields
+again, and so on, until few enough are left to be factorised (Vanek, Mandel, Brezina 1996: Algebraic multigrid by
+smoothed aggregation). A system that is small at once is factorised as it is, so that one way serves one field and a
+million.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.poses import Numbers
+
+DIRECT_FIELDS = 2000
+"""So many fields are solved by factorising."""
+
+_CELL_FIELDS = 3.0
+"""Side of the cell that becomes one coarse field, in typical distances between fields."""
+
+_MOST_STEPS = 400
+_POWER_STEPS = 12
+_JACOBI = 4 / 3
+"""Of smoothed aggregation: the damping over the largest eigenvalue."""
+
+Sparse = Any
+Apply = Callable[[Numbers], Numbers]
+
+
+def rigid(dx: Numbers, dy: Numbers, size: int) -> Numbers:
+    """[n, size, size] how a rigid plate moves at (dx, dy) from where its numbers hold.
+
+    size 2: it is shifted along x and y, alike everywhere; size 3: height, tilt along x and y.
+    """
+    moves = np.zeros((len(dx), size, size))
+    moves[:, range(size), range(size)] = 1.0
+    if size == 3:
+        moves[:, 0, 1], moves[:, 0, 2] = dx, dy
+    return moves
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """One system of the hierarchy: its matrix, the damped inverse of its diagonal blocks, and the step to the next."""
+
+    matrix: Sparse
+    jacobi: Sparse
+    up: Sparse
+    down: Sparse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solver:
+    """A symmetric positive definite block matrix, ready to be solved for any number of right-hand sides."""
+
+    matrix: Sparse
+    levels: tuple[_Level, ...]
+    coarsest: Apply
+
+    def solve(self, right: Numbers, tolerance: float, start: Numbers | None = None) -> Numbers:
+        """x of matrix @ x = right, all [n, k]; tolerance: of the error in the energy norm, relative to the solution.
+
+        Raises ComputeError when it does not get there.
+        """
+        if not self.levels:
+            return self.coarsest(right)
+        return _conjugate_gradients(self.matrix, self._cycle, right, tolerance, start)
+
+    def _cycle(self, right: Numbers, at: int = 0) -> Numbers:
+        """One symmetric V cycle: smooth, correct on the coarser level, smooth."""
+        if at == len(self.levels):
+            return self.coarsest(right)
+        level = self.levels[at]
+        x = level.jacobi @ right
+        x = x + level.up @ self._cycle(level.down @ (right - level.matrix @ x), at + 1)
+        return x + level.jacobi @ (right - level.matrix @ x)
+
+
+def prepare(matrix: Sparse, x_um: Numbers, y_um: Numbers) -> Solver:
+    """The hierarchy for a block matrix (scipy BSR) whose blocks belong to fields at (x_um, y_um)."""
+    levels: list[_Level] = []
+    coarse = matrix
+    while len(x_um) > DIRECT_FIELDS:
+        level, x_um, y_um = _coarsened(coarse, x_um, y_um)
+        levels.append(level)
+        coarse = level.down @ (coarse @ level.up)
+    return Solver(matrix, tuple(levels), _factorised(coarse))
+
+
+def _factorised(matrix: Sparse) -> Apply:
+    from scipy.sparse.linalg import splu
+
+    if matrix.shape[0] == 0:
+        return lambda right: right
+    return splu(matrix.tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True}).solve
+
+
+def _coarsened(matrix: Sparse, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Numbers, Numbers]:
+    """A level, and where its coarse fields lie."""
+    cell, mid_x_um, mid_y_um = _cells(x_um, y_um)
+    inverse = _inverse_diagonal(matrix)
+    jacobi = inverse * (_JACOBI / _largest_eigenvalue(matrix, inverse))
+    size = matrix.blocksize[0]
+    lumped = _bsr(rigid(x_um - mid_x_um[cell], y_um - mid_y_um[cell], size), cell, len(mid_x_um))
+    up = (lumped - jacobi @ (matrix @ lumped)).tobsr((size, size))
+    return _Level(matrix, jacobi, up, up.T.tobsr((size, size))), mid_x_um, mid_y_um
+
+
+def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Numbers]:
+    """The cell of each field, and the middle of the fields in each."""
+    side = _CELL_FIELDS * _typical_distance(x_um, y_um)
+    cols, rows = ((a - a.min()) // side for a in (x_um, y_um))
+    _, cell, count = np.unique(rows * (cols.max() + 1) + cols, return_inverse=True, return_counts=True)
+    return cell, np.bincount(cell, x_um) / count, np.bincount(cell, y_um) / count
+
+
+def _typical_distance(x_um: Numbers, y_um: Numbers) -> float:
+    """Between a field and its nearest neighbour."""
+    from scipy.spatial import KDTree
+
+    points = np.column_stack((x_um, y_um))
+    some = points[:: 1 + len(points) // 2000]
+    return float(np.median(KDTree(points).query(some, k=2)[0][:, 1])) or 1.0
+
+
+def _inverse_diagonal(matrix: Sparse) -> Sparse:
+    size = matrix.blocksize[0]
+    rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
+    diagonal = np.zeros((len(matrix.indptr) - 1, size, size))
+    on_it = rows == matrix.indices
+    diagonal[rows[on_it]] = matrix.data[on_it]
+    inverse = np.asarray(np.linalg.inv(diagonal), np.float64)
+    return _bsr(inverse, np.arange(len(diagonal)), len(diagonal))
+
+
+def _bsr(blocks: Numbers, cols: NDArray[Any], n_cols: int) -> Sparse:
+    """One block a row."""
+    from scipy.sparse import bsr_array
+
+    n, size, _ = blocks.shape
+    return bsr_array((blocks, cols.astype(np.int32), np.arange(n + 1, dtype=np.int32)), (n * size, n_cols * size))
+
+
+def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
+    """Of inverse @ matrix, a little too large rather than too small."""
+    vector = np.random.default_rng(1).normal(size=matrix.shape[0])
+    largest = 1.0
+    for _ in range(_POWER_STEPS):
+        vector = inverse @ (matrix @ (vector / np.linalg.norm(vector)))
+        largest = float(np.linalg.norm(vector))
+    return 1.1 * largest
+
+
+def _conjugate_gradients(
+    matrix: Sparse, precondition: Apply, right: Numbers, tolerance: float, start: Numbers | None
+) -> Numbers:
+    """All right-hand sides at once, each with its own steps."""
+    x = np.zeros_like(right) if start is None else start.copy()
+    residual = right - matrix @ x if start is not None else right.copy()
+    goal = tolerance**2 * _dots(right, precondition(right))
+    ahead = precondition(residual)
+    direction, energy = ahead, _dots(residual, ahead)
+    for _ in range(_MOST_STEPS):
+        if np.all(energy <= goal):
+            return x
+        pushed = matrix @ direction
+        step = _ratio(energy, _dots(direction, pushed))
+        x += step * direction
+        residual -= step * pushed
+        ahead = precondition(residual)
+        energy, before = _dots(residual, ahead), energy
+        direction = ahead + _ratio(energy, before) * direction
+    raise ComputeError(
+        f"The poses of {matrix.shape[0]} unknowns were not found in {_MOST_STEPS} steps: look for fields far from all "
+        "others and leave them out."
+    )
+
+
+def _dots(a: Numbers, b: Numbers) -> Numbers:
+    return np.einsum("nk,nk->k", a, b)
+
+
+def _ratio(a: Numbers, b: Numbers) -> Numbers:
+    return np.divide(a, b, out=np.zeros_like(a), where=b > 0)

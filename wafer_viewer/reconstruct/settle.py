@@ -1,0 +1,203 @@
+"""Settles a network: robust least squares that rejects what the rest contradicts, and how sure the result is.
+
+Weights fall off with the square of the misfit (Geman and McClure), first at the scale of the largest, then at half of
+it and so on (graduated non-convexity: Black and Rangarajan 1996): no bad overlap decides where the rest settles.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.poses import Numbers
+from wafer_viewer.reconstruct.multigrid import Solver, prepare
+from wafer_viewer.reconstruct.network import Flags, Network, flat, normal_equations, pull
+
+REJECTED = 0.1
+"""An overlap with less weight is not believed."""
+
+_MISFITS = 3.0
+"""Weights fall to a quarter at so many standard deviations."""
+
+_MOST_EXCESS = 5.0
+"""Uncertainties of overlaps are not taken for more wrong than this: it is the overlap that is wrong then."""
+
+_BRIDGE = 4.0
+"""What ties a group to the others comes back if it says no more than so many standard deviations of the prior."""
+
+_MOST_ROUNDS = 30
+_STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
+_COARSE, _FINE = 1e-3, 1e-6
+_LEAST_REDUNDANCY = 0.1
+_PROBES = 4
+_MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
+"""Median of chi squared over its degrees of freedom, by these."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """Values [n, d] of the fields, shared unknowns [m], and how they came about.
+
+    weight: [e], 0 ... 1; excess: by how much misfits are larger than their uncertainties; scale: misfit in standard
+    deviations where a weight has fallen to a quarter; solver: of the free fields among themselves; response: [free
+    unknowns, m], by how much these fall when a shared unknown rises; covariance: of the shared unknowns, [m, m];
+    echoes: [free unknowns, probes], answers to `_probes`.
+    """
+
+    values: Numbers
+    shared: Numbers
+    weight: Numbers
+    excess: float = 1.0
+    scale: float = np.inf
+    solver: Solver | None = None
+    response: Numbers | None = None
+    covariance: Numbers | None = None
+    echoes: Numbers | None = None
+
+
+def settle(network: Network, values: Numbers, like: Settled | None = None) -> tuple[Network, Settled]:
+    """The most probable values, begun at `values` [n, d], where fields that are not free stay.
+
+    like: what nearly the same network came to, which is quicker than anew. The network comes back with the standard
+    deviations of its priors as found.
+    """
+    telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
+    shared = np.zeros(len(network.shared_sigma))
+    at = Settled(values.copy(), shared, (telling > 0).astype(float))
+    if like is not None:
+        at = Settled(like.values, shared, like.weight, like.excess, like.scale)
+    network, at = _rounds(network, at, telling, np.zeros(len(telling), np.bool_))
+    bridges = _bridges(network, at, telling)
+    if np.any(bridges):
+        network, at = _rounds(network, at, telling, bridges)
+    return network, _improved(network, _improved(network, at, _FINE), _FINE)
+
+
+def groups(n: int, first: NDArray[np.int32], second: NDArray[np.int32], counts: Flags) -> NDArray[np.int32]:
+    """[n] number of the group that each field is in: those joined by overlaps that count."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    joined = csr_array((np.ones(int(counts.sum())), (first[counts], second[counts])), (n, n))
+    return np.asarray(connected_components(joined, directed=False)[1], np.int32)
+
+
+def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], kept: Flags) -> tuple[Network, Settled]:
+    """Solve, see what does not fit, and solve again until the weights rest; `kept` overlaps are not rejected."""
+    for _ in range(_MOST_ROUNDS):
+        before, sigma = at.weight, network.prior_sigma
+        at = _improved(network, at, _COARSE)
+        network = _with_priors_found(network, at)
+        at = _weighed(network, at, telling, kept)
+        restless = np.count_nonzero(np.abs(at.weight - before) > _STEADY)
+        moved = np.abs(np.log(network.prior_sigma / sigma)).max()
+        if at.scale <= _MISFITS * at.excess and restless <= _RESTLESS_FRACTION * len(before) and moved < _STEADY:
+            break
+    return network, at
+
+
+def _improved(network: Network, at: Settled, tolerance: float) -> Settled:
+    """One step of least squares with the weights as they are."""
+    weight = at.weight / at.excess**2
+    normal = normal_equations(network, weight)
+    free = network.ties.free
+    solver = prepare(normal.matrix, network.x_um[free], network.y_um[free])
+    fields, shared = _gradient(network, at, weight)
+    right = np.hstack((fields, normal.coupling, _probes(network, solver)))
+    begun = None if at.response is None or at.echoes is None else np.hstack((0 * fields, at.response, at.echoes))
+    solved = solver.solve(right, tolerance, begun)
+    alone, response, echoes = np.split(solved, (1, 1 + normal.coupling.shape[1]), axis=1)
+    covariance = np.asarray(np.linalg.inv(normal.among_shared - normal.coupling.T @ response), np.float64)
+    step = covariance @ (shared - normal.coupling.T @ alone)
+    values = at.values.copy()
+    values[free] += (alone - response @ step).reshape(-1, network.size)
+    found = (values, at.shared + step[:, 0], at.weight, at.excess, at.scale)
+    return Settled(*found, solver, response, covariance, echoes)
+
+
+def _gradient(network: Network, at: Settled, weight: Numbers) -> tuple[Numbers, Numbers]:
+    """Where misfits and priors pull: [free unknowns, 1] and [m, 1]."""
+    by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
+    by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
+    fields, shared = pull(network, by_overlap, by_prior[:, :, None])
+    return fields, shared - (at.shared / network.shared_sigma**2)[:, None]
+
+
+def _probes(network: Network, solver: Solver) -> Numbers:
+    """Random signs [free unknowns, probes] for each group of unknowns whose prior is to be found.
+
+    The mean product of a probe with its answer is the trace of the inverse (Hutchinson 1990): of large systems one
+    says enough.
+    """
+    n, d = int(network.ties.free.sum()), network.size
+    each = 1 if solver.levels else _PROBES
+    signs = np.zeros((n, d, each * len(network.auto)))
+    random = np.random.default_rng(3)
+    for k, group in enumerate(network.auto):
+        signs[:, group, k * each : (k + 1) * each] = random.choice((-1.0, 1.0), (n, len(group), each))
+    return flat(signs)
+
+
+def _with_priors_found(network: Network, at: Settled) -> Network:
+    """Priors as wide as what was found and how unsure it is (expectation maximisation, Dempster 1977)."""
+    if not network.auto or at.solver is None or at.response is None or at.covariance is None or at.echoes is None:
+        return network
+    free = network.ties.free
+    surprise = network.surprise(at.values, at.shared)
+    follow = at.response + flat(network.prior_shared[free])
+    by_shared = np.einsum("na,ab,nb->n", follow, at.covariance, follow).reshape(-1, network.size)
+    traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
+    sigma = network.prior_sigma.copy()
+    for group, trace in zip(network.auto, traces, strict=True):
+        total = np.sum(surprise[:, group] ** 2) + np.sum(by_shared[:, group]) + trace
+        sigma[list(group)] = np.sqrt(total / (len(surprise) * len(group)))
+    return dataclasses.replace(network, prior_sigma=sigma)
+
+
+def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], kept: Flags) -> Settled:
+    """New weights at the next smaller scale, and how far misfits go beyond what their uncertainties say."""
+    counts = telling > 0
+    if not np.any(counts):
+        return dataclasses.replace(at, scale=0.0)
+    misfit = network.misfit(at.values, at.shared)
+    chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
+    excess = _excess(network, chi2, telling)
+    scale = max(_MISFITS * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
+    weight = np.where(kept, 1.0, counts / (1 + chi2 / scale**2) ** 2)
+    return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
+
+
+def _excess(network: Network, chi2: Numbers, telling: NDArray[np.intp]) -> float:
+    """From the median misfit and how many observations there are for each unknown, at least 1."""
+    counts, free = telling > 0, network.ties.free
+    group = groups(len(free), network.first, network.second, counts)
+    loose = len(np.setdiff1d(group[free], group[~free]))
+    unknowns = network.size * (int(free.sum()) - loose)
+    redundancy = 1 - unknowns / telling.sum()
+    if redundancy < _LEAST_REDUNDANCY:
+        return 1.0
+    expected = _MEDIAN_CHI2[round(float(np.median(telling[counts])))] * redundancy
+    return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, _MOST_EXCESS))
+
+
+def _bridges(network: Network, at: Settled, telling: NDArray[np.intp]) -> Flags:
+    """Rejected overlaps that tie groups which nothing else ties, the least surprising ones (a minimum spanning tree).
+
+    Where two overlaps contradict each other and no third one speaks, both are rejected; the stage decides between them.
+    """
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    believed = at.weight >= REJECTED
+    misfit = network.misfit(at.values, at.shared) * (np.einsum("eaa->ea", network.information) > 0)
+    moves = [m * network.prior_sigma for m in (network.at_first, network.at_second)]
+    spread = sum(m @ np.swapaxes(m, 1, 2) for m in moves)
+    surprise = np.einsum("ea,ea->e", misfit, np.linalg.solve(spread, misfit[:, :, None])[:, :, 0]) / network.size
+    usable = believed | ((telling > 0) & (surprise < _BRIDGE**2))
+    cost = np.where(believed, 1e-9, 1e-6 + surprise)[usable]
+    n = len(network.x_um)
+    tree = minimum_spanning_tree(csr_array((cost, (network.first[usable], network.second[usable])), (n, n)))
+    return ~believed & usable & (np.asarray(tree[network.first, network.second]).ravel() > 0)
