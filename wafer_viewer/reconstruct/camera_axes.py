@@ -6,12 +6,13 @@ field by field would pull against all overlaps at once. So turn and scale are un
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.poses import Form, Numbers
 
 SIGMA = 3e-3
 """Of turn (rad) and scale (fraction) before anything is measured."""
@@ -34,6 +35,22 @@ class Camera:
     u_scale: float = float("inf")
     middle_x_um: float = 0.0
     middle_y_um: float = 0.0
+
+    @classmethod
+    def of(cls, form: Form) -> Camera:
+        """The camera that a form tells of."""
+        return cls(form.camera_turn, form.u_camera_turn, form.camera_scale, form.u_camera_scale, *form.middle_um)
+
+    def in_form(self, form: Form) -> Form:
+        """A form that tells of this camera."""
+        return dataclasses.replace(
+            form,
+            camera_turn=self.turn,
+            u_camera_turn=self.u_turn,
+            camera_scale=self.scale,
+            u_camera_scale=self.u_scale,
+            middle_um=(self.middle_x_um, self.middle_y_um),
+        )
 
     def from_stage(self, stage_x_um: Numbers, stage_y_um: Numbers) -> tuple[Numbers, Numbers]:
         """Where places of the stage lie in the camera's axes."""

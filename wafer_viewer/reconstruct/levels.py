@@ -150,7 +150,6 @@ def _floored(seams: Seams) -> Numbers:
 
 def _judged(seams: Seams, network: Network, at: Settled) -> Seams:
     """The seams with their weights, and the step that is left in the middle of each."""
-    left = network.misfit(at.values, at.shared)[:, 0]
-    return dataclasses.replace(
-        seams, weight=at.weight.astype(np.float32), step_um=np.where(at.weight > 0, left, np.nan)
-    )
+    step_um = np.where(at.weight > 0, network.misfit(at.values, at.shared)[:, 0], np.nan)
+    rms_um = np.hypot(seams.rms_um, step_um)
+    return dataclasses.replace(seams, weight=at.weight.astype(np.float32), step_um=step_um, rms_um=rms_um)
