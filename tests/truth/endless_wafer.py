@@ -21,7 +21,8 @@ KNOTS = 1024
 DIE_WIDTH_UM, DIE_HEIGHT_UM, TRENCH_UM, WALL_UM, DEPTH_UM = 420.0, 370.0, 40.0, 3.0, 30.0
 PADS, PAD_WALL_UM = 6, 1.5
 FINE_UM, COARSE_UM, ROUGH_UM, WAVE_UM = 1.2, 7.3, 2.1, 97.0
-FINE_GREY, COARSE_GREY, ROUGHNESS_UM, WAVINESS_UM = 9.0, 6.0, 0.15, 0.6
+FINE_GREY, COARSE_GREY, ROUGHNESS_UM, WAVINESS_UM = 6.0, 4.0, 0.15, 0.6
+SHIVER_PX = 90.0
 DIE_GREY, BRIGHT_GREY, DARK_GREY, WALL_GREY, PAD_GREY = 70.0, 165.0, 28.0, 12.0, 22.0
 BLANK_MARGIN_UM = 6.0
 
@@ -43,12 +44,18 @@ class Wafer:
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """Pixels [row, col] at (x, y) = first + col * along + row * down, in um; float64 pairs."""
+    """Pixels [row, col] at (x, y) = first + col * along + row * down, in um; float64 pairs.
+
+    shiver_um: deviation of a smooth displacement of pixels about these places, another for every `shiver_first`; as an
+    all-in-focus picture has it, whose parts come from frames that the stage did not hold quite still for.
+    """
 
     shape: tuple[int, int]
     first_um: tuple[float, float]
     along_um: tuple[float, float]
     down_um: tuple[float, float]
+    shiver_um: float = 0.0
+    shiver_first: tuple[float, float] = (0.0, 0.0)
 
     @property
     def last_um(self) -> tuple[float, float]:
@@ -61,7 +68,7 @@ class Lattice:
 def look(wafer: Wafer, lattice: Lattice) -> tuple[Floats, Floats, Floats]:
     """Height in um, grey in counts, and how sure of its height a microscope is (0 ... 1), of every pixel."""
     layers = tuple(np.empty(lattice.shape, np.float32) for _ in range(3))
-    place = np.array([*lattice.first_um, *lattice.along_um, *lattice.down_um])
+    place = np.array([*lattice.first_um, *lattice.along_um, *lattice.down_um, lattice.shiver_um, *lattice.shiver_first])
     form = np.array([wafer.bow_um / wafer.bow_radius_um**2, wafer.textured_fraction])
     _look(place, form, knots(wafer.seed), _blanks_near(wafer, lattice), *layers)
     return layers
@@ -88,6 +95,10 @@ def _look(place, form, texture, blanks, z_um, grey, sure):
         for col in range(z_um.shape[1]):
             x = place[0] + col * place[2] + row * place[4]
             y = place[1] + col * place[3] + row * place[5]
+            if place[6] > 0:
+                u, v = place[7] + row / SHIVER_PX, place[8] + col / SHIVER_PX
+                x += place[6] * _spline(texture, u, v)
+                y += place[6] * _spline(texture, v, u + 500.5)
             z, g, s = _at(x, y, form[1], texture)
             blank = _blank(x, y, blanks)
             z_um[row, col] = z * (1 - blank) - form[0] * (x * x + y * y)

@@ -44,23 +44,24 @@ def _seen(truth: Truth, n: int) -> tuple[Floats, Floats, Floats]:
     """Height, grey and sureness at a field's pixels, before the instrument adds its errors."""
     wafer = dataclasses.replace(truth.wafer, seed=truth.grid.seed + 100) if n in truth.grid.foreign else truth.wafer
     x, y = float(truth.x_um[n]), float(truth.y_um[n])
-    layers = look(wafer, _pixels(truth.grid, x, y))
+    layers = look(wafer, _pixels(truth.grid, x, y, n))
     for edge in np.flatnonzero(truth.wrong & (truth.grid.edges[:, 1] == n)):
         angle = edge * 2.399963
         off_x, off_y = WRONG_PX * PIXEL_UM * np.cos(angle), WRONG_PX * PIXEL_UM * np.sin(angle)
         part = _part_shared(truth.grid, edge)
-        for layer, other in zip(layers, look(wafer, _pixels(truth.grid, x + off_x, y + off_y)), strict=True):
+        for layer, other in zip(layers, look(wafer, _pixels(truth.grid, x + off_x, y + off_y, n)), strict=True):
             layer[part] = other[part]
     return layers
 
 
-def _pixels(grid: Grid, x_um: float, y_um: float) -> Lattice:
-    """A field's pixels about its centre, turned and scaled as the camera is."""
+def _pixels(grid: Grid, x_um: float, y_um: float, n: int) -> Lattice:
+    """A field's pixels about its centre, turned and scaled as the camera is; they shiver."""
     pixel = PIXEL_UM * (1 + grid.camera_scale)
     cos, sin = pixel * np.cos(grid.camera_turn), pixel * np.sin(grid.camera_turn)
     up, left = (grid.field_rows - 1) / 2, (grid.field_cols - 1) / 2
     first = x_um - left * cos - up * sin, y_um - left * sin + up * cos
-    return Lattice((grid.field_rows, grid.field_cols), first, (cos, sin), (sin, -cos))
+    shiver = grid.shiver_px * PIXEL_UM, (17.3 * n, 29.7 * n)
+    return Lattice((grid.field_rows, grid.field_cols), first, (cos, sin), (sin, -cos), *shiver)
 
 
 def _part_shared(grid: Grid, edge: int) -> tuple[slice, slice]:

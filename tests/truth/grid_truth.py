@@ -13,7 +13,7 @@ from tests.truth.endless_wafer import Wafer
 from wafer_viewer.model.plan import Field, FieldGrid
 
 PIXEL_UM = 0.46729
-VERSION = 2
+VERSION = 4
 """Counted up when the same parameters make other fields than before."""
 Numbers = NDArray[np.float64]
 
@@ -23,8 +23,9 @@ class Grid:
     """What is simulated. Errors are standard deviations; fields and edges are told by their place in the list, from 0.
 
     noise_um: of heights where confidence is 1, growing as 1 / confidence; grey_noise: of pictures, counts;
-    gap_fraction: pixels without a height, in patches; brightness: relative change of the light from field to field;
-    textured_fraction: of the cells of a die;
+    shiver_px: of the places of parts of a field about where they should be, along x and along y; gap_fraction: pixels
+    without a height, in patches; brightness: relative change of the light from field to field; textured_fraction: of
+    the cells of a die;
     blank_fraction, wrong_fraction: of the overlaps, blank ones without anything to see, wrong ones with the second
     field seeing the sample 15 px off; turned (by half a turn), mirrored, foreign (another wafer), empty (all NaN);
     field_sag_um: a form that all fields share, at their corners; camera_turn (rad) and camera_scale (fraction): of the
@@ -42,6 +43,7 @@ class Grid:
     tilt_error: float = 1e-4
     noise_um: float = 0.25
     grey_noise: float = 2.0
+    shiver_px: float = 0.1
     gap_fraction: float = 0.03
     false_fraction: float = 0.0005
     brightness: float = 0.0

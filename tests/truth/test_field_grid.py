@@ -12,7 +12,7 @@ from tests.truth.endless_wafer import Lattice, Wafer, look
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, make, simulated, truth_of
 from wafer_viewer.model.surface import HeightMap, Origin
 
-ONE = replace(SMALL, rows=1, cols=2, noise_um=0.0, false_fraction=0.0, gap_fraction=0.0)
+ONE = replace(SMALL, rows=1, cols=2, noise_um=0.0, false_fraction=0.0, gap_fraction=0.0, shiver_px=0.0)
 
 
 def field(grid: Grid, n: int) -> HeightMap:
