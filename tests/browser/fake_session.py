@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.poses import Doubt, Poses
 from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
@@ -69,6 +71,9 @@ class FakeSession:
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
         return SimpleNamespace(z_um=21.86, confidence=0.94, origin=0)
+
+    def poses(self) -> Poses | None:
+        return THE_POSES if self.snapshot.surface is not None else None
 
     def paint(self, request: Any) -> Future[bytes]:
         """Nothing is on disk, so nothing can be painted: the scene stays as it is."""
@@ -241,6 +246,15 @@ NOTES = (
 )
 
 
+_PLAN = dataset({}, finished=True).plan
+THE_POSES = made_up_poses(
+    _PLAN.fields,
+    _PLAN.cols * _PLAN.pixel_um,
+    _PLAN.rows * _PLAN.pixel_um,
+    {(4, 5): Doubt.AMBIGUOUS, (7, 8): Doubt.BLANK},
+)
+
+
 def measured(problem: str | None = None) -> Snapshot:
     data = dataset(dict.fromkeys(range(1, 10), FieldState.MEASURED), finished=True, problem=problem)
     info = SurfaceInfo(
@@ -264,6 +278,7 @@ def measured(problem: str | None = None) -> Snapshot:
         recipe_notes=NOTES,
         asked=Recipe(),
         settled=SETTLED,
+        stitching=stitching_of(THE_POSES),
     )
     step = a_step(Region.rectangle(0, 0, 80, 60), Region.rectangle(0, -120, 80, -90))
     line = a_profile(Region.line(-200, 0, 500, 0, 3.0))[0]

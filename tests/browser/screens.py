@@ -44,6 +44,17 @@ EXPLAINED = {"9-why": True, "10-why-not": False}
 """Screens of a surface that is seen and clicked: whether the pixel asked about is measured."""
 
 
+STITCHED: dict[str, tuple[tuple[int, int], dict[str, object]]] = {
+    "11-fields": ((3, 3), {"fields": True}),
+    "12-fields-plan": ((3, 3), {"fields": True, "look": "plan"}),
+    "13-many-fields": ((13, 16), {"fields": True}),
+    "14-many-fields-plan": ((13, 16), {"fields": True, "look": "plan"}),
+    "15-overlap": ((3, 3), {"colour_by": "overlap"}),
+    "16-many-overlaps": ((13, 16), {"colour_by": "overlap", "look": "plan"}),
+}
+"""Screens of a stitched surface: rows and columns of fields, and what the browser remembers."""
+
+
 def dismiss_viser_warning(page: Page) -> None:
     """Close viser's own notice that the graphics card is missing."""
     page.evaluate(
@@ -52,9 +63,9 @@ def dismiss_viser_warning(page: Page) -> None:
     )
 
 
-def remember(page: Page, step: str, dark: bool) -> None:
+def remember(page: Page, step: str, dark: bool, **chosen: object) -> None:
     """Have the browser begin in a step, as after a reload."""
-    view = json.dumps({"step": step, "dark": dark})
+    view = json.dumps({"step": step, "dark": dark, **chosen})
     page.add_init_script(f"localStorage.setItem({REMEMBERED!r}, {view!r})")
 
 
@@ -92,6 +103,31 @@ def explained(page: Page, folder: Path, name: str, dark: bool) -> None:
     page.goto("about:blank")
     running.stop()
     session.close()
+
+
+def stitched(page: Page, folder: Path, name: str, dark: bool) -> None:
+    """The picture of a stitched surface, with how its fields were placed."""
+    from tests.browser.stitched_session import StitchedSession
+    from wafer_viewer.gui.app import start
+
+    (rows, cols), chosen = STITCHED[name]
+    session = StitchedSession(rows, cols)
+    running = start(session)
+    remember(page, "surface", dark, **chosen)
+    page.goto(running.address)
+    page.locator("[data-floating-window] .wv-glass", has_text="not measured").wait_for()
+    bring_into_sight(page, "Stitching")
+    take(page, folder / f"{name}.png", 2 * REST_S)
+    page.goto("about:blank")
+    running.stop()
+    session.close()
+
+
+def bring_into_sight(page: Page, head: str) -> None:
+    """Scroll the right panel to a section."""
+    page.locator("[data-dock-region=right] .wv-h", has_text=head).first.evaluate(
+        "head => head.scrollIntoView({block: 'center'})"
+    )
 
 
 def ask_why(page: Page) -> None:
@@ -149,7 +185,7 @@ def main() -> int:
     """Take the pictures asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("names", nargs="*", default=[*SCREENS, *EXPLAINED])
+    parser.add_argument("names", nargs="*", default=[*SCREENS, *EXPLAINED, *STITCHED])
     parser.add_argument("--size", default="1600x1000")
     parser.add_argument("--dark", action="store_true")
     parser.add_argument("--true", action="store_true")
@@ -160,9 +196,11 @@ def main() -> int:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         for name in ["tour"] if asked.true else asked.names:
             page = browser.new_context(viewport={"width": width, "height": height}).new_page()
-            page.set_default_timeout(120_000)
+            page.set_default_timeout(45_000)
             if asked.true:
                 tour(page, asked.folder, asked.dark)
+            elif name in STITCHED:
+                stitched(page, asked.folder, name, asked.dark)
             elif name in EXPLAINED:
                 explained(page, asked.folder, name, asked.dark)
             else:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import origin_table, table
+from wafer_viewer.draw.colours import ELSEWHERE, origin_table, table
 from wafer_viewer.draw.look import Light, Look, Plane, Quantity
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
 from wafer_viewer.model.surface import HeightMap, Origin
@@ -27,6 +27,11 @@ def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
     return np.degrees(np.arctan(np.hypot(down, right))).astype(np.float32)
 
 
+def overlap_um(part: HeightMap) -> NDArray[np.float32]:
+    """How far fields are apart where several measured a pixel, NaN elsewhere."""
+    return np.full_like(part.z_um, np.nan) if part.overlap_um is None else part.overlap_um
+
+
 def grey_image(part: HeightMap) -> NDArray[np.float32]:
     """The all-in-focus image in 0 ... 1."""
     image = part.all_in_focus
@@ -38,6 +43,7 @@ VALUES: dict[Quantity, Callable[[HeightMap, Plane], NDArray[np.float32]]] = {
     "confidence": lambda part, plane: np.where(np.isfinite(part.z_um), part.confidence, np.nan),
     "slope": lambda part, plane: slope_degrees(part),
     "deviation": lambda part, plane: part.z_um - plane_um(part, plane),
+    "overlap": lambda part, plane: overlap_um(part),
     "grey": lambda part, plane: grey_image(part),
     "origin": lambda part, plane: part.origin.astype(np.float32),
 }
@@ -58,8 +64,13 @@ def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
     values = VALUES[look.colour_by](part, light.plane)
-    place = (without_gaps(values) - look.low) / max(look.high - look.low, 1e-12)
-    return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
+    known = np.isfinite(values)
+    partly = look.colour_by == "overlap"
+    place = ((np.where(known, values, 0) if partly else without_gaps(values)) - look.low) / max(
+        look.high - look.low, 1e-12
+    )
+    colour = table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
+    return np.where(known[..., None], colour, np.array(ELSEWHERE, np.float32)) if partly else colour
 
 
 def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> NDArray[np.float32]:

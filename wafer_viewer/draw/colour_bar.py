@@ -7,13 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.draw.colours import ORIGIN_COLOURS, css_gradient
+from wafer_viewer.draw.colours import ELSEWHERE, ORIGIN_COLOURS, css_gradient
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.surface import ORIGIN_TITLES
 
 _HISTOGRAM_PX = 44
 _BAR_PX = 19
+LINE_PX = 20
 NOT_MEASURED_CSS = "repeating-linear-gradient(45deg,var(--ink3) 0 1px,transparent 1px 4px)"
 
 
@@ -27,21 +28,25 @@ def colour_bar_html(
     *,
     height_px: int = 300,
     signed: bool = True,
+    elsewhere: str = "",
 ) -> str:
     """Bar from low to high, `counts` in equal bins between them (drawn as roots: rare values stay visible).
 
-    124 px wide and `height_px` + 78 high, in the page's custom properties; `title` is escaped.
+    124 px wide and `height_px` + 78 high, in the page's custom properties; `title` is escaped. `elsewhere` says what
+    the surface's grey means, in a line more of `LINE_PX`.
     """
+    foot_px = LINE_PX if elsewhere else 0
     values = ticks(low, high, max(3, height_px // 48))
     labels = "".join(_label(v, (v - low) / max(high - low, 1e-12), height_px, values, signed) for v in values)
     return (
-        f'<div style="position:relative;height:{height_px + 78}px;width:124px">'
+        f'<div style="position:relative;height:{height_px + 78 + foot_px}px;width:124px">'
         f'<div style="position:absolute;left:12px;top:8px;font-weight:650">{html.escape(title)} '
         f'<span style="font-weight:450;color:var(--ink3)">{html.escape(unit)}</span></div>'
         f"{_histogram(counts, height_px)}"
         f'<div style="position:absolute;left:54px;top:34px;width:{_BAR_PX}px;height:{height_px}px;border-radius:2px;'
         f'border:1px solid var(--line);box-sizing:border-box;background:{css_gradient(colours)}!important"></div>'
-        f"{labels}{not_measured_html('position:absolute;left:12px;bottom:9px')}</div>"
+        f"{labels}{not_measured_html(f'position:absolute;left:12px;bottom:{9 + foot_px}px')}"
+        f"{_elsewhere_html(elsewhere) if elsewhere else ''}</div>"
     )
 
 
@@ -63,6 +68,14 @@ def not_measured_html(style: str = "") -> str:
         f'<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;{style}">'
         f'<i style="width:13px;height:10px;border:1.5px solid var(--ink3);display:inline-block;'
         f'background:{NOT_MEASURED_CSS}!important"></i>not measured</div>'
+    )
+
+
+def _elsewhere_html(text: str) -> str:
+    swatch = f"width:13px;height:10px;display:inline-block;background:rgb{ELSEWHERE}!important"
+    return (
+        '<div style="font-size:12px;color:var(--ink2);display:flex;gap:6px;align-items:center;white-space:nowrap;'
+        f'position:absolute;left:12px;bottom:9px"><i style="{swatch}"></i>{html.escape(text)}</div>'
     )
 
 

@@ -28,6 +28,9 @@ COLOUR_MAPS: dict[str, str] = {
 }
 """The names of the maps and how the page calls them."""
 
+ELSEWHERE: Rgb = (150, 158, 167)
+"""The surface where the quantity that colours it is not to be had: a grey that no colour map has at an end."""
+
 ORIGIN_COLOURS: dict[Origin, Rgb] = {
     Origin.MEASURED: (93, 144, 160),
     Origin.FILLED: (239, 180, 90),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 
-Quantity = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
+Quantity = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
 Plane = tuple[float, float, float]
 
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
@@ -18,6 +18,7 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "confidence": ("Confidence", ""),
     "slope": ("Slope", "°"),
     "deviation": ("Deviation from plane", "µm"),
+    "overlap": ("Overlap difference", "µm"),
     "grey": ("Grey", ""),
     "origin": ("Origin", ""),
 }

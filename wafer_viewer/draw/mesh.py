@@ -88,6 +88,22 @@ def flat(x0_mm: float, y0_mm: float, x1_mm: float, y1_mm: float, z_mm: float = 0
     )
 
 
+def plates(boxes_mm: NDArray[np.float64], z_mm: NDArray[np.float64], uv: Floats) -> Mesh:
+    """Rectangles lying each at its own height: boxes [n, 4] as x low, y low, x high, y high, z [n].
+
+    uv [n, 4]: which part of the picture each shows, as u0, v0, u1, v1 with v downwards.
+    """
+    (x0, y0, x1, y1), (u0, v0, u1, v1) = boxes_mm.T, uv.T
+    corners = [np.stack([x, y, z_mm], axis=1) for x, y in ((x0, y1), (x1, y1), (x1, y0), (x0, y0))]
+    places = [np.stack([u, v], axis=1) for u, v in ((u0, v0), (u1, v0), (u1, v1), (u0, v1))]
+    one = np.array([(0, 3, 2), (0, 2, 1)], np.uint32)
+    return Mesh(
+        np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32),
+        np.stack(places, axis=1).reshape(-1, 2).astype(np.float32),
+        (one + 4 * np.arange(len(boxes_mm), dtype=np.uint32)[:, None, None]).reshape(-1, 3),
+    )
+
+
 WALL_SIDES = 4
 
 

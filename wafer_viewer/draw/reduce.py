@@ -28,6 +28,7 @@ def reduced(part: HeightMap, factor: int) -> HeightMap:
         z_raw_um=_mean(part.z_raw_um, factor),
         confidence=_mean(part.confidence, factor),
         all_in_focus=_mean(part.all_in_focus, factor).astype(part.all_in_focus.dtype),
+        overlap_um=None if part.overlap_um is None else _mean(part.overlap_um, factor),
         origin=_blocks(part.origin, factor, 255).min(axis=(1, 3)),
         pixel_um=part.pixel_um * factor,
         x0_um=part.x0_um + shift,

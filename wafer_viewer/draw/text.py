@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,7 @@ LINE_PX = 96
 """Height of a text picture."""
 _LETTER_PX = 62
 _PAD_PX = 26
+_SHEET_PX = 2048
 _SUBSTITUTES = str.maketrans({"\u202f": " ", "\u2212": "-", "–": "-", "×": "x", "\u03bc": "µ"})
 
 
@@ -60,6 +62,23 @@ def tag(text: str, colour: Rgb, pill: Rgb | None = None) -> NDArray[np.uint8]:
         pen.rounded_rectangle((0, 0, image.width - 1, LINE_PX - 1), _PAD_PX, fill=(*pill, 255))
     write(pen, (pad, LINE_PX / 2), text, face, (*colour, 255), weight=0.8)
     return np.asarray(image)
+
+
+def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Tags in one picture, rgba, and where each stands in it: float32 [n, 4] as u0, v0, u1, v1 in 0 ... 1, v down."""
+    places: list[tuple[int, int, int]] = []
+    x, y = 0, 0
+    for picture in tags:
+        wide = picture.shape[1]
+        if x and x + wide > _SHEET_PX:
+            x, y = 0, y + LINE_PX
+        places.append((x, y, wide))
+        x += wide
+    whole = np.zeros((y + LINE_PX, max(x + wide for x, _, wide in places), 4), np.uint8)
+    for picture, (left, top, wide) in zip(tags, places, strict=True):
+        whole[top : top + LINE_PX, left : left + wide] = picture
+    boxes = np.array([(x, y, x + wide, y + LINE_PX) for x, y, wide in places], np.float32)
+    return whole, boxes / np.array([whole.shape[1], whole.shape[0]] * 2, np.float32)
 
 
 def _spelled(text: str) -> str:

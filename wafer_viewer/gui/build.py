@@ -19,6 +19,8 @@ from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar, Toolbar
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
+from wafer_viewer.gui.pose_book import PoseBook
+from wafer_viewer.gui.pose_legend import PoseLegend
 from wafer_viewer.gui.profile_dock import ProfileDock
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
@@ -86,9 +88,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     frame = Frame(page)
     page.add_picks()
     header = Header(page.gui, lambda step: page.change(step=step, why=None))
-    scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault))
+    poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
+    poses.on_arrival(page.redraw)
+    scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
-    surface, measure = SurfacePanel(page), MeasurePanel(page)
+    surface, measure = SurfacePanel(page, poses), MeasurePanel(page)
     why = WhyPanel(page)
     read_out = ReadOutBox(page)
     parts = [
@@ -105,7 +109,14 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             Toolbar(page),
             Legend(page),
         ),
-        *(ColourLegend(page), ScaleBar(page, scene), read_out, ProfileDock(page, measure), WhyDock(page, why)),
+        *(
+            ColourLegend(page),
+            PoseLegend(page, poses, scene.um_per_pixel),
+            ScaleBar(page, scene),
+            read_out,
+            ProfileDock(page, measure),
+            WhyDock(page, why),
+        ),
         Welcome(page),
         Drawing(scene),
     ]
@@ -171,6 +182,7 @@ def _commands(
         Command("Leave the tool", "escape", leave, icon.X),
         Command("Hillshade", "H", surface.toggle_hillshade, icon.SUN),
         Command("All-in-focus", "U", surface.toggle_all_in_focus, icon.FOCUS_2),
+        Command("Fields and overlaps", "O", surface.toggle_fields, icon.GRID_DOTS),
         Command("Undo", "Z", undo, icon.ARROW_BACK_UP, "cmd/ctrl"),
         Command(
             "Redo", "Z", lambda: page.ask("Nothing was redone", session.redo()), icon.ARROW_FORWARD_UP, "cmd/ctrl+shift"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.colour_bar import colour_bar_html, origin_legend_html
+from wafer_viewer.draw.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
 from wafer_viewer.draw.look import QUANTITIES
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
@@ -33,7 +33,7 @@ class ColourLegend:
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
         bar = _bar(scale, view, bar_px) if scale is not None and not of_origins else ""
-        self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2)
+        self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
         origins = scale.origins if scale is not None and of_origins else {}
         rows = sum(share > 0 for share in origins.values())
         self._of_origins.show(_on_glass(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
@@ -43,23 +43,30 @@ class ColourLegend:
         return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
 
 
+def _foot_px(scale: Scale | None) -> int:
+    """Room for what the grey says."""
+    return LINE_PX if scale is not None and scale.quantity == "overlap" else 0
+
+
 def _origins_px(rows: int) -> int:
     """How high the legend of so many origins is."""
     return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 
 def _bar(scale: Scale, view: View, bar_px: int) -> str:
-    title, unit = QUANTITIES[view.colour_by]
-    colours = "grey" if view.colour_by == "grey" else view.colours
+    quantity = view.colour_by if view.colour_by != "overlap" or scale.quantity == "overlap" else "height"
+    title, unit = QUANTITIES[quantity]
+    colours = "grey" if quantity == "grey" else view.colours
     return colour_bar_html(
-        title.removesuffix(" from plane"),
+        title.removesuffix(" from plane").removeprefix("Overlap ").capitalize(),
         unit,
         scale.low,
         scale.high,
         colours,
         scale.counts,
         height_px=bar_px,
-        signed=view.colour_by in SIGNED,
+        signed=quantity in SIGNED,
+        elsewhere="one field only" if quantity == "overlap" else "",
     )
 
 

@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.gui.view import View
 
 KEY = "wafer-viewer-view"
-KEPT = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "dark")
+KEPT = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
 WAIT_S = 2.0
 
 

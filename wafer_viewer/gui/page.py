@@ -46,6 +46,7 @@ class Page:
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.scale: Scale | None = None
+        self.has_overlaps = False
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._at_close: list[Callable[[], None]] = []
@@ -91,8 +92,9 @@ class Page:
     def show_scale(self, on_show: OnShow | None) -> None:
         """Take over what the colours of the scene mean: the colour bar and the range say so."""
         scale = on_show.scale if on_show is not None else None
-        if scale != self.scale:
-            self.scale = scale
+        overlaps = on_show is not None and on_show.facts.has_overlaps
+        if (scale, overlaps) != (self.scale, self.has_overlaps):
+            self.scale, self.has_overlaps = scale, overlaps
             self._due.set()
 
     def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:

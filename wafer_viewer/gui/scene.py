@@ -15,6 +15,7 @@ from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import Contents, OnShow
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
+from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
@@ -32,7 +33,11 @@ class SceneView:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, session: Any, on_fault: Callable[[Exception], None] | None = None
+        self,
+        client: viser.ClientHandle,
+        session: Any,
+        on_fault: Callable[[Exception], None] | None = None,
+        poses: PoseBook | None = None,
     ) -> None:
         self._client, self._session = client, session
         self._on_fault = on_fault or (lambda fault: None)
@@ -42,6 +47,8 @@ class SceneView:
         self._more, self._closed, self._settled = False, False, True
         self._stage = Stage(client.scene, session.paint, self._arrived)
         self._book = Book(session.paint, self._arrived)
+        self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
+        self._poses.on_arrival(self._arrived)
         self._eye = Eye(client)
         self._tools = Tools(client, self._eye)
         self._shown: Contents | None = None
@@ -109,6 +116,7 @@ class SceneView:
             self._due.notify()
         self._tools.close()
         self._moves.close()
+        self._poses.close()
 
     # ---------------------------------------------------------------- the scene's thread
 
@@ -128,6 +136,8 @@ class SceneView:
         """On a thread of its own, which pauses after each: the last move of many is never left out."""
         self._eye.refit()
         self._tools.resize()
+        if self._wanted is not None and self._wanted[1].shows_fields:
+            self._arrived()
         self._camera_listener()
         time.sleep(_CAMERA_EVERY_S)
 
@@ -173,6 +183,7 @@ class SceneView:
         self._stands = contents.place
         self._scale_listener(contents.on_show)
         whole = self._stage.show(contents.items, contents.stretch)
+        self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         if whole or contents.on_show is None:
             self._tools.show(view, contents.on_show, self._book)
         return whole and not contents.awaits_more
@@ -182,7 +193,7 @@ class SceneView:
             return plan_contents(snapshot, view)
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
         if source is not None:
-            return surface_contents(self._book, snapshot, view, source)
+            return surface_contents(self._book, self._poses, snapshot, view, source)
         return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
 
     def _place_camera(self, contents: Contents) -> None:

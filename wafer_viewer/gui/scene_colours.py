@@ -18,7 +18,11 @@ class SceneColours:
     shadow: Rgb
     shadow_strength: float
     ground: Rgb
+    under_lines: Rgb
+    """Casing of lines that are drawn in the theme's colours."""
+    doubt: Rgb
     casing: Rgb = (255, 255, 255)
+    arrow: Rgb = rgb("15202B")
     way: Rgb = (200, 80, 0)
     profile: Rgb = rgb("E8590C")
     region: Rgb = rgb("15202B")
@@ -33,6 +37,8 @@ LIGHT = SceneColours(
     shadow=(24, 36, 50),
     shadow_strength=0.5,
     ground=rgb("E9EEF3"),
+    under_lines=(255, 255, 255),
+    doubt=rgb("C25E00"),
 )
 DARK = SceneColours(
     ink=rgb("B2BECA"),
@@ -42,6 +48,9 @@ DARK = SceneColours(
     shadow=(0, 0, 0),
     shadow_strength=0.8,
     ground=rgb("1A2129"),
+    under_lines=(13, 18, 23),
+    doubt=rgb("F0B45B"),
+    arrow=rgb("F2F6FA"),
 )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -24,11 +26,55 @@ class Group:
 
     def __init__(self, *handles: Handle) -> None:
         self._handles = handles
+        self._scale = (1.0, 1.0, 1.0)
+
+    @property
+    def scale(self) -> tuple[float, float, float]:
+        """How they are stretched, all alike."""
+        return self._scale
+
+    @scale.setter
+    def scale(self, scale: tuple[float, float, float]) -> None:
+        self._scale = scale
+        for handle in self._handles:
+            handle.scale = scale
 
     def remove(self) -> None:
         """Remove them all."""
         for handle in self._handles:
             handle.remove()
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A node that lies so many pixels over the surface, and is seen where a length of its own has enough pixels."""
+
+    handle: Handle
+    up_px: float
+    length_mm: float = math.inf
+    least_px: float = 0.0
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Lie and be seen as is right for a pixel of this size."""
+        self.handle.position = (0.0, 0.0, self.up_px * mm_per_pixel)
+        self.handle.visible = self.length_mm >= self.least_px * mm_per_pixel
+
+
+class Layers(Group):
+    """Layers over one another, which keep their distances on the screen however near one looks."""
+
+    def __init__(self, layers: Sequence[Layer], mm_per_pixel: float) -> None:
+        super().__init__(*(layer.handle for layer in layers))
+        self._layers, self._mm_per_pixel = layers, 0.0
+        self.settle(mm_per_pixel)
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Lie as is right for a pixel of this size, where that has changed enough to be seen."""
+        if abs(mm_per_pixel - self._mm_per_pixel) <= 0.1 * self._mm_per_pixel:
+            return
+        self._mm_per_pixel = mm_per_pixel
+        for layer in self._layers:
+            layer.settle(mm_per_pixel)
 
 
 def rectangle(box: Box, z: float) -> Segments:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import viser
 
@@ -19,6 +19,15 @@ Paint = Callable[[PaintRequest], "Future[bytes]"]
 
 _GRACE_S = 0.45
 """How long a tile stays after its successor was sent: the browser unpacks it meanwhile, and nothing flashes."""
+
+
+@runtime_checkable
+class Settling(Protocol):
+    """A drawing that depends on how near one looks."""
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Be as is right for a pixel of this size."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +111,12 @@ class Stage:
         if faults:
             raise faults[0]
         return not waiting
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Have what lies in layers lie so far apart as is right for a pixel of this size."""
+        for drawn in self._drawn.values():
+            if isinstance(drawn.handle, Settling):
+                drawn.handle.settle(mm_per_pixel)
 
     def tidy(self) -> float | None:
         """Remove what has had its grace; seconds until there is more to remove, None when there is not."""

@@ -13,8 +13,10 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import export_dialog
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.recipe_section import RecipeSection
 from wafer_viewer.gui.slice_section import SliceSection
+from wafer_viewer.gui.stitching_section import StitchingSection
 from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
@@ -24,6 +26,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Confidence": "confidence",
     "Slope": "slope",
     "Deviation from plane": "deviation",
+    "Overlap difference": "overlap",
     "Picture in focus": "grey",
     "Origin": "origin",
 }
@@ -37,8 +40,9 @@ FULL_SHADE = 0.8
 class SurfacePanel:
     """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, poses: PoseBook) -> None:
         self._page = page
+        self._poses = poses
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
@@ -57,6 +61,7 @@ class SurfacePanel:
         self._show_light(view)
         self._slice.show(snapshot, view)
         self._numbers.show(_numbers(data, info))
+        self._stitching.show(snapshot, view)
         self._recipe.show(snapshot)
         set_prop(self._measure, "disabled", info is None)
         set_prop(self._export, "disabled", info is None and view.show == 0)
@@ -64,6 +69,10 @@ class SurfacePanel:
     def toggle_hillshade(self) -> None:
         """Light from the north-west on or off."""
         self._page.change(hillshade=0.0 if self._page.view.hillshade else FULL_SHADE)
+
+    def toggle_fields(self) -> None:
+        """Fields and overlaps over the stitched surface, on or off."""
+        self._page.change(fields=not self._page.view.fields)
 
     def toggle_all_in_focus(self) -> None:
         """The all-in-focus picture on or off."""
@@ -81,6 +90,7 @@ class SurfacePanel:
         self._build_light()
         self._slice = SliceSection(page)
         self._numbers = Cell(gui)
+        self._stitching = StitchingSection(page, self._poses)
         self._recipe = RecipeSection(page)
         self._export = button(gui, "Export…", viser.Icon.DOWNLOAD, lambda _: export_dialog(page))
         in_a_row(gui, [self._export], 34)
@@ -150,11 +160,14 @@ class SurfacePanel:
             self._shown.show(shown)
 
     def _show_colour(self, info: SurfaceInfo | None, view: View) -> None:
-        self._by.show(TITLES_OF_COLOUR_BY[view.colour_by])
+        scale = self._page.scale
+        by = "height" if scale is not None and scale.quantity != view.colour_by == "overlap" else view.colour_by
+        set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps or by == "overlap"))
+        self._by.show(TITLES_OF_COLOUR_BY[by])
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
         self._colours.enable(in_colours)
-        whole, scale = self._whole(info, view), self._page.scale
+        whole = self._whole(info, view)
         ranged = in_colours and whole is not None and scale is not None
         for widget in (self._range, self._by_hand):
             widget.enable(ranged)
@@ -185,6 +198,11 @@ class SurfacePanel:
         self._focus.show(round(100 * view.all_in_focus, 3))
 
 
+def _quantities(overlaps: bool) -> tuple[str, ...]:
+    """What a surface can be coloured by; overlaps are known of a stitched one."""
+    return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
+
+
 def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
     if data is None:
         return "Open a dataset, or scan one."
@@ -207,7 +225,7 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:
         *((f"– {words}", share(part)) for words, part in info.unmeasured if part > 0),
         ("Filled", share(info.filled_fraction)),
     ]
-    if info.overlap_rms_um is not None:
+    if info.overlap_rms_um is not None and info.stitching is None:
         rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     problem = data.calibration_problem if data else None
     why = f'<div class="wv-lab" style="margin-top:5px">uncalibrated: {html.safe(problem)}</div>' if problem else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import viser
@@ -10,11 +11,13 @@ from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Clear
 from wafer_viewer.gui.contents import Contents, OnShow, corners_of
 from wafer_viewer.gui.ground import block_items, figure_height_mm, plinth_mm
+from wafer_viewer.gui.pose_book import PoseBook
+from wafer_viewer.gui.pose_items import pose_items
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import Handle, Item
 from wafer_viewer.gui.tiles import FIRST_PIXELS, TEXTURE_PIXELS, add_glb, bounds_mm, look_of, surface_items
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
 from wafer_viewer.session.state import OpenDataset, Snapshot
 
 
@@ -38,18 +41,20 @@ def result_of(snapshot: Snapshot) -> str:
     return data.results[0] if data is not None and data.results else "default"
 
 
-def surface_contents(book: Book, snapshot: Snapshot, view: View, source: Source) -> Contents:
-    """The block with its surface. May wait for the painter."""
-    facts, scale = book.facts(source), book.scale(source, view)
+def surface_contents(book: Book, poses: PoseBook, snapshot: Snapshot, view: View, source: Source) -> Contents:
+    """The block with its surface, and over it its fields. May wait for the painter."""
+    facts = book.facts(source)
+    view = _with_what_there_is(view, facts)
+    scale = book.scale(source, view)
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     stretch = view.exaggeration
     on_show = OnShow(source, facts, scale, z0, stretch)
     box, look = bounds_mm(facts), look_of(view, scale)
     solid = view.look == "surface"
     ground = block_items(box, view.dark, plinth=solid)
-    cut = _picture_at_z(snapshot, view, on_show)
+    over = (*_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show))
     return Contents(
-        items=(*surface_items(source, facts, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *cut),
+        items=(*surface_items(source, facts, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *over),
         rough=(*surface_items(source, facts, look, view, z0, FIRST_PIXELS, "surface"), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
         place=("surface", source.dataset, source.show, view.look == "plan"),
@@ -58,6 +63,22 @@ def surface_contents(book: Book, snapshot: Snapshot, view: View, source: Source)
         on_show=on_show,
         clear=Clear(),
     )
+
+
+def _with_what_there_is(view: View, facts: Facts) -> View:
+    """The view, coloured by height where it asks for a quantity that this surface does not have."""
+    lacks = view.colour_by == "overlap" and not facts.has_overlaps
+    return replace(view, colour_by="height", range_um=None) if lacks else view
+
+
+def _fields(poses: PoseBook, snapshot: Snapshot, view: View, on_show: OnShow) -> list[Item]:
+    """Where the fields were placed."""
+    data = snapshot.dataset
+    known = poses.at(on_show.source) if view.shows_fields and data is not None else None
+    if known is None or data is None:
+        return []
+    size_um = (data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
+    return pose_items(known, on_show, size_um, view.dark, flat=view.look == "plan")
 
 
 def _top(on_show: OnShow) -> float:

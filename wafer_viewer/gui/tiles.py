@@ -17,8 +17,8 @@ TEXTURE_PIXELS = 2_200_000
 FIRST_PIXELS = 260_000
 """What a first, quick picture may have."""
 VERTICES = 200_000
-LIGHT_ON_ORIGINS = 0.25
-"""How much of the hillshade falls on colours that are looked up one by one."""
+LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
+"""How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
 _TILE_PX = 320
 _SHAPES = {"surface": "tile", "points": "points", "plan": "flat"}
 
@@ -72,7 +72,7 @@ def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
 def look_of(view: View, scale: Scale) -> Look:
     """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
     colours = "grey" if view.colour_by == "grey" else view.colours
-    shade = view.hillshade * (LIGHT_ON_ORIGINS if view.colour_by == "origin" else 1)
+    shade = view.hillshade * LIGHT_ON.get(view.colour_by, 1.0)
     return Look(view.colour_by, colours, scale.low, scale.high, shade, view.all_in_focus)
 
 

@@ -9,7 +9,7 @@ from wafer_viewer.model.region import Region
 
 Step = Literal["plan", "acquire", "surface", "measure"]
 Look = Literal["surface", "points", "plan"]
-ColourBy = Literal["height", "confidence", "slope", "deviation", "grey", "origin"]
+ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
 Tool = Literal["none", "profile", "step"]
 Below = Literal["none", "profile", "why"]
 
@@ -20,6 +20,7 @@ class View:
 
     show: 0 is the stitched surface, a running number is that field. range_um None: the surface's own 0.5 - 99.5 %.
     frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
+    fields: whether fields and overlaps are drawn over the stitched surface.
     why: the place, stage um, whose height is being explained.
     """
 
@@ -34,6 +35,7 @@ class View:
     all_in_focus: float = 0.0
     frame_k: int | None = None
     slice_z_um: float | None = None
+    fields: bool = False
     dark: bool = False
     tool: Tool = "none"
     profile: Region | None = None
@@ -41,6 +43,11 @@ class View:
     lower: Region | None = None
     selected: int | None = None
     why: tuple[float, float] | None = None
+
+    @property
+    def shows_fields(self) -> bool:
+        """Whether the page shows how the fields were placed."""
+        return self.fields and self.step == "surface" and self.show == 0
 
     @property
     def explains(self) -> bool:

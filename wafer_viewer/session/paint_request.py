@@ -51,7 +51,10 @@ class PaintRequest:
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light."""
+    """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light.
+
+    has_overlaps: whether it is known how far fields are apart where several measured a pixel.
+    """
 
     rows: int
     cols: int
@@ -68,6 +71,7 @@ class Facts(msgspec.Struct, frozen=True):
     high_um: float
     gain: float
     plane: tuple[float, float, float]
+    has_overlaps: bool = False
 
     @property
     def light(self) -> Light:

@@ -27,9 +27,13 @@ def facts(shelf: Shelf, request: PaintRequest) -> bytes:
     facts = Facts(
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
-        light_gain(part.z_um, part.pixel_um), _plane(part),
+        light_gain(part.z_um, part.pixel_um), _plane(part), _has_overlaps(part),
     )  # fmt: skip
     return msgspec.msgpack.encode(facts)
+
+
+def _has_overlaps(part: HeightMap) -> bool:
+    return part.overlap_um is not None and bool(np.isfinite(part.overlap_um).any())
 
 
 def _extent(there: NDArray[np.bool_], n: int, scale: int) -> tuple[int, int]:
@@ -70,11 +74,13 @@ def scale(shelf: Shelf, request: PaintRequest) -> bytes:
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
-    """Shares run from 0 to 1, slopes from 0, a deviation is symmetric; else 0.5 to 99.5 %, at least 0.2 apart."""
+    """Shares run from 0 to 1, slopes and differences from 0, a deviation is symmetric; else 0.5 to 99.5 %, at least 0.2 apart."""
     if quantity in ("confidence", "grey"):
         return 0.0, 1.0
     if quantity == "slope":
         return 0.0, max(high, 1.0)
+    if quantity == "overlap":
+        return 0.0, max(high, 0.1)
     if quantity == "deviation":
         most = max(abs(low), abs(high), 0.1)
         return -most, most

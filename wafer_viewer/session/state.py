@@ -28,6 +28,8 @@ class FieldState(Enum):
     FAILED = "failed"
 
 
+Box = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
 RigState = Literal["absent", "starting", "ready", "moving", "scanning", "paused", "stopping", "fault"]
 
 
@@ -181,6 +183,8 @@ class SurfaceInfo:
     """The recipe it was made by, and the same with what ``auto`` chose; None where that was not kept."""
     stitching: StitchingInfo | None = None
     """None where fields lie at their stage positions, without a look at their overlaps."""
+    changed: tuple[tuple[int, Box], ...] = ()
+    """Of a surface that grows: where it changed, oldest first, and the stamp it got by that; empty: everywhere."""
 
 
 @dataclass(frozen=True, slots=True)

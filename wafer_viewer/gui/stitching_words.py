@@ -1,0 +1,120 @@
+"""What the page says of how fields were placed: numbers, what a person should look at, overlaps not believed. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.numbers import THIN, digits_of_u, number, with_unit
+from wafer_viewer.gui import html
+from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.session.state import StitchingInfo
+
+BY_STAGE = "Fields lie where the stage says: their overlaps were not looked at."
+SHOWN, LISTED = 6, 60
+"""Overlaps named at once, and with those that unfold."""
+NAMED = 8
+"""Fields named in a sentence."""
+Rows = list[tuple[str, str]]
+
+
+def numbers(info: StitchingInfo) -> str:
+    """What an operator wants to know of every surface."""
+    rows: Rows = [("Overlaps believed", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
+    rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
+    if info.step_median_um is not None:
+        rows.append(("Step left at a seam, median", _length(info.step_median_um)))
+    if info.step_p95_um is not None:
+        rows.append(("– 95 % are under", _length(info.step_p95_um)))
+    rows += [
+        ("Place of a field, U (k = 2)", _plus_minus(info.position_u_um)),
+        ("Height of a field, U (k = 2)", _plus_minus(info.height_u_um)),
+    ]
+    return html.pairs(rows)
+
+
+def details(info: StitchingInfo) -> str:
+    """The stage as it was found, and the part of the form that nothing but the stage tells."""
+    rows: Rows = [
+        ("Fields off the stage's place, rms", _length(info.moved_rms_um)),
+        ("– the farthest", _length(info.moved_max_um)),
+        ("Error of the stage, x and y", _length(info.stage_error_um)),
+        ("– along z", _length(info.z_error_um)),
+    ]
+    said = f'<div class="wv-chosen">{html.pairs(rows)}</div>'
+    form = [(name[:1].upper() + name[1:], _plus_minus(u)) for name, u in info.form]
+    if form:
+        head = '<div class="wv-lab">Known from the stage only, U (k = 2) at the rim</div>'
+        said += f'<div class="wv-chosen">{head}{html.pairs(form)}</div>'
+    return said
+
+
+def cautions(info: StitchingInfo) -> str:
+    """What a person should look at, in the colour of attention."""
+    said: list[str] = []
+    if info.left_out:
+        said.append(f"{_left_out(info.left_out)} Look at the frames, or take them again.")
+    if info.n_groups > 1:
+        said.append(
+            f"The fields fall into {info.n_groups} islands: no overlap joins them, so between islands "
+            "places and heights are the stage's."
+        )
+    said += [html.micro(note).rstrip(".") + "." for note in info.notes]
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 15)
+    lines = "".join(f"<div>{sign}<div>{html.safe(text)}</div></div>" for text in said)
+    return lines and f'<div class="wv-notes attention">{lines}</div>'
+
+
+def doubted(poses: Poses, pixel_um: float) -> str:
+    """The overlaps that are not believed, those that are farthest off first; blank ones come last."""
+    rows = _doubted_rows(poses, pixel_um)
+    if not rows:
+        return ""
+    said = _table(("Fields", "Not believed, because", "Off, µm", "px"), rows[:SHOWN])
+    if len(rows) > SHOWN:
+        beyond = len(rows) - LISTED
+        tail = f'<div class="wv-lab">and {number(beyond, 0)} that are less far off</div>' if beyond > 0 else ""
+        more = f"<summary><u>{number(len(rows) - SHOWN, 0)} more</u></summary>"
+        said += f'<details class="wv-more">{more}{_table((), rows[SHOWN:LISTED])}{tail}</details>'
+    return f'<div class="wv-chosen">{said}</div>'
+
+
+def _table(heads: tuple[str, ...], rows: list[str]) -> str:
+    """Both tables have the same columns."""
+    widths = '<colgroup><col style="width:74px"><col><col style="width:60px"><col style="width:46px"></colgroup>'
+    return html.table(heads, rows, "  nn").replace(">", f">{widths}", 1)
+
+
+def _doubted_rows(poses: Poses, pixel_um: float) -> list[str]:
+    shifts = poses.shifts
+    off_um = np.hypot(shifts.residual_x_um, shifts.residual_y_um)
+    rows = np.flatnonzero(~shifts.believed)
+    blank = shifts.doubt[rows] == Doubt.BLANK
+    order = np.lexsort((-np.nan_to_num(off_um[rows], nan=-1.0, posinf=-1.0), blank))
+    return [_doubted_row(poses, row, float(off_um[row]), pixel_um) for row in rows[order].tolist()]
+
+
+def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> str:
+    shifts = poses.shifts
+    first, second = (int(poses.numbers[k]) for k in (shifts.first[row], shifts.second[row]))
+    doubt = Doubt(int(shifts.doubt[row]))
+    off = None if doubt is Doubt.BLANK else off_um
+    figures = [number(off, 2), number(None if off is None else off / pixel_um, 1)]
+    return html.row([f"{first}{THIN}–{THIN}{second}", html.safe(DOUBT_TITLES[doubt]), *figures], "  nn")
+
+
+def _left_out(fields: tuple[int, ...]) -> str:
+    if len(fields) == 1:
+        return f"Field {fields[0]} is left out: it fits none of its neighbours."
+    named, more = [str(n) for n in fields[:NAMED]], len(fields) - NAMED
+    names = f"{', '.join(named)} and {more} more" if more > 0 else f"{', '.join(named[:-1])} and {named[-1]}"
+    return f"Fields {names} are left out: they fit none of their neighbours."
+
+
+def _length(value_um: float) -> str:
+    """To two figures, as uncertainties are."""
+    return with_unit(value_um, digits_of_u(value_um))
+
+
+def _plus_minus(u_um: float) -> str:
+    return f"±{THIN}{_length(u_um)}"
