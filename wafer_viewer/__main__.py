@@ -21,6 +21,7 @@ COMMANDS: dict[str, str] = {
     "measure profile": "a section along a line",
     "why": "why a pixel has its height, or none",
     "check": "test every checksum of a dataset and name missing frames",
+    "cluster": "make what several machines need to work together",
     "convert": "write a surface in another format",
     "doctor": "what this machine has and lacks, and the line that mends it",
 }

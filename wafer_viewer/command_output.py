@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -85,6 +87,27 @@ def print_checks(checks: Iterable[Check]) -> int:
             print(f"     mend: {check.mend}")
             status = 1
     return status
+
+
+def print_cluster(folder: Path, host: str) -> None:
+    """The lines to run on each machine of a cluster."""
+    there = f"cd {shlex.quote(str(folder))} && DASK_CONFIG=."
+    ours = f"DASK_CONFIG={shlex.quote(str(folder))} wafer-viewer"
+    closed = "--dashboard-address 127.0.0.1:0"
+    print(f"""{folder} has the cluster's certificates. Copy it to every machine, wherever it fits there, and show it to
+nobody: whoever has it can run code on them. On {host}, which shares out the work:
+  {there} dask scheduler {closed}
+On every machine that works, with as many workers as it has processors and 3 GiB for each:
+  {there} dask worker tls://{host}:8786 --nworkers 2 --nthreads 1 --memory-limit 3GiB {closed}
+Where the viewer or the command line runs:
+  {ours} serve --scheduler tls://{host}:8786
+  {ours} stitch NAME.wafer --scheduler tls://{host}:8786
+Datasets lie in a folder that all machines share under the same path; the same wafer-viewer is installed on all.""")
+
+
+def warn(sentence: str) -> None:
+    """Something that went wrong and did not end the work, on standard error."""
+    print(f"wafer-viewer: {' '.join(sentence.split())}", file=sys.stderr, flush=True)
 
 
 @contextmanager

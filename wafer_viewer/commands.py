@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import signal
+import socket
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.arguments import DatasetFolder, File, Out, PlanFile, Sources, Text, Um, require_sources
+from wafer_viewer.arguments import DatasetFolder, File, Folder, Out, PlanFile, Sources, Text, Um, require_sources
 from wafer_viewer.command_output import (
     plan_facts,
     print_check,
     print_checks,
+    print_cluster,
     print_json,
     print_plan,
     progress,
@@ -133,6 +135,19 @@ def check(dataset: DatasetFolder) -> int:
         report = data.check(tell)
     print_check(data, report)
     return 0 if report.ok else 1
+
+
+def cluster(folder: Folder, host: Text = None) -> None:
+    """Make what machines need to work together: certificates and dask's configuration. Prints the lines to run.
+
+    Args:
+        folder: A new folder; whoever has a copy can run code on the machines of the cluster.
+        host: Name or address of the machine that shares out the work; this one without it.
+    """
+    from wafer_viewer.session.cluster_files import write_cluster_files
+
+    write_cluster_files(folder)
+    print_cluster(folder.absolute(), host or socket.gethostname())
 
 
 def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:

@@ -6,8 +6,20 @@ from typing import Any
 
 import msgspec
 
-from wafer_viewer.arguments import DatasetFolder, NewFile, Out, Place, Rectangle, Source, Sources, Um, require_sources
-from wafer_viewer.command_output import print_json, print_surface, progress
+from wafer_viewer.arguments import (
+    Count,
+    DatasetFolder,
+    NewFile,
+    Out,
+    Place,
+    Rectangle,
+    Source,
+    Sources,
+    Text,
+    Um,
+    require_sources,
+)
+from wafer_viewer.command_output import print_json, print_surface, progress, warn
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 
@@ -19,6 +31,8 @@ def reconstruct(
     z_step_um: Um = None,
     pixel_um: Um = None,
     result: str = "default",
+    scheduler: Text = None,
+    workers: Count = None,
 ) -> None:
     """Make a surface and write it to a file, whose ending picks the format: .npz .tif .ply .stl .csv.
 
@@ -29,14 +43,17 @@ def reconstruct(
         z_step_um: Distance between frames, where SRC does not say.
         pixel_um: Size of a pixel on the sample, where SRC does not say.
         result: Name under which a NAME.wafer keeps its surfaces.
+        scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
+        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
     """
-    from wafer_viewer.session.offline import surface_of
+    from wafer_viewer.session.offline import Hire, surface_of
     from wafer_viewer.store.exporters import export, require_known
 
     require_sources(src)
     require_known(out)
+    hire = Hire(scheduler, workers)
     with progress("Reconstruction") as tell:
-        surface, info = surface_of(src, recipe, z_step_um, pixel_um, result, tell)
+        surface, info = surface_of(src, recipe, z_step_um, pixel_um, result, tell, warn, hire)
     export(surface, out)
     print_surface(out, info)
 
@@ -46,6 +63,8 @@ def stitch(
     recipe: Recipe = Recipe(),
     result: str = "default",
     again: bool = False,
+    scheduler: Text = None,
+    workers: Count = None,
 ) -> None:
     """Make the stitched surface of a dataset; fields that have no heights yet get theirs first.
 
@@ -54,11 +73,14 @@ def stitch(
         recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
         result: Name under which the surfaces are kept.
         again: Make the heights of all fields again.
+        scheduler: A dask cluster that does the work, tls://HOST:PORT.
+        workers: Processes of this machine that do the work; 1 is this one alone. As many as pay by default.
     """
-    from wafer_viewer.session.offline import make_surface
+    from wafer_viewer.session.offline import Hire, make_surface
 
+    hire = Hire(scheduler, workers)
     with progress("Stitching") as tell:
-        info = make_surface(dataset, recipe, result, again=again, tell=tell)
+        info = make_surface(dataset, recipe, result, again=again, tell=tell, warn=warn, hire=hire)
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
 
 

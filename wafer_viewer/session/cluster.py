@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,11 +39,6 @@ SETTINGS: dict[str, Any] = {
 _TLS = "distributed.comm.tls"
 
 
-def n_local_workers() -> int:
-    """One worker a processor, two at least, so that one that is busy or was killed does not stop the others."""
-    return min(8, max(2, (os.cpu_count() or 2) - 1))
-
-
 @contextmanager
 def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
     """A client of the cluster at an address, or else of one of our own with some workers, which ends with the client.
@@ -55,7 +51,7 @@ def client_of(scheduler: str | None, workers: int) -> Generator[Client]:
 
 @contextmanager
 def _own(workers: int) -> Generator[Client]:
-    with _where("this machine"):
+    with _where("this machine"), _deaf():
         cluster = LocalCluster(
             n_workers=workers,
             threads_per_worker=1,
@@ -110,6 +106,22 @@ def _where(place: str) -> Generator[None]:
     except (OSError, TimeoutError, ValueError) as fault:
         reason = " ".join(str(fault).split()).rstrip(".")
         raise ComputeError(f"There is no cluster at {place}: {reason}.") from fault
+
+
+@contextmanager
+def _deaf() -> Generator[None]:
+    """Ctrl-C in a terminal reaches all its processes: those begun meanwhile leave it to this one, which hears it after.
+
+    The threads that are begun meanwhile pass their deafness on to every process that they begin later.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

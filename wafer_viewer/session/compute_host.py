@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from concurrent.futures import Future as LocalFuture
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
@@ -17,15 +17,13 @@ from typing import Any
 from distributed import CancelledError, Client, Event, Future
 
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.session.cluster import client_of, n_local_workers
-from wafer_viewer.session.crew import Cluster
+from wafer_viewer.session.cluster import client_of
+from wafer_viewer.session.crew import COUNT_EVERY_S, Cluster, n_local_workers
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
 from wafer_viewer.session.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Lead, Progressed, Run
 from wafer_viewer.session.tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign, warm_up
 
 NICENESS = 5
-LEADS = 4
-"""Works of many tasks that are led at a time; others wait."""
 RUN_PRIORITY = 10
 """A single task, such as a field that is being taken, goes before the many of a work that is led."""
 
@@ -50,23 +48,34 @@ class Host:
         self._client, self._end = client, end
         self._futures: dict[int, Future[Any]] = {}
         self._warming: list[Future[Any]] = []
-        self._leaders = ThreadPoolExecutor(LEADS, "lead")
+        self._leader = ThreadPoolExecutor(1, "lead")  # one after the other: two could write to the same mosaic
         self._stops: dict[str, threading.Event] = {}
+        self._closing = threading.Event()
         self._do = {Run: self._run, Lead: self._lead, Cancel: self._cancel}
         client.subscribe_topic(PROGRESS_TOPIC, self._progressed)
 
     def work(self) -> None:
         """Take verbs until the pipe ends; kernels are compiled meanwhile."""
-        addresses = list(self._client.scheduler_info(n_workers=-1)["workers"])
-        self._end.tell(ComputeUp(len(addresses)))
-        self._warm_up(addresses)
+        self._warm_up(list(self._client.scheduler_info(n_workers=-1)["workers"]))
+        threading.Thread(target=self._count, name="count workers", daemon=True).start()
         try:
             for ask in self._end.verbs():
                 self._do[type(ask.verb)](ask)
         finally:
-            for stop in self._stops.values():
+            self._closing.set()
+            for stop in list(self._stops.values()):
                 stop.set()
-            self._leaders.shutdown(cancel_futures=True)
+            self._leader.shutdown(cancel_futures=True)
+
+    def _count(self) -> None:
+        """Tell how many workers there are, whenever one joined or left."""
+        crew, told = Cluster(self._client), 0
+        with suppress(ComputeError):
+            while not self._closing.is_set():
+                if (now := crew.n_hands) != told:
+                    self._end.tell(ComputeUp(now))
+                    told = now
+                self._closing.wait(COUNT_EVERY_S)
 
     def _run(self, ask: Ask) -> None:
         verb: Run = ask.verb
@@ -81,7 +90,7 @@ class Host:
         verb: Lead = ask.verb
         stop = self._stops[verb.work] = threading.Event()
         watched = {"progress": sparing(partial(self._tell, verb.work)), "should_stop": stop.is_set}
-        led = self._leaders.submit(verb.task, *verb.args, crew=Cluster(self._client), **watched)
+        led = self._leader.submit(verb.task, *verb.args, crew=Cluster(self._client), **watched)
         led.add_done_callback(partial(self._led, ask))
 
     def _led(self, ask: Ask, done: LocalFuture[Any]) -> None:

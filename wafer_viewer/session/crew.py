@@ -6,6 +6,7 @@ twice. So a worker that dies costs time only, and pixels never travel through th
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -61,7 +62,7 @@ class Crew(Protocol):
         """Raises ComputeError naming the machine where a worker does not see a dataset, or runs another version."""
         ...
 
-    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = ...) -> Iterator[Done]:
+    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = ...) -> Generator[Done]:
         """Do ``task(*item)`` for every item; yields in order of completion.
 
         A task that raises a WaferViewerError, or ends its worker again and again, is Done with that fault and does not
@@ -81,7 +82,7 @@ class Here:
     def require_sight(self, dataset: Path) -> None:
         """This process sees what it sees."""
 
-    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Iterator[Done]:
+    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `Crew`. An error that is no WaferViewerError is raised."""
         if self.n_hands == 1:
             for index, item in enumerate(items):
@@ -133,7 +134,7 @@ class Cluster:
                 raise ComputeError(why)
         self._wanted = wanted
 
-    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Iterator[Done]:
+    def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `Crew`. A task that fails in a way nobody foresaw is Done with a fault as well."""
         job, suspects = uuid4().hex[:12], list[int]()
         self._seen_at = time.monotonic()
@@ -159,7 +160,10 @@ class Cluster:
             yield _outcome(f"{task.__name__} of item {index + 1} of {len(items)}", index, future)
 
     def _count(self) -> int:
-        workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        try:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+        except OSError as fault:
+            raise _gone() from fault
         return sum(worker["nthreads"] for worker in workers if worker["status"] == "running")
 
     def _give_up(self, job: str, futures: Iterable[Any]) -> None:
@@ -194,6 +198,11 @@ def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[Crew]:
 
     with client_of(scheduler, workers) as client:
         yield Cluster(client)
+
+
+def n_local_workers() -> int:
+    """One worker a processor, two at least, so that one that is busy or was killed does not stop the others."""
+    return min(8, max(2, (os.cpu_count() or 2) - 1))
 
 
 def require_tls(scheduler: str | None) -> None:
@@ -251,11 +260,15 @@ def _outcome(what: str, index: int, future: Any) -> Done:
     if fault is None:
         return Done(index, *future.result())
     if isinstance(fault, CancelledError):
-        raise ComputeError("The work was given up, because the compute cluster ended; what was done is kept.")
+        raise _gone()
     if isinstance(fault, KilledWorker):
         times = fault.allowed_failures + 1
         return Done(index, fault=WorkerEnded(f"{what} ended its worker {times} times: it may need more memory."))
     return Done(index, fault=ComputeError(f"{what} failed: {type(fault).__name__}: {fault}."))
+
+
+def _gone() -> ComputeError:
+    return ComputeError("The work was given up, because the compute cluster ended; what was done is kept.")
 
 
 def _cancel_each(futures: Iterable[Any]) -> None:

@@ -2,54 +2,95 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.crew import Crew, Here, crew_for, n_local_workers, require_tls
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import summarise
 from wafer_viewer.session.tasks import reconstruct_field, stitch_fields
+from wafer_viewer.session.worker import attempt
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
 from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.npz import read_npz
 
 Tell = Callable[[float], None]
+Warn = Callable[[str], None]
 READ_SHARE = 0.3
 """Of a reconstruction of image files, how much of the progress bar reading them takes."""
+STITCH_SHARE = 0.1
+"""Of heights and stitching, how much of the progress bar the stitching takes."""
+CLUSTER_PAYS_BYTES = 4e9
+"""Of frames: from there on workers of one's own are sooner done, though they take a while to start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hire:
+    """Who is to work: the cluster at `scheduler`, or `workers` processes of this machine; None: as many as pay."""
+
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        require_tls(self.scheduler)
+        if self.workers is not None and self.workers < 1:
+            raise PlanError(f"--workers is {self.workers}: it must be 1, for no process but this one, or more.")
+        if self.scheduler is not None and self.workers is not None:
+            raise PlanError("--workers is for this machine and --scheduler for a cluster: give one of them.")
+
+    def crew(self, work_bytes: float) -> AbstractContextManager[Crew]:
+        """The crew for so many bytes of frames."""
+        return crew_for(self.scheduler, self.workers or (1 if work_bytes < CLUSTER_PAYS_BYTES else n_local_workers()))
 
 
 def surface_of(
-    src: Sequence[Path], recipe: Recipe, z_step_um: float | None, pixel_um: float | None, result: str, tell: Tell
+    src: Sequence[Path],
+    recipe: Recipe,
+    z_step_um: float | None,
+    pixel_um: float | None,
+    result: str,
+    tell: Tell,
+    warn: Warn,
+    hire: Hire,
 ) -> tuple[Mosaic, SurfaceInfo]:
     """The surface of images or of a dataset, made now, and its numbers. Raises DatasetError for unreadable images."""
     if len(src) == 1 and is_dataset(src[0]):
-        info = make_surface(src[0], recipe, result, again=False, tell=tell)
+        info = make_surface(src[0], recipe, result, again=False, tell=tell, warn=warn, hire=hire)
         return Dataset.open(src[0]).result(result).mosaic(), info
     from wafer_viewer.reconstruct.field import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
     stack = open_stack(files, z_step_um, pixel_um, progress=lambda share: tell(READ_SHARE * share))
     surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
-    return surface, summarise(surface, (surface,), result, recipe)
+    return surface, summarise(surface, 1, result, recipe)
 
 
-def make_surface(path: Path, recipe: Recipe, result: str, *, again: bool, tell: Tell) -> SurfaceInfo:
-    """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile."""
-    data = Dataset.open(path)
-    lock = Lock.take(path)
+def make_surface(
+    path: Path, recipe: Recipe, result: str, *, again: bool, tell: Tell, warn: Warn, hire: Hire = Hire()
+) -> SurfaceInfo:
+    """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile.
+
+    warn: hears of each field that has no heights and is left out. Raises ComputeError when that is all of them.
+    """
+    data = Dataset.open(path.absolute())
+    lock = Lock.take(data.path)
     try:
         todo = _fields_to_do(data, recipe, result, again)
-        steps = len(todo) + 1
-        for i, number in enumerate(todo):
-            reconstruct_field(path, number, result, recipe, None, progress=partial(_part, tell, i, steps))
-        return stitch_fields(path, result, recipe, progress=partial(_part, tell, len(todo), steps))
+        with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
+            crew.require_sight(data.path)
+            share = 0 if not todo else 1 - STITCH_SHARE
+            _reconstruct(data, result, recipe, todo, crew, lambda done: tell(share * done), warn)
+            return stitch_fields(data.path, result, recipe, progress=lambda done: tell(share + (1 - share) * done))
     finally:
         lock.release()
 
@@ -103,6 +144,39 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
     kept.save_recipe(recipe)
     done = kept.surfaces_done(data.fields) if same and not again else set[int]()
     return [number for number in complete if number not in done]
+
+
+def _reconstruct(
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Tell, warn: Warn
+) -> None:
+    """Heights of fields; those that get none are named. Raises ComputeError where no field has any."""
+    faults: list[str] = []
+    for n_done, (number, fault) in enumerate(_outcomes(data, result, recipe, todo, crew, tell), 1):
+        tell(n_done / len(todo))
+        if fault is not None:
+            faults.append(f"Field {number} has no heights and is left out. {fault}")
+            warn(faults[-1])
+    if faults and not data.result(result).surfaces_done(data.fields):
+        raise ComputeError(f"No field of {data.path.name} has heights. {faults[0]}")
+
+
+def _outcomes(
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Tell
+) -> Iterator[tuple[int, WaferViewerError | None]]:
+    """Fields in order of completion, and the fault of those that have no heights.
+
+    Until one settles what `auto` means for all they go one by one, so that heights do not depend on who makes them.
+    """
+    kept, n = data.result(result), 0
+    while n < len(todo) and (isinstance(crew, Here) or (recipe.heights_have_auto and kept.settled() is None)):
+        task = partial(reconstruct_field, progress=partial(_part, tell, n, len(todo)))
+        _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
+        n += 1
+        yield todo[n - 1], fault
+    items = [(data.path, number, result, recipe, crew.threads_each) for number in todo[n:]]
+    with closing(crew.each(reconstruct_field, items)) as outcomes:
+        for done in outcomes:
+            yield todo[n + done.index], done.fault
 
 
 def _part(tell: Tell, index: int, total: int, share: float) -> None:
