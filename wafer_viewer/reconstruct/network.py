@@ -91,6 +91,11 @@ class Network:
         """Unknowns of a field."""
         return len(self.prior_sigma)
 
+    @property
+    def tells(self) -> Flags:
+        """[e, d] which overlaps say something about which unknown."""
+        return np.einsum("eaa->ea", self.information) > 0
+
     def misfit(self, values: Numbers, shared: Numbers) -> Numbers:
         """[e, d] measured minus solved."""
         solved = _times(self.at_second, values[self.second]) - _times(self.at_first, values[self.first])

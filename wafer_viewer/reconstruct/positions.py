@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Doubt, Numbers, Shifts
 from wafer_viewer.reconstruct.camera_axes import SIGMA, Camera, shared_by_all
+from wafer_viewer.reconstruct.contested import verdicts
+from wafer_viewer.reconstruct.graph import groups
 from wafer_viewer.reconstruct.network import Flags, Network, Ties
-from wafer_viewer.reconstruct.settle import REJECTED, Settled, groups, settle
+from wafer_viewer.reconstruct.settle import REJECTED, Settled, settle
 from wafer_viewer.reconstruct.sureness import standard_uncertainties
 
 _FLOOR_PX = 0.02
@@ -118,7 +120,7 @@ class _Task:
         if self.start is not None:
             begun = np.column_stack((self.start[0] - x_um, self.start[1] - y_um))
             values[self.fixed] = begun[self.fixed]
-        return settle(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, like)
+        return settle(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
 
     def _network(self, camera: Camera, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> Network:
         first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
@@ -164,7 +166,8 @@ class _Task:
             x_um, y_um = np.where(self.fixed, self.start[0], x_um), np.where(self.fixed, self.start[1], y_um)
         u = standard_uncertainties(network, at, (0, 1))
         shifts = self._judged(network, at)
-        group = groups(len(x_um), shifts.first, shifts.second, shifts.weight >= REJECTED)
+        believed = shifts.weight >= REJECTED
+        group = groups(len(x_um), shifts.first[believed], shifts.second[believed])
         error_um = float(network.prior_sigma[0])
         return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
 
@@ -190,3 +193,8 @@ def _found(unturned: Camera, at: Settled) -> Camera:
     u = np.sqrt(np.diag(at.covariance)) if at.covariance is not None else np.full(2, np.inf)
     scale, turn = at.shared
     return dataclasses.replace(unturned, turn=float(turn), u_turn=float(u[1]), scale=float(scale), u_scale=float(u[0]))
+
+
+def _decide(network: Network, at: Settled) -> Numbers:
+    """What the votes of clusters say about the weights."""
+    return verdicts(network, at.values, at.shared, at.excess, at.weight >= REJECTED)

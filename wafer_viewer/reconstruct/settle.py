@@ -7,14 +7,16 @@ it and so on (graduated non-convexity: Black and Rangarajan 1996): no bad overla
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Numbers
+from wafer_viewer.reconstruct.graph import groups
 from wafer_viewer.reconstruct.multigrid import Solver, prepare
-from wafer_viewer.reconstruct.network import Flags, Network, flat, normal_equations, pull
+from wafer_viewer.reconstruct.network import Network, flat, normal_equations, pull
 
 REJECTED = 0.1
 """An overlap with less weight is not believed."""
@@ -25,10 +27,8 @@ _MISFITS = 3.0
 _MOST_EXCESS = 5.0
 """Uncertainties of overlaps are not taken for more wrong than this: it is the overlap that is wrong then."""
 
-_BRIDGE = 4.0
-"""What ties a group to the others comes back if it says no more than so many standard deviations of the prior."""
-
 _MOST_ROUNDS = 30
+_MOST_VERDICTS = 8
 _STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
 _COARSE, _FINE = 1e-3, 1e-6
 _LEAST_REDUNDANCY = 0.1
@@ -58,10 +58,16 @@ class Settled:
     echoes: Numbers | None = None
 
 
-def settle(network: Network, values: Numbers, like: Settled | None = None) -> tuple[Network, Settled]:
+Decide = Callable[[Network, Settled], Numbers]
+
+
+def settle(
+    network: Network, values: Numbers, decide: Decide | None = None, like: Settled | None = None
+) -> tuple[Network, Settled]:
     """The most probable values, begun at `values` [n, d], where fields that are not free stay.
 
-    like: what nearly the same network came to, which is quicker than anew. The network comes back with the standard
+    decide: says, [e], the weights of overlaps that misfits alone cannot tell, NaN of others; like: what nearly
+    the same network came to, which is quicker than anew. The network comes back with the standard
     deviations of its priors as found.
     """
     telling = np.linalg.matrix_rank(network.information, hermitian=True) if len(network.first) else np.zeros(0, int)
@@ -69,29 +75,22 @@ def settle(network: Network, values: Numbers, like: Settled | None = None) -> tu
     at = Settled(values.copy(), shared, (telling > 0).astype(float))
     if like is not None:
         at = Settled(like.values, shared, like.weight, like.excess, like.scale)
-    network, at = _rounds(network, at, telling, np.zeros(len(telling), np.bool_))
-    bridges = _bridges(network, at, telling)
-    if np.any(bridges):
-        network, at = _rounds(network, at, telling, bridges)
+    decided = np.full(len(telling), np.nan)
+    for _ in range(_MOST_VERDICTS if decide else 1):
+        network, at = _rounds(network, at, telling, decided)
+        decided, before = decide(network, at) if decide else decided, decided
+        if np.array_equal(decided, before, equal_nan=True):
+            break
     return network, _improved(network, _improved(network, at, _FINE), _FINE)
 
 
-def groups(n: int, first: NDArray[np.int32], second: NDArray[np.int32], counts: Flags) -> NDArray[np.int32]:
-    """[n] number of the group that each field is in: those joined by overlaps that count."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import connected_components
-
-    joined = csr_array((np.ones(int(counts.sum())), (first[counts], second[counts])), (n, n))
-    return np.asarray(connected_components(joined, directed=False)[1], np.int32)
-
-
-def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], kept: Flags) -> tuple[Network, Settled]:
-    """Solve, see what does not fit, and solve again until the weights rest; `kept` overlaps are not rejected."""
+def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> tuple[Network, Settled]:
+    """Solve, see what does not fit, and solve again until the weights rest, those that are not `decided` (NaN)."""
     for _ in range(_MOST_ROUNDS):
         before, sigma = at.weight, network.prior_sigma
         at = _improved(network, at, _COARSE)
         network = _with_priors_found(network, at)
-        at = _weighed(network, at, telling, kept)
+        at = _weighed(network, at, telling, decided)
         restless = np.count_nonzero(np.abs(at.weight - before) > _STEADY)
         moved = np.abs(np.log(network.prior_sigma / sigma)).max()
         if at.scale <= _MISFITS * at.excess and restless <= _RESTLESS_FRACTION * len(before) and moved < _STEADY:
@@ -157,7 +156,7 @@ def _with_priors_found(network: Network, at: Settled) -> Network:
     return dataclasses.replace(network, prior_sigma=sigma)
 
 
-def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], kept: Flags) -> Settled:
+def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> Settled:
     """New weights at the next smaller scale, and how far misfits go beyond what their uncertainties say."""
     counts = telling > 0
     if not np.any(counts):
@@ -166,14 +165,14 @@ def _weighed(network: Network, at: Settled, telling: NDArray[np.intp], kept: Fla
     chi2 = np.einsum("ea,eab,eb->e", misfit, network.information, misfit) / np.maximum(telling, 1)
     excess = _excess(network, chi2, telling)
     scale = max(_MISFITS * excess, min(at.scale, float(np.sqrt(chi2[counts].max()))) / 2)
-    weight = np.where(kept, 1.0, counts / (1 + chi2 / scale**2) ** 2)
+    weight = np.where(np.isnan(decided), counts / (1 + chi2 / scale**2) ** 2, decided)
     return dataclasses.replace(at, weight=weight, excess=excess, scale=scale)
 
 
 def _excess(network: Network, chi2: Numbers, telling: NDArray[np.intp]) -> float:
     """From the median misfit and how many observations there are for each unknown, at least 1."""
     counts, free = telling > 0, network.ties.free
-    group = groups(len(free), network.first, network.second, counts)
+    group = groups(len(free), network.first[counts], network.second[counts])
     loose = len(np.setdiff1d(group[free], group[~free]))
     unknowns = network.size * (int(free.sum()) - loose)
     redundancy = 1 - unknowns / telling.sum()
@@ -181,23 +180,3 @@ def _excess(network: Network, chi2: Numbers, telling: NDArray[np.intp]) -> float
         return 1.0
     expected = _MEDIAN_CHI2[round(float(np.median(telling[counts])))] * redundancy
     return float(np.clip(np.sqrt(np.median(chi2[counts]) / expected), 1.0, _MOST_EXCESS))
-
-
-def _bridges(network: Network, at: Settled, telling: NDArray[np.intp]) -> Flags:
-    """Rejected overlaps that tie groups which nothing else ties, the least surprising ones (a minimum spanning tree).
-
-    Where two overlaps contradict each other and no third one speaks, both are rejected; the stage decides between them.
-    """
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import minimum_spanning_tree
-
-    believed = at.weight >= REJECTED
-    misfit = network.misfit(at.values, at.shared) * (np.einsum("eaa->ea", network.information) > 0)
-    moves = [m * network.prior_sigma for m in (network.at_first, network.at_second)]
-    spread = sum(m @ np.swapaxes(m, 1, 2) for m in moves)
-    surprise = np.einsum("ea,ea->e", misfit, np.linalg.solve(spread, misfit[:, :, None])[:, :, 0]) / network.size
-    usable = believed | ((telling > 0) & (surprise < _BRIDGE**2))
-    cost = np.where(believed, 1e-9, 1e-6 + surprise)[usable]
-    n = len(network.x_um)
-    tree = minimum_spanning_tree(csr_array((cost, (network.first[usable], network.second[usable])), (n, n)))
-    return ~believed & usable & (np.asarray(tree[network.first, network.second]).ravel() > 0)
