@@ -60,11 +60,11 @@ class Known:
 
     def shifts(self, pairs: Pairs, look: Callable[[Pairs], Shifts]) -> Shifts:
         """What overlaps say about x and y; only those are looked at that changed."""
-        return _fresh(self._and(pairs, look, None if self.poses is None else self.poses.shifts))
+        return self._and(pairs, look, None if self.poses is None else _undoubted(self.poses.shifts))
 
     def seams(self, pairs: Pairs, look: Callable[[Pairs], Seams]) -> Seams:
         """The same about z, for fields that stay where they are."""
-        return self._and(pairs, look, None if self.poses is None else self.poses.seams)
+        return self._and(pairs, look, None if self.poses is None else _unsolved(self.poses.seams))
 
     def _and(self, pairs: Pairs, look: Callable[[Pairs], T], earlier: T | None) -> T:
         if earlier is None or earlier.first.size == 0:
@@ -89,10 +89,15 @@ def _keys(first: NDArray[np.int32], second: NDArray[np.int32], n: int) -> NDArra
     return first.astype(np.int64) * n + second
 
 
-def _fresh(shifts: Shifts) -> Shifts:
+def _undoubted(shifts: Shifts) -> Shifts:
     """Without the verdict of an earlier solution: what one of them disagreed with may have changed."""
     doubt = np.where(shifts.doubt == Doubt.DISAGREES, np.uint8(Doubt.NONE), shifts.doubt)
     return replace(shifts, doubt=doubt.astype(np.uint8))
+
+
+def _unsolved(seams: Seams) -> Seams:
+    """As `seams.compare` gave them: without the step that a solution left."""
+    return replace(seams, rms_um=np.sqrt(np.maximum(seams.rms_um**2 - seams.step_um**2, 0)), step_um=seams.z_um)
 
 
 def held_still(poses: Poses, known: Known, pixel_um: float, corner_um: float) -> tuple[Poses, NDArray[np.bool_]]:

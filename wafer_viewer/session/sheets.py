@@ -1,0 +1,202 @@
+"""The surfaces of a result as a stitching job sees them: which can be read, where they lie, what is drawn of them.
+
+Nothing is held open: workers get the names and open what they need.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.plan import Field
+from wafer_viewer.model.poses import Poses
+from wafer_viewer.model.recipe import Recipe, Stitching
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance
+from wafer_viewer.reconstruct.growing import Known
+from wafer_viewer.reconstruct.place import Lattice, layout, planned_lattice
+from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.mosaic import ZarrMosaic
+from wafer_viewer.store.result import Result
+
+OPEN_SURFACES = 64
+SAME_PIXEL_FRACTION = 1e-6
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True, slots=True)
+class FieldOutline:
+    """Where the pixels of a field lie by the stage, whether it has a surface or not."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    shape: tuple[int, int]
+
+    @property
+    def corner_um(self) -> float:
+        """From the centre to a corner."""
+        return math.hypot(*self.shape) / 2 * self.pixel_um
+
+    @classmethod
+    def of(cls, data: Dataset, field: Field) -> FieldOutline:
+        """The outline of a field of a dataset."""
+        plan, pixel_um = data.scan.plan, data.scan.pixel_um
+        x0_um, y0_um = field.x_um - (plan.cols - 1) / 2 * pixel_um, field.y_um + (plan.rows - 1) / 2 * pixel_um
+        return cls(pixel_um, x0_um, y0_um, (plan.rows, plan.cols))
+
+
+@dataclass(frozen=True)
+class Sheets:
+    """Of a result: the fields that have a surface, the marks of their files, a sentence for each unreadable one."""
+
+    data: Dataset
+    kept: Result
+    fields: tuple[Field, ...]
+    marks: NDArray[np.int64]
+    faults: tuple[str, ...]
+
+    @classmethod
+    def open(cls, dataset: Path, result: str) -> Sheets:
+        """All surfaces there are now. Raises DatasetError when there is none."""
+        data = Dataset.open(dataset)
+        kept = data.result(result)
+        readable, faults = _readable(data, kept)
+        if not readable:
+            raise DatasetError(
+                " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
+            )
+        marks = np.array([kept.surface_mark(f) for f in readable], np.int64)
+        return cls(data, kept, tuple(readable), marks, tuple(faults))
+
+    @classmethod
+    def drawn(cls, dataset: Path, result: str, poses: Poses) -> Sheets:
+        """The surfaces that poses were found for."""
+        data = Dataset.open(dataset)
+        fields = {f.number: f for f in data.fields}
+        return cls(data, data.result(result), tuple(fields[n] for n in poses.numbers.tolist()), poses.marks, ())
+
+    @property
+    def numbers(self) -> list[int]:
+        """The running numbers of the fields."""
+        return [f.number for f in self.fields]
+
+    @cached_property
+    def outlines(self) -> list[FieldOutline]:
+        """Where the fields lie by the stage."""
+        return [FieldOutline.of(self.data, f) for f in self.fields]
+
+    @cached_property
+    def lattice(self) -> Lattice:
+        """That of all planned fields: it never moves, whichever of them are there."""
+        return planned_lattice([FieldOutline.of(self.data, f) for f in self.data.fields])
+
+    def known(self, stitching: Stitching) -> Known:
+        """What the mosaic on disk shows of these surfaces; nothing when it was made otherwise or was broken off."""
+        poses = self.kept.poses() if self.kept.has_mosaic and not self.kept.broken_off else None
+        if poses is not None:
+            header = ZarrMosaic.open(self.kept.mosaic_path).header
+            there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
+            wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
+            if there != wanted or header.provenance.recipe.stitching != stitching:
+                poses = None
+        return Known.of(poses, np.array(self.numbers, np.int32), self.marks)
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """The height maps, each opened when it is looked at."""
+        return Surfaces(self.kept, self.fields, self.marks)
+
+    def source(self, poses: Poses, provenance: Provenance) -> StitchedMosaic:
+        """The mosaic to be drawn."""
+        return StitchedMosaic(self.surfaces, layout(self.outlines, poses, self.lattice), provenance)
+
+    def provenance(self, poses: Poses, recipe: Recipe) -> Provenance:
+        """Where the mosaic comes from: what its fields have in common, and whatever is to be noted."""
+        joint = mosaic_provenance([surface.provenance for surface in self.surfaces], recipe)
+        return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
+
+    def windows(self, known: Known, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
+        """What of the mosaic is to be drawn again: where fields lay and where they lie now."""
+        now = layout(self.outlines, poses, self.lattice)
+        windows = [now.window_of(n) for n in np.flatnonzero(moved).tolist()]
+        if (before := known.poses) is not None:
+            fields = {f.number: f for f in self.data.fields}
+            then = layout(
+                [FieldOutline.of(self.data, fields[n]) for n in before.numbers.tolist()], before, self.lattice
+            )
+            windows += [then.window_of(row) for row in known.stale(moved).tolist()]
+        return [window for window in windows if window is not None]
+
+
+class Surfaces(Sequence[HeightMap]):
+    """The height maps of fields, each opened when it is looked at."""
+
+    def __init__(self, kept: Result, fields: Sequence[Field], marks: Iterable[int]) -> None:
+        self._kept = kept
+        self._names = list(zip(fields, marks, strict=True))
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    @overload
+    def __getitem__(self, n: int) -> HeightMap: ...
+    @overload
+    def __getitem__(self, n: slice) -> list[HeightMap]: ...
+    def __getitem__(self, n: int | slice) -> HeightMap | list[HeightMap]:
+        if isinstance(n, slice):
+            return [self[i] for i in range(len(self))[n]]
+        return _opened(self._kept, *self._names[n])
+
+
+def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
+    """The height maps of some fields, as they are now."""
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    fields = [data.field(number) for number in numbers]
+    return Surfaces(kept, fields, [kept.surface_mark(f) for f in fields])
+
+
+@lru_cache(maxsize=OPEN_SURFACES)
+def _opened(kept: Result, field: Field, mark: int) -> HeightMap:
+    """A surface; its mark keeps one that was made again since from being taken for it."""
+    return kept.surface(field)
+
+
+def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
+    """The fields whose surface can be read, and a sentence for each whose cannot."""
+    readable, faults = list[Field](), list[str]()
+    done = kept.surfaces_done(data.fields)
+    for field in (f for f in data.fields if f.number in done):
+        try:
+            _require_own(_opened(kept, field, kept.surface_mark(field)), FieldOutline.of(data, field))
+        except DatasetError as fault:
+            faults.append(f"Field {field.number} is left out: {fault}")
+        else:
+            readable.append(field)
+    return readable, faults
+
+
+def _require_own(surface: HeightMap, outline: FieldOutline) -> None:
+    """Raises DatasetError for a surface of another dataset: of another size, pixel or place than the field."""
+    if surface.shape != outline.shape or abs(surface.pixel_um / outline.pixel_um - 1) > SAME_PIXEL_FRACTION:
+        rows, cols = surface.shape
+        raise DatasetError(
+            f"its surface has {cols} x {rows} pixels of {surface.pixel_um:g} um, its frames {outline.shape[1]} x "
+            f"{outline.shape[0]} of {outline.pixel_um:g}: it is of another dataset; reconstruct the field again."
+        )
+    away_um = math.hypot(surface.x0_um - outline.x0_um, surface.y0_um - outline.y0_um)
+    if away_um > outline.pixel_um:
+        raise DatasetError(
+            f"its surface lies {away_um:.0f} um from where the plan has the field: it is of another dataset; "
+            "reconstruct the field again."
+        )
