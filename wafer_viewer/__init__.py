@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from wafer_viewer.model.sample import Sample
     from wafer_viewer.model.stack import FieldStack
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
-    from wafer_viewer.reconstruct.blend import stitch
     from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.reconstruct.why import focus_curve
     from wafer_viewer.rigs.config import RigConfig
     from wafer_viewer.session.session import Session
@@ -68,7 +68,7 @@ _HOMES = {
     "read_npz": "store.npz",
     "reconstruct": "reconstruct.field",
     "step_height": "measure.step",
-    "stitch": "reconstruct.blend",
+    "stitch": "reconstruct.stitch",
 }
 """Where each public name lives."""
 

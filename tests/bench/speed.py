@@ -34,13 +34,13 @@ from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Provenance
-from wafer_viewer.reconstruct.blend import stitch
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.field import reconstruct, warm_up
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
 from wafer_viewer.reconstruct.live import LiveField
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.search import search_field
+from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.reconstruct.tune import settle
 from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES

@@ -5,7 +5,7 @@ import pytest
 
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import HeightMap, Origin
-from wafer_viewer.reconstruct.blend import stitch
+from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import load_summary, save_summary, summarise
 from wafer_viewer.store.mosaic import write_mosaic
@@ -69,7 +69,7 @@ def test_fields_that_do_not_touch_have_no_misfit():
 
 def test_a_mosaic_on_disk_is_summarised_from_what_is_kept_beside_it(tmp_path):
     surface = unmeasured(flat(5.0, shape=(700, 1100), noise_um=0.1), slice(0, 70), slice(None), Origin.CLIPPED)
-    surface = stitch([surface, flat(5.1, shape=(700, 1100), x0_um=500.0)])
+    surface = stitch([surface, flat(5.1, shape=(700, 1100), x0_um=500.0)], recipe=Recipe.paper())
     stored = write_mosaic(tmp_path / "m.zarr", surface)
     kept, read = summarise(stored, 2, "default"), summarise(surface.window(), 2, "default")
     assert kept.overlap_rms_um == pytest.approx(read.overlap_rms_um, rel=0.01)
@@ -79,7 +79,7 @@ def test_a_mosaic_on_disk_is_summarised_from_what_is_kept_beside_it(tmp_path):
 
 
 def misfit_of(a, b):
-    return summarise(stitch([a, b]).window(), 2, "default").overlap_rms_um
+    return summarise(stitch([a, b], recipe=Recipe.paper()).window(), 2, "default").overlap_rms_um
 
 
 def test_a_summary_comes_back_from_the_disk_and_a_damaged_one_is_no_summary(tmp_path):

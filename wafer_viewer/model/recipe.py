@@ -71,8 +71,8 @@ class Stitching(Spec, frozen=True, kw_only=True):
     """
 
     error: ClassVar[type[WaferViewerError]] = ComputeError
-    poses: Literal["registered", "stage"] = "stage"
-    blend: Literal["confidence", "ramp"] = "ramp"
+    poses: Literal["registered", "stage"] = "registered"
+    blend: Literal["confidence", "ramp"] = "confidence"
     search_um: Positive | Auto = "auto"
     stage_error_um: Positive | Auto = "auto"
     z_error_um: Positive | Auto = "auto"

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.session.changes import with_change
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.state import DatasetEntry, FieldState, OpenDataset, SurfaceInfo
 
@@ -151,9 +152,12 @@ class Library:
         self._desk.change(surface=self._stored_surface())
 
     def show_surface(self, info: SurfaceInfo) -> None:
-        """A stitched surface is there."""
+        """A stitched surface is there, or more of it."""
         self._show(results=self.dataset.results())
-        self._desk.change(surface=replace(info, stamp=next(self._stamps)))
+        stamped, before = replace(info, stamp=next(self._stamps)), self._desk.now.surface
+        if before is not None and info.changed:
+            stamped = with_change(stamped, before, info.changed[-1][1])
+        self._desk.change(surface=stamped)
 
     def _stored_surface(self) -> SurfaceInfo | None:
         from wafer_viewer.session.summary import load_summary

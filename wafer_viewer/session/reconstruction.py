@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
@@ -19,8 +20,11 @@ from wafer_viewer.session.link import ChildGone
 from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.state import FieldState, SurfaceInfo
-from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, reconstruct_live, stitch_fields
+from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, reconstruct_live
 
+GROWING_PAUSES = 3.0
+"""A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""
 RESTARTS = 3
 """How often the compute host is started anew after it died, in the life of a session."""
 
@@ -30,7 +34,9 @@ class Run:
     """One reconstruction of the open dataset; more fields may join while a scan goes on.
 
     complete: fields that have all their frames; live: those that a worker was set on while they were being taken, of
-    which made_live got their heights that way.
+    which made_live got their heights that way. restitch: the mosaic lacks heights that there are; grown: fields were
+    added to it before all were there, so their poses are still to be solved for together; grows_again_at: no sooner on
+    the clock is it added to again.
     """
 
     path: Path
@@ -44,6 +50,9 @@ class Run:
     live: set[int] = field(default_factory=set[int])
     made_live: set[int] = field(default_factory=set[int])
     restitch: bool = False
+    grown: bool = False
+    stitching: bool = False
+    grows_again_at: float = 0.0
     answered: bool = False
     answer: Future[None] | None = None
 
@@ -133,8 +142,12 @@ class Reconstruction:
             return
         while run.waiting and len(run.busy) < (1 if run.settling else self._room):
             self._start(run, run.waiting.popleft())
+        if run.stitching:
+            return
         if run.idle and not self._desk.now.scanning:
             self._finish(run)
+        elif run.restitch and time.monotonic() >= run.grows_again_at:
+            self._stitch(run, _growing_work(run), final=False)
 
     def abandon(self) -> None:
         """Forget what is waiting; what workers have in hand is not shown any more."""
@@ -189,28 +202,35 @@ class Reconstruction:
 
     def _finish(self, run: Run) -> None:
         """All fields are done: stitch what there is."""
-        if not run.restitch:
+        if not (run.restitch or run.grown):
             self._end(run, None)
             return
-        run.restitch = False
         self._notices.end(run.work)
         run.work = self._notices.begin("Stitching the fields", self._cancelled)
-        done = self.compute.run(run.work, stitch_fields, run.path, run.result, run.recipe)
-        done.add_done_callback(partial(self._later, self._stitched, run))
+        self._stitch(run, run.work, final=True)
 
-    def _stitched(self, run: Run, done: Future[SurfaceInfo]) -> None:
+    def _stitch(self, run: Run, work: str, *, final: bool) -> None:
+        run.restitch, run.stitching = False, True
+        done = self.compute.lead(work, bring_up_to_date, run.path, run.result, run.recipe, final)
+        done.add_done_callback(partial(self._later, self._stitched, run, final, time.monotonic()))
+
+    def _stitched(self, run: Run, final: bool, begun_at: float, done: Future[SurfaceInfo]) -> None:
+        """A mosaic that only grew is finished later; what stopped it from growing will be told then."""
+        run.stitching = False
         if run is not self._run:
             return
         fault = done.exception()
-        if isinstance(fault, ChildGone):
-            run.restitch = True
-            self.go_on()
-            return
-        if fault is not None:
-            self._notices.fault("The fields were not stitched", str(fault), "surface")
-        else:
+        if fault is None:
             self._library.show_surface(done.result())
-        self._end(run, fault)
+        if final and not isinstance(fault, ChildGone):
+            if fault is not None:
+                self._notices.fault("The fields were not stitched", str(fault), "surface")
+            self._end(run, fault)
+            return
+        run.grown = True
+        run.restitch |= fault is not None
+        run.grows_again_at = time.monotonic() + GROWING_PAUSES * (time.monotonic() - begun_at)
+        self.go_on()
 
     def _described(self, run: tuple[Path, str], done: Future[SurfaceInfo]) -> None:
         shown = self._desk.now.dataset
@@ -226,13 +246,15 @@ class Reconstruction:
         run = self._run
         if run is None:
             return
-        self.compute.cancel(run.work)
         self._library.reread_states()
         self._end(run, ComputeError("The reconstruction was stopped; the fields that were done are kept."))
 
     def _end(self, run: Run, fault: BaseException | None) -> None:
         self._notices.end(run.work)
         self._run = None
+        if run.stitching:
+            self.compute.cancel(run.work)
+            self.compute.cancel(_growing_work(run))
         if run.answer is not None:
             run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
 
@@ -270,6 +292,10 @@ class Reconstruction:
         self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
         if mended:
             self.compute.start()
+
+
+def _growing_work(run: Run) -> str:
+    return f"{run.work}-growing"
 
 
 def _live_work(run: Run, number: int) -> str:

@@ -108,7 +108,7 @@ def stitch_fields(
     dataset: Path, result: str, recipe: Recipe, *, progress: Progress = silent, should_stop: ShouldStop = never
 ) -> SurfaceInfo:
     """Stitch the surfaces that a result has into its mosaic, and say how it looks."""
-    from wafer_viewer.reconstruct.blend import stitch
+    from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.session.summary import save_summary, summarise
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.mosaic import write_mosaic
@@ -175,9 +175,9 @@ def export_surface(
 
 def warm_up() -> None:
     """Compile or load every kernel, by making and stitching a surface of a few pixels."""
-    from wafer_viewer.reconstruct.blend import stitch
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.field import warm_up as compile_kernels
+    from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.store.mosaic import write_mosaic
 
     compile_kernels()
