@@ -1,0 +1,130 @@
+"""Fields that fit none of their neighbours: turned, mirrored, of another sample or from elsewhere; which, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.poses import Doubt, Shifts
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.reconstruct.register import REACHES_PX, register_pair
+
+LEAST_NEIGHBOURS = 2
+"""One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
+
+_LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
+_FITS = (Doubt.NONE, Doubt.AMBIGUOUS, Doubt.DISAGREES)
+_EVERY = 16
+
+Layer = NDArray[np.generic]
+Turn = Callable[[Layer], Layer]
+
+TURNS: dict[str, Turn] = {
+    "turned by half a turn": lambda layer: np.rot90(layer, 2),
+    "mirrored left to right": np.fliplr,
+    "mirrored top to bottom": np.flipud,
+    "turned by 90 degrees clockwise": np.rot90,
+    "turned by 90 degrees anticlockwise": lambda layer: np.rot90(layer, -1),
+    "mirrored and turned by 90 degrees clockwise": lambda layer: np.rot90(np.fliplr(layer), -1),
+    "mirrored and turned by 90 degrees anticlockwise": lambda layer: np.rot90(np.fliplr(layer)),
+}
+"""How a field may have been held, and what puts it right."""
+
+
+def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+    """The fields to leave out, by their place in the list: they show enough, but fit nowhere where others fit.
+
+    Fields that fit each other hang together. Of all that are compared with each other, the largest such group is
+    believed; another one is left out when at least two of its overlaps with that group should fit and none does.
+    """
+    _, lost = _lost_overlaps(n_fields, shifts)
+    return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
+
+
+def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+    """The fields that fit nowhere either, but have too few neighbours to tell whose fault it is: they stay."""
+    _, lost = _lost_overlaps(n_fields, shifts)
+    return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
+
+
+def has_no_heights(height: HeightMap) -> bool:
+    """Whether nothing at all was measured in a field; reads all of it only where a part is empty."""
+    some = np.isfinite(height.z_raw_um[::_EVERY, ::_EVERY]).any()
+    return not (some or np.isfinite(height.z_raw_um).any())
+
+
+def of_empty(number: int) -> str:
+    """What to say of a field without heights."""
+    return f"Field {number} has no height at all: it adds nothing to the surface; look at its images and scan it again."
+
+
+def of_loose(number: int) -> str:
+    """What to say of a field that does not fit the only neighbour that could tell."""
+    return (
+        f"Field {number} does not fit its neighbour, and no other overlap tells which of them is wrong: it stays where "
+        "the stage says; scan both again if the seam shows."
+    )
+
+
+def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]) -> str:
+    """What to say of a field that is left out: tried turned and mirrored against its neighbours."""
+    fits = {how: _fits(turned(height, turn), neighbours) for how, turn in TURNS.items()}
+    how = max(fits, key=lambda name: fits[name])
+    if fits[how] * 2 >= max(1, len(neighbours)):
+        return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
+    return (
+        f"Field {number} fits none of its {len(neighbours)} neighbours and was left out: it belongs to another sample "
+        "or lies elsewhere; scan it again."
+    )
+
+
+def turned(height: HeightMap, turn: Turn) -> HeightMap:
+    """A field held in another way, its centre where it was."""
+    rows, cols = height.shape
+    z_um, z_raw_um, confidence, all_in_focus, origin = (
+        turn(layer) for layer in (height.z_um, height.z_raw_um, height.confidence, height.all_in_focus, height.origin)
+    )
+    wider, taller = (z_um.shape[1] - cols) / 2, (z_um.shape[0] - rows) / 2
+    return dataclasses.replace(
+        height,
+        z_um=z_um,
+        z_raw_um=z_raw_um,
+        confidence=confidence,
+        all_in_focus=all_in_focus,
+        origin=origin,
+        x0_um=height.x0_um - wider * height.pixel_um,
+        y0_um=height.y0_um + taller * height.pixel_um,
+    )
+
+
+def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
+    return sum(register_pair(height, other, REACHES_PX[0]).doubt is Doubt.NONE for other in neighbours)
+
+
+def _lost_overlaps(n_fields: int, shifts: Shifts) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The group of each field, and how many overlaps of its group with the believed one should fit and do not.
+
+    0 for the fields of the believed groups.
+    """
+    fits, lost = np.isin(shifts.doubt, _FITS), np.isin(shifts.doubt, _LOST)
+    group = _joined(n_fields, shifts, fits)
+    whole = _joined(n_fields, shifts, fits | lost)
+    size = np.bincount(group, minlength=n_fields)
+    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
+    _, first = np.unique(whole[largest], return_index=True)
+    believed = np.isin(group, group[largest[first]][size[group[largest[first]]] > 1])
+    a, b = shifts.first[lost], shifts.second[lost]
+    other = np.concatenate([group[a[believed[b] & ~believed[a]]], group[b[believed[a] & ~believed[b]]]])
+    return group, np.where(believed, 0, np.bincount(other, minlength=n_fields)[group])
+
+
+def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The number of the group of fields that some overlaps join."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    links = (np.ones(int(kept.sum()), np.int8), (shifts.first[kept], shifts.second[kept]))
+    return np.asarray(connected_components(coo_array(links, (n_fields, n_fields)), directed=False)[1], np.intp)

@@ -1,0 +1,132 @@
+"""The parts of two fields that overlap, or would if the stage were off by as much as it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.numerics.align import Picture
+
+Read = Callable[[HeightMap, slice, slice], Picture]
+"""What of a field is compared, read from some of its rows and columns."""
+
+_NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
+"""The picture repeats its border where a field that drifted was not seen throughout."""
+_FOCUS_NOISE = 1e3
+"""Heights share their errors over a focus window, they do not differ from pixel to pixel: contrast alone counts."""
+_AROUND_PX = 31
+_STEEPEST = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Rows and columns of the first and the second field to be compared, and the lag of the one behind the other.
+
+    lag: pixel (r, c) of the second's part lies on (r + lag row, c + lag col) of the first's, as the stage says, but for
+    `part` of a pixel. common: rows and columns of both that are common if the stage is right.
+    """
+
+    first: tuple[slice, slice]
+    second: tuple[slice, slice]
+    lag: tuple[int, int]
+    part: tuple[float, float]
+    common: tuple[tuple[slice, slice], tuple[slice, slice]]
+
+    @property
+    def overlap(self) -> tuple[int, int]:
+        """Rows and columns that are common as the stage says; 0 or less where nothing is."""
+        rows, cols = self.common[0]
+        return rows.stop - rows.start, cols.stop - cols.start
+
+    @classmethod
+    def of(cls, first: HeightMap, second: HeightMap, reach: int, step: int) -> Window:
+        """What may be common of two fields when the stage is off by up to `reach` pixels; lags are whole `step`s."""
+        down = (first.y0_um - second.y0_um) / first.pixel_um
+        right = (second.x0_um - first.x0_um) / first.pixel_um
+        rows = _part(first.shape[0], second.shape[0], down, reach, step)
+        cols = _part(first.shape[1], second.shape[1], right, reach, step)
+        both = (rows.first, cols.first), (rows.second, cols.second)
+        common = (rows.common, cols.common), (rows.common_of_second, cols.common_of_second)
+        return cls(*both, (rows.lag, cols.lag), (rows.part, cols.part), common)
+
+
+class _Part(NamedTuple):
+    """The same along one axis."""
+
+    first: slice
+    second: slice
+    lag: int
+    part: float
+    common: slice
+    common_of_second: slice
+
+
+def _part(first: int, second: int, offset: float, reach: int, step: int) -> _Part:
+    whole = round(offset)
+    start, stop = max(0, whole - reach), min(first, whole + second + reach)
+    other, other_stop = max(0, -whole - reach), min(second, first - whole + reach)
+    other += (start - whole - other) % step
+    common = slice(max(0, whole), min(first, whole + second))
+    of_second = slice(common.start - whole, common.stop - whole)
+    lag = whole + other - start
+    return _Part(slice(start, stop), slice(other, other_stop), lag, offset - whole, common, of_second)
+
+
+def picture_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
+    """The all-in-focus image."""
+    grey = np.asarray(height.all_in_focus[rows, cols]).astype(np.float32)
+    origin = height.origin[rows, cols]
+    seen = (origin != _NOT_SEEN[0]) & (origin != _NOT_SEEN[1])
+    grey -= np.float32(grey[::7, ::7].mean(dtype=np.float64))
+    return Picture(grey, seen.astype(np.float32), _noise(grey))
+
+
+def _noise(plane: NDArray[np.float32]) -> float:
+    """The standard deviation of what differs from pixel to pixel, or more where fine texture does.
+
+    Source: J. Immerkaer, Fast noise variance estimation, Comput. Vis. Image Underst. 64 (1996) 300; here by a median.
+    """
+    some = plane[: len(plane) // 3 * 3]
+    down = some[::3] - 2 * some[1::3] + some[2::3]
+    curved = down[:, 2:] - 2 * down[:, 1:-1] + down[:, :-2]
+    return float(np.median(np.abs(curved))) / (0.6745 * 6) if curved.size else 0.0
+
+
+def height_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
+    """What stands out of its surroundings in the measured heights, outliers held down; 0 where nothing is measured."""
+    from wafer_viewer.numerics.filters import mean, mean_of_known
+
+    z = np.asarray(height.z_raw_um[rows, cols])
+    known = np.isfinite(z)
+    if not known.any():
+        return Picture(np.zeros(z.shape, np.float32), known.astype(np.float32), _FOCUS_NOISE)
+    z = np.where(known, z - np.float32(np.median(z[known][::5])), np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(z[known][::5]))) + 1e-6
+    around = mean_of_known(z.clip(-usual, usual), known, _AROUND_PX)
+    detail = np.where(known, z - around, np.float32(0))
+    usual = _STEEPEST * float(np.median(np.abs(detail[known][::5]))) + 1e-6
+    detail = detail.clip(-usual, usual)
+    near = mean(detail, 3) / np.maximum(mean(known, 3), np.float32(0.1))
+    return Picture(np.where(known, detail, near), known.astype(np.float32), _FOCUS_NOISE)
+
+
+def shrunk(picture: Picture, factor: int) -> Picture:
+    """The mean of the known ones of factor x factor pixels; known where at least half of them are."""
+    if factor == 1:
+        return picture
+    total, known = _summed(picture.values * picture.known, factor), _summed(picture.known, factor)
+    mean = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
+    return Picture(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
+
+
+def _summed(plane: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Sums of factor x factor pixels; what is left over at the end is left out."""
+    rows, cols = (n // factor * factor for n in plane.shape)
+    wide: Any = sum(plane[:rows, k:cols:factor] for k in range(factor))
+    both: Any = sum(wide[k::factor] for k in range(factor))
+    return both
