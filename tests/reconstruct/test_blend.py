@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -13,15 +14,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError, MeasureError
-from wafer_viewer.model.plan import FieldGrid
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.poses import Form, Poses, no_seams, no_shifts
+from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
-from wafer_viewer.reconstruct.blend import blend_window, stitch
-from wafer_viewer.reconstruct.place import layout
+from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
+from wafer_viewer.reconstruct.overlay import BLENDS
+from wafer_viewer.reconstruct.place import layout, planned_lattice
 
 MakeMap = Callable[..., HeightMap]
 ROWS, COLS, STEP_R, STEP_C = 60, 80, 48, 64
+
+
+def laid(maps: list[HeightMap], blend: str = "ramp", poses: Poses | None = None) -> StitchedMosaic:
+    recipe = Recipe(stitching=Stitching(poses="stage", blend=blend))
+    return StitchedMosaic(maps, layout(maps, poses), mosaic_provenance([m.provenance for m in maps], recipe))
 
 
 def _plane(height: HeightMap) -> NDArray:
@@ -64,24 +71,28 @@ def _progressive(maps: list[HeightMap], rows: int, cols: int) -> NDArray:
 
 def test_a_regular_grid_is_blended_as_the_paper_says(grid_of_maps: Any) -> None:
     maps = grid_of_maps(3, 4, noise_um=5.0)
-    np.testing.assert_allclose(stitch(maps).window().z_um, _progressive(maps, 3, 4), atol=2e-4)
+    np.testing.assert_allclose(laid(maps).window().z_um, _progressive(maps, 3, 4), atol=2e-4)
 
 
-def test_the_order_of_the_fields_does_not_matter(grid_of_maps: Any) -> None:
+@pytest.mark.parametrize("blend", BLENDS)
+def test_the_order_of_the_fields_does_not_matter(grid_of_maps: Any, blend: str) -> None:
     maps = grid_of_maps(2, 3, jitter_um=1.0, noise_um=1.0)
-    forward, back = stitch(maps).window(), stitch(maps[::-1]).window()
-    np.testing.assert_allclose(forward.z_um, back.z_um, atol=1e-4)
+    forward, back = laid(maps, blend).window(), laid(maps[::-1], blend).window()
+    for name in ("z_um", "z_raw_um", "confidence", "overlap_um"):
+        np.testing.assert_allclose(getattr(forward, name), getattr(back, name), atol=1e-4, err_msg=name)
     np.testing.assert_array_equal(forward.origin, back.origin)
 
 
 @settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 1000), jitter_um=st.floats(0, 2), lost=st.integers(0, 8))
+@given(
+    seed=st.integers(0, 1000), jitter_um=st.floats(0, 2), lost=st.integers(0, 8), blend=st.sampled_from(sorted(BLENDS))
+)
 def test_weights_add_up_to_one_wherever_the_fields_lie(
-    grid_of_maps: Any, seed: int, jitter_um: float, lost: int
+    grid_of_maps: Any, seed: int, jitter_um: float, lost: int, blend: str
 ) -> None:
     maps = grid_of_maps(3, 3, jitter_um=jitter_um, seed=seed)
     del maps[lost]
-    whole = stitch(maps).window()
+    whole = laid(maps, blend).window()
     covered = whole.origin == Origin.MEASURED
     np.testing.assert_allclose(whole.z_um[covered], _plane(whole)[covered], atol=1e-4)
     assert (whole.origin[~covered] == Origin.NOT_COVERED).all()
@@ -93,7 +104,7 @@ def test_a_mosaic_of_one_map_is_that_map(make_map: MakeMap) -> None:
     z = np.random.default_rng(1).normal(0, 1, (40, 50))
     z[10:15, 20:30] = np.nan
     one = make_map(z, 7.0, 9.0)
-    whole = stitch([one]).window()
+    whole = laid([one]).window()
     np.testing.assert_array_equal(whole.z_um, one.z_um)
     np.testing.assert_array_equal(whole.origin, one.origin)
     np.testing.assert_array_equal(whole.all_in_focus, one.all_in_focus)
@@ -103,7 +114,7 @@ def test_a_mosaic_of_one_map_is_that_map(make_map: MakeMap) -> None:
 def test_what_one_field_did_not_see_comes_from_the_other(make_map: MakeMap) -> None:
     left, right = np.full((40, 60), 1.0), np.full((40, 60), 2.0)
     left[10:20, 45:] = np.nan
-    whole = stitch([make_map(left), make_map(right, x0_um=20.0)]).window()
+    whole = laid([make_map(left), make_map(right, x0_um=20.0)]).window()
     np.testing.assert_array_equal(whole.z_um[10:20, 45:60], 2.0)
     assert whole.z_um[30, 50] == pytest.approx(1 + (50 - 40) / 19)
     assert np.isfinite(whole.z_um).all()
@@ -113,12 +124,12 @@ def test_a_measured_height_beats_a_filled_one_in_either_order(make_map: MakeMap)
     filled = make_map(np.full((20, 20), 5.0), origin=np.full((20, 20), Origin.FILLED, np.uint8))
     filled = dataclasses.replace(filled, z_raw_um=np.full((20, 20), np.nan, np.float32))
     measured = make_map(np.full((20, 20), 1.0))
-    for maps in ([filled, measured], [measured, filled]):
-        whole = stitch(maps).window()
+    for maps, blend in itertools.product(([filled, measured], [measured, filled]), BLENDS):
+        whole = laid(maps, blend).window()
         np.testing.assert_array_equal(whole.z_um, 1.0)
         np.testing.assert_array_equal(whole.z_raw_um, 1.0)
         assert (whole.origin == Origin.MEASURED).all()
-    alone = stitch([filled, filled]).window()
+    alone = laid([filled, filled]).window()
     assert np.isnan(alone.z_raw_um).all()
     np.testing.assert_array_equal(alone.z_um, 5.0)
     assert (alone.origin == Origin.FILLED).all()
@@ -128,7 +139,7 @@ def test_between_pixels_nothing_is_mixed_across_nan_or_a_step(make_map: MakeMap)
     z = np.zeros((40, 60))
     z[:, 30:] = 50
     z[20:25, 10:20] = np.nan
-    whole = stitch([make_map(z), make_map(z, x0_um=10.2, y0_um=-0.1)]).window()
+    whole = laid([make_map(z), make_map(z, x0_um=10.2, y0_um=-0.1)]).window()
     only_second = whole.z_um[:, 62:]
     heights = only_second[np.isfinite(only_second)]
     assert heights.size > 100
@@ -136,7 +147,7 @@ def test_between_pixels_nothing_is_mixed_across_nan_or_a_step(make_map: MakeMap)
 
 
 def test_a_window_is_the_same_part_of_the_whole(grid_of_maps: Any) -> None:
-    mosaic = stitch(grid_of_maps(3, 3, jitter_um=1.0, noise_um=1.0))
+    mosaic = laid(grid_of_maps(3, 3, jitter_um=1.0, noise_um=1.0))
     whole = mosaic.window()
     part = mosaic.window(Region.rectangle(20.0, -20.0, 60.0, -50.0))
     row, col = round((whole.y0_um - part.y0_um) / 0.5), round((part.x0_um - whole.x0_um) / 0.5)
@@ -149,7 +160,7 @@ def test_a_window_is_the_same_part_of_the_whole(grid_of_maps: Any) -> None:
 def test_shards_put_together_are_the_whole(grid_of_maps: Any) -> None:
     maps = grid_of_maps(2, 2, jitter_um=1.0)
     lattice = layout(maps)
-    whole = stitch(maps).window()
+    whole = laid(maps, "confidence").window()
     rows, cols = lattice.shape
     for r in range(0, rows, 50):
         for c in range(0, cols, 50):
@@ -172,7 +183,7 @@ def test_a_window_looks_only_at_the_fields_it_touches(grid_of_maps: Any) -> None
 
 def test_a_coarser_level_is_the_mean_of_what_was_measured(make_map: MakeMap, grid_of_maps: Any) -> None:
     maps = [make_map(np.random.default_rng(n).normal(0, 1, (400, 500)), n * 200.0, 0.0) for n in range(3)]
-    mosaic = stitch(maps)
+    mosaic = laid(maps)
     assert mosaic.levels == 3
     fine, coarse = mosaic.window(), mosaic.window(level=1)
     rows, cols = coarse.shape
@@ -188,31 +199,170 @@ def test_a_coarser_level_is_the_mean_of_what_was_measured(make_map: MakeMap, gri
     np.testing.assert_array_equal(part.z_um, whole.z_um[row : row + part.shape[0], col : col + part.shape[1]])
 
 
-def test_fields_say_where_the_maps_lie(make_map: MakeMap) -> None:
-    grid = FieldGrid(rows=1, cols=2, field_width_um=30.0, field_height_um=20.0, overlap_x_fraction=0.2)
-    maps = [make_map(np.full((40, 60), float(n)), x0_um=999.0) for n in range(2)]
-    mosaic = stitch(maps, grid.fields())
-    assert mosaic.shape == (40, 60 + 48)
-    assert mosaic.window().x_um[:60].mean() == pytest.approx(0.0)
-    with pytest.raises(ComputeError, match="2 height maps and 1 fields"):
-        stitch(maps, grid.fields()[:1])
-
-
 def test_a_mosaic_of_a_simulated_field_is_simulated(make_map: MakeMap) -> None:
     real = make_map(np.zeros((20, 20)))
     virtual = make_map(np.zeros((20, 20)), x0_um=8.0, provenance=Provenance(simulated=True, z_step_um=4.0))
-    assert stitch([real, virtual]).provenance.simulated
-    assert stitch([real, virtual]).window().provenance.simulated
-    assert not stitch([real, real]).provenance.simulated
+    assert laid([real, virtual]).provenance.simulated
+    assert laid([real, virtual]).window().provenance.simulated
+    assert not laid([real, real]).provenance.simulated
 
 
 def test_what_cannot_be_stitched_is_said(make_map: MakeMap) -> None:
     with pytest.raises(ComputeError, match="no field to stitch"):
-        stitch([], recipe=Recipe())
+        laid([])
     with pytest.raises(ComputeError, match=r"0\.5 and of 0\.6 um a pixel"):
-        stitch([make_map(np.zeros((9, 9))), make_map(np.zeros((9, 9)), pixel_um=0.6)])
-    mosaic = stitch([make_map(np.zeros((9, 9)))])
+        laid([make_map(np.zeros((9, 9))), make_map(np.zeros((9, 9)), pixel_um=0.6)])
+    mosaic = laid([make_map(np.zeros((9, 9)))])
     with pytest.raises(MeasureError, match="level 7"):
         mosaic.window(level=7)
     with pytest.raises(MeasureError, match="outside"):
         mosaic.window(Region.rectangle(500.0, 500.0, 600.0, 600.0))
+
+
+# ---------------------------------------------------------------------------------------------- solved poses
+
+
+def solved(maps: list[HeightMap], **changes: Any) -> Poses:
+    """Poses of maps, where they are by their own word but for some changes."""
+    n = len(maps)
+    x_um = np.array([m.x_um.mean() for m in maps])
+    y_um = np.array([m.y_um.mean() for m in maps])
+    zero = np.zeros(n)
+    at: dict[str, Any] = {"stage_x_um": x_um, "stage_y_um": y_um, "x_um": x_um, "y_um": y_um}
+    at |= dict.fromkeys(("z_um", "tilt_x", "tilt_y", "u_x_um", "u_y_um", "u_z_um"), zero)
+    at |= {"numbers": np.arange(1, n + 1, dtype=np.int32), "marks": np.zeros(n, np.int64)}
+    at |= {"group": np.zeros(n, np.int32), "left_out": np.zeros(n, bool)}
+    return Poses(**{**at, "shifts": no_shifts(), "seams": no_seams(), **changes})
+
+
+@pytest.mark.parametrize("blend", BLENDS)
+def test_fields_are_drawn_where_they_lie_and_upright(grid_of_maps: Any, blend: str) -> None:
+    rng = np.random.default_rng(4)
+    maps = grid_of_maps(3, 3, jitter_um=1.0)
+    form = Form(field_form_um=(0.7, -0.3, 0.4), field_size_um=(COLS * 0.5, ROWS * 0.5))
+    true = solved(
+        maps, z_um=rng.normal(0, 2, 9), tilt_x=rng.normal(0, 0.01, 9), tilt_y=rng.normal(0, 0.01, 9), form=form
+    )
+    seen = [lying(m, true, n) for n, m in enumerate(maps)]
+    moved = [dataclasses.replace(m, x0_um=m.x0_um + 3.3, y0_um=m.y0_um - 1.7) for m in seen]
+    whole = laid(moved, blend, true).window()
+    covered = whole.origin == Origin.MEASURED
+    assert covered.mean() > 0.9
+    np.testing.assert_allclose(whole.z_um[covered], _plane(whole)[covered], atol=1e-3)
+    np.testing.assert_allclose(whole.z_raw_um[covered], _plane(whole)[covered], atol=1e-3)
+    assert np.nanmax(whole.overlap_um) < 2e-3
+
+
+def lying(height: HeightMap, poses: Poses, n: int) -> HeightMap:
+    """The map as a field that leans sees it."""
+    dx, dy = height.x_um[None, :] - poses.x_um[n], height.y_um[:, None] - poses.y_um[n]
+    off = poses.z_um[n] + poses.tilt_x[n] * dx + poses.tilt_y[n] * dy + poses.form.sag_um(dx, dy)
+    z = (height.z_um + off).astype(np.float32)
+    return dataclasses.replace(height, z_um=z, z_raw_um=z.copy())
+
+
+def test_a_field_that_is_left_out_is_not_there(grid_of_maps: Any) -> None:
+    maps = grid_of_maps(1, 3)
+    out = np.array([False, False, True])
+    mosaic = laid(maps, poses=solved(maps, left_out=out))
+    assert mosaic.shape == (ROWS, STEP_C + COLS)
+    assert mosaic.layout.place(2) is None
+    assert mosaic.layout.window_of(2) is None
+    assert mosaic.layout.window_of(1) == (slice(0, ROWS), slice(STEP_C, STEP_C + COLS))
+    with pytest.raises(ComputeError, match="All fields are left out"):
+        layout(maps, solved(maps, left_out=~(out & ~out)))
+    with pytest.raises(ComputeError, match="2 fields and 3 poses"):
+        layout(maps[:2], solved(maps))
+
+
+def test_a_planned_lattice_has_room_and_does_not_move(grid_of_maps: Any) -> None:
+    maps = grid_of_maps(2, 2)
+    lattice = planned_lattice(maps)
+    assert lattice.shape == (ROWS + STEP_R + 32, COLS + STEP_C + 32)
+    away = solved(maps[:3], x_um=solved(maps[:3]).x_um - 7.0)
+    placed = layout(maps[:3], away, lattice)
+    assert placed.lattice == lattice
+    whole = StitchedMosaic(maps[:3], placed, maps[0].provenance).window()
+    assert np.flatnonzero((whole.origin == Origin.MEASURED).any(axis=0))[0] == 2
+    beyond = layout(maps[:3], solved(maps[:3], x_um=away.x_um - 5.0), lattice)
+    assert beyond.window_of(0)[1].start == 0
+
+
+# ---------------------------------------------------------------------------------------------- overlaps
+
+
+def pair(make_map: MakeMap, left: NDArray, right: NDArray, **changes: Any) -> list[HeightMap]:
+    """Two maps, the second 20 pixels further right."""
+    return [make_map(left, **changes), make_map(right, x0_um=10.0, **changes)]
+
+
+def test_the_better_measured_height_wins(make_map: MakeMap) -> None:
+    sure, unsure = pair(make_map, np.full((40, 60), 1.0), np.full((40, 60), 2.0))
+    unsure = dataclasses.replace(unsure, confidence=np.full((40, 60), 0.1, np.float32))
+    believed = laid([sure, unsure], "confidence").window().z_um[:, 20:60]
+    by_ramp = laid([sure, unsure]).window().z_um[:, 20:60]
+    assert believed[:, 5:25].max() < 1.05
+    assert by_ramp[0, 20] == pytest.approx(1.5, abs=0.05)
+
+
+def test_no_step_is_seen_where_fields_begin_and_end(make_map: MakeMap) -> None:
+    for blend in BLENDS:
+        whole = laid(pair(make_map, np.full((40, 60), 1.0), np.full((40, 60), 2.0)), blend).window()
+        assert np.abs(np.diff(whole.z_um, axis=1)).max() < 0.15
+        assert (whole.z_um[:, 20] < 1.001).all()
+        assert (whole.z_um[:, 59] > 1.999).all()
+
+
+def test_of_two_heights_far_apart_one_is_taken_not_the_middle(make_map: MakeMap) -> None:
+    right = np.zeros((40, 60))
+    right[:, 15:] = 50  # it has the edge of the step five pixels too far left
+    left = np.zeros((40, 60))
+    left[:, 40:] = 50
+    z = laid(pair(make_map, left, right), "confidence").window().z_um
+    assert np.minimum(np.abs(z), np.abs(z - 50)).max() < 1e-3
+    mixed = laid(pair(make_map, left, right)).window().z_um[:, 35:40]
+    assert (np.abs(mixed - 25) < 15).all()
+
+
+def test_a_false_height_that_stands_alone_gives_way(make_map: MakeMap) -> None:
+    rng = np.random.default_rng(3)
+    left, right = np.zeros((40, 60)), np.zeros((40, 60))
+    for z in (left, right):
+        z[rng.integers(2, 38, 8), rng.integers(24, 36, 8)] = 30.0
+    left[:, :20], right[:, 40:] = 0, 0
+    z = laid(pair(make_map, left, right), "confidence").window().z_um
+    assert np.abs(z[:, 24:56]).max() < 0.5
+
+
+def test_differences_of_overlaps_are_those_of_what_was_measured(make_map: MakeMap) -> None:
+    rng = np.random.default_rng(5)
+    maps = [make_map(rng.normal(0, 1, (40, 60)), x, y) for x, y in ((0.0, 0.0), (10.0, 0.0), (0.0, -5.0), (10.0, -5.0))]
+    maps[1].z_raw_um[5:8, 3:9] = np.nan
+    maps[1].origin[5:8, 3:9] = Origin.FILLED
+    raw = np.full((4, 50, 80), np.nan, np.float32)
+    for n, (row, col) in enumerate(((0, 0), (0, 20), (10, 0), (10, 20))):
+        raw[n, row : row + 40, col : col + 60] = maps[n].z_raw_um
+    for blend in BLENDS:
+        found = laid(maps, blend).window().overlap_um
+        seen = np.isfinite(raw).sum(axis=0)
+        assert (np.isfinite(found) == (seen >= 2)).all()
+        span = np.nanmax(raw[:, seen >= 2], axis=0) - np.nanmin(raw[:, seen >= 2], axis=0)
+        np.testing.assert_allclose(found[seen >= 2], span, atol=1e-6)
+
+
+def test_brightness_changes_without_a_line(make_map: MakeMap) -> None:
+    dark, light = (
+        make_map(np.zeros((40, 90)), x, all_in_focus=np.full((40, 90), g, np.uint8))
+        for x, g in ((0.0, 90), (15.0, 120))
+    )
+    grey = laid([dark, light], "confidence").window().all_in_focus.astype(int)
+    assert np.abs(np.diff(grey, axis=1)).max() <= 1
+    assert (grey[:, 0].max(), grey[:, -1].min()) == (90, 120)
+
+
+def test_fields_that_lie_like_bricks_have_no_hard_seam(make_map: MakeMap) -> None:
+    above, left, right = (
+        make_map(np.full((60, 80), z), x, y) for z, x, y in ((0.0, 0.0, 0.0), (1.0, -21.0, -24.0), (1.0, 15.0, -24.0))
+    )
+    z = laid([above, left, right], "confidence").window().z_um
+    assert np.nanmax(np.abs(np.diff(z, axis=0))) < 0.4

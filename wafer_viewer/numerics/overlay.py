@@ -46,12 +46,16 @@ class Blended(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """The same layers of one field over a piece of the window, in the window's pixels."""
+    """The same layers of one field over a piece of the window, in the window's pixels, and what a height counts.
+
+    That is its belief times the weights of its row and column.
+    """
 
     z: Float32s
     raw: Float32s
     confidence: Float32s
     origin: UInt8s
+    belief: Float32s
     row_weights: Float32s
     col_weights: Float32s
 
@@ -62,14 +66,6 @@ class Tally(NamedTuple):
     weight: Float32s
     lowest: Float32s
     highest: Float32s
-
-
-class Rule(NamedTuple):
-    """The weight of a height is floor + trust * confidence; those that differ by over `limit` are not averaged."""
-
-    floor: float
-    trust: float
-    limit: float
 
 
 @lean_kernel
@@ -113,22 +109,42 @@ def read_grey(picture: Greys, shift: Shift, out: Float32s) -> None:
 
 
 @lean_kernel
+def believe(layer: Float32s, confidence: Float32s, row: Whole, col: Whole, limit: Real, out: Float32s) -> None:
+    """How far heights of a field are believed, for a piece whose pixel (0, 0) lies nearest to (row, col) of the field.
+
+    The square of the confidence, for errors are the larger the smaller it is; and the share of the eight neighbours
+    that lie within `limit` of the height, for a false one stands alone. Never nothing.
+    """
+    last_row, last_col = layer.shape[0] - 1, layer.shape[1] - 1
+    for r in range(out.shape[0]):
+        i = row + r
+        above, below = max(i - 1, 0), min(i + 1, last_row)
+        first, end = (1 if col == 0 else 0), (out.shape[1] - 1 if col + out.shape[1] > last_col else out.shape[1])
+        for x in range(out.shape[1]):
+            out[r, x] = np.float32(1)
+        a, b = layer[above, col + first - 1 : col + end + 1], layer[i, col + first - 1 : col + end + 1]
+        c = layer[below, col + first - 1 : col + end + 1]
+        _count_near(a, b, c, np.float32(limit), out[r, first:end])
+        _trust(confidence[i, col : col + out.shape[1]], out[r])
+
+
+@lean_kernel
 def blend_in(
-    piece: Piece, rule: Rule, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
+    piece: Piece, limit: Real, tally: Tally, scratch: Float32s, window: Blended, row: Whole, col: Whole
 ) -> None:
     """Blend one more field into a piece of the window that begins at (row, col).
 
-    A measured height replaces a filled one; of two that differ grossly the weightier stays; others are averaged by
-    their weights. scratch: [2, columns].
+    A measured height replaces a filled one; of two that differ by over `limit` the weightier stays; others are averaged
+    by their weights. scratch: [2, columns].
     """
     n = piece.col_weights.size
     new, share = scratch[0], scratch[1]
-    limit = np.float32(rule.limit)
+    gross = np.float32(limit)
     for r in range(piece.row_weights.size):
         z, raw = window.z[row + r, col : col + n], window.raw[row + r, col : col + n]
         origin, weight = window.origin[row + r, col : col + n], tally.weight[r]
-        _weigh(piece.confidence[r], piece.row_weights[r], piece.col_weights, rule, new)
-        _share(z, piece.z[r], weight, new, origin, piece.origin[r], limit, share)
+        _weigh(piece.belief[r], piece.row_weights[r], piece.col_weights, new)
+        _share(z, piece.z[r], weight, new, origin, piece.origin[r], gross, share)
         _mix(z, piece.z[r], share)
         _mix(raw, piece.raw[r], share)
         _mix(window.confidence[row + r, col : col + n], piece.confidence[r], share)
@@ -193,10 +209,27 @@ def _grey_between(a: Greys, b: Greys, c: Greys, d: Greys, s: Real, t: Real, out:
 
 
 @lean_part
-def _weigh(confidence: Float32s, row_weight: Real, col_weights: Float32s, rule: Rule, out: Float32s) -> None:
-    floor, trust = row_weight * np.float32(rule.floor), row_weight * np.float32(rule.trust)
+def _count_near(a: Float32s, b: Float32s, c: Float32s, limit: Real, out: Float32s) -> None:
+    """The eighth of how many neighbours are near, and a little; the rows begin one pixel before `out`."""
     for x in range(out.size):
-        out[x] = col_weights[x] * (floor + trust * confidence[x])
+        z = b[x + 1]
+        over = np.float32(abs(a[x] - z) <= limit) + np.float32(abs(a[x + 1] - z) <= limit)
+        beside = np.float32(abs(b[x] - z) <= limit) + np.float32(abs(b[x + 2] - z) <= limit)
+        under = np.float32(abs(c[x] - z) <= limit) + np.float32(abs(c[x + 1] - z) <= limit)
+        corners = np.float32(abs(a[x + 2] - z) <= limit) + np.float32(abs(c[x + 2] - z) <= limit)
+        out[x] = np.float32(0.125) * (over + beside + under + corners) + np.float32(0.01)
+
+
+@lean_part
+def _trust(confidence: Float32s, belief: Float32s) -> None:
+    for x in range(belief.size):
+        belief[x] *= confidence[x] * confidence[x] + np.float32(1e-4)
+
+
+@lean_part
+def _weigh(belief: Float32s, row_weight: Real, col_weights: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = row_weight * col_weights[x] * belief[x]
 
 
 @lean_part

@@ -26,7 +26,7 @@ from wafer_viewer.reconstruct.place import Layout, layout
 from wafer_viewer.reconstruct.pyramid import halved, joined
 
 _COARSEST_PX = 512
-_BAND_PX = 4_000_000
+_BAND_PX = 2**23
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,18 +92,6 @@ class StitchedMosaic:
         for _ in range(level):
             height = halved(height)
         return height
-
-
-def stitch(
-    heights: Sequence[HeightMap], fields: Sequence[Field] | None = None, recipe: Recipe = Recipe()
-) -> StitchedMosaic:
-    """One surface from height maps at their stage positions, or at those of `fields` (centres, in the same order).
-
-    Raises ComputeError without heights, for differing pixel sizes, and when fields and heights differ in number.
-    """
-    placed = heights if fields is None else moved_to(heights, fields)
-    lattice = layout(placed)
-    return StitchedMosaic(placed, lattice, mosaic_provenance([h.provenance for h in placed], recipe))
 
 
 def moved_to(heights: Sequence[HeightMap], fields: Sequence[Field]) -> list[HeightMap]:

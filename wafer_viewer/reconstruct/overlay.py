@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.numerics import overlay
-from wafer_viewer.numerics.overlay import Blended, Leaning, Piece, Rule, Shift, Tally
+from wafer_viewer.numerics.overlay import Blended, Leaning, Piece, Shift, Tally
 from wafer_viewer.reconstruct.pieces import pieces
 from wafer_viewer.reconstruct.place import Layout, Part, Place
 
@@ -24,7 +24,6 @@ MAX_STEP_FRAMES = 2.0
 """Neighbouring heights that differ by over two frames of the sweep are two surfaces: there is nothing between them."""
 LEAST_WEIGHT = 1e-6
 """A border pixel counts almost nothing beside a neighbour, and fully where the neighbour saw nothing."""
-LEAST_CONFIDENCE = 1e-3
 
 Weights = NDArray[np.float64]
 Float32s = NDArray[np.float32]
@@ -40,24 +39,46 @@ def _smooth(share: Weights) -> Weights:
     return share**2 * (3 - 2 * share)
 
 
+def _soon_smooth(share: Weights) -> Weights:
+    """Over three tenths of the overlap: in the rest of it both fields count, and errors average out."""
+    return _smooth(np.minimum(share / 0.3, 1))
+
+
 @dataclass(frozen=True, slots=True)
 class Blend:
-    """How fields are weighed: by a feather from the border, times floor + trust * confidence.
+    """How fields are weighed: how heights and how grey fade towards the border.
 
-    resolves: of heights that differ grossly one is taken; otherwise they are averaged all the same.
+    judges: what is believed more counts more, and of heights that differ grossly only that counts; otherwise heights
+    are averaged whatever they are.
     """
 
-    feather: Callable[[Weights], Weights]
-    floor: float
-    trust: float
-    resolves: bool
+    heights: Callable[[Weights], Weights]
+    grey: Callable[[Weights], Weights]
+    judges: bool
 
 
 BLENDS: dict[str, Blend] = {
-    "confidence": Blend(_smooth, LEAST_CONFIDENCE, 1.0, resolves=True),
-    "ramp": Blend(_linear, 1.0, 0.0, resolves=False),
+    "confidence": Blend(_soon_smooth, _smooth, judges=True),
+    "ramp": Blend(_linear, _linear, judges=False),
 }
 """By the name in the recipe."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fade:
+    """The weights of a field: those of its rows times those of its columns."""
+
+    rows: Float32s
+    cols: Float32s
+
+    def over(self, rows: slice, cols: slice) -> Fade:
+        """The weights of a part."""
+        return Fade(self.rows[rows], self.cols[cols])
+
+    @property
+    def weights(self) -> Float32s:
+        """All of them, [row, col]."""
+        return self.rows[:, None] * self.cols
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,36 +89,33 @@ class Laid:
     row_part: float
     col_part: float
     leaning: Leaning
-    row_weights: Float32s
-    col_weights: Float32s
+    fade: Fade
+    grey_fade: Fade
 
     @classmethod
     def of(cls, place: Place, blend: Blend) -> Laid:
         """A field at its place, weighed by a way of blending."""
         rows, cols = (np.arange(run.start, run.stop) for run in place.part)
         down, right = rows - place.row, cols - place.col
-        top_px, bottom_px, left_px, right_px = place.ramps_px
         return cls(
             place.part,
             float(down[0]),
             float(right[0]),
             _leaning(place, (place.rows - 1) / 2 - down, right - (place.cols - 1) / 2),
-            _feather(down, place.rows - 1 - down, top_px, bottom_px, blend.feather),
-            _feather(right, place.cols - 1 - right, left_px, right_px, blend.feather),
+            _faded(place, down, right, blend.heights),
+            _faded(place, down, right, blend.grey),
         )
 
     def over(self, piece: Part) -> Laid:
         """The same over a piece of what it covers."""
         rows, cols = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, self.part, strict=True))
-        leaning = Leaning(
-            self.leaning.rows[rows], self.leaning.cols[cols], self.leaning.up[rows], self.leaning.right[cols]
-        )
+        lean = self.leaning
         return replace(
             self,
             part=(rows, cols),
-            leaning=leaning,
-            row_weights=self.row_weights[rows],
-            col_weights=self.col_weights[cols],
+            leaning=Leaning(lean.rows[rows], lean.cols[cols], lean.up[rows], lean.right[cols]),
+            fade=self.fade.over(rows, cols),
+            grey_fade=self.grey_fade.over(rows, cols),
         )
 
     @property
@@ -108,18 +126,26 @@ class Laid:
     @property
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of the piece."""
-        return self.row_weights.size, self.col_weights.size
-
-    @property
-    def weights(self) -> Float32s:
-        """Its feather, [row, col]."""
-        return self.row_weights[:, None] * self.col_weights
+        return self.fade.rows.size, self.fade.cols.size
 
     def nearest(self, layer: NDArray[Any]) -> NDArray[Any]:
         """The layer's own pixels that lie nearest to those of the piece, as a view."""
+        (row, col), (n_rows, n_cols) = self.nearest_corner, self.shape
+        return layer[row : row + n_rows, col : col + n_cols]
+
+    def belief(self, height: HeightMap, blend: Blend) -> Float32s:
+        """How far its heights are believed, [row, col]."""
+        out = np.ones(self.shape, np.float32)
+        if blend.judges:
+            limit_um = _max_step_um(height) or np.inf
+            overlay.believe(fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out)
+        return out
+
+    @property
+    def nearest_corner(self) -> tuple[int, int]:
+        """The field's own pixel that lies nearest to the first of the piece."""
         rows, cols = self.part
-        down, right = int(self.row_part > 0.5), int(self.col_part > 0.5)
-        return layer[rows.start + down : rows.stop + down, cols.start + right : cols.stop + right]
+        return rows.start + int(self.row_part > 0.5), cols.start + int(self.col_part > 0.5)
 
     def heights(self, layer: Float32s, max_step_um: float, out: Float32s, row: int, col: int) -> None:
         """Read heights of the piece, upright, to (row, col) of `out`."""
@@ -171,21 +197,28 @@ def _laid(items: Sequence[Any], layout: Layout, rows: slice, cols: slice, blend:
 
 def _leaning(place: Place, up: Weights, right: Weights) -> Leaning:
     """What is subtracted at `up` and `right` of the field's centre, in pixels."""
-    lean, u, v = place.lean, right / (place.cols / 2), up / (place.rows / 2)
+    lean = place.lean
+    u, v = right / lean.so_far_px[0], up / lean.so_far_px[1]
     a, b, c = lean.sag_um
     of_rows, of_cols = lean.z_um + lean.up_um_px * up + c * v**2, lean.right_um_px * right + a * u**2
     return Leaning(*(term.astype(np.float32) for term in (of_rows, of_cols, b * v, u)))
 
 
-def _feather(
-    from_start: Weights, to_end: Weights, start_px: float, end_px: float, feather: Callable[[Weights], Weights]
-) -> Float32s:
+def _faded(place: Place, down: Weights, right: Weights, fade: Callable[[Weights], Weights]) -> Fade:
+    """The weights at `down` and `right` of the field's first pixel."""
+    top_px, bottom_px, left_px, right_px = place.ramps_px
+    rows = fade(_within_ramps(down, place.rows - 1 - down, top_px, bottom_px))
+    cols = fade(_within_ramps(right, place.cols - 1 - right, left_px, right_px))
+    return Fade(*(np.maximum(weights, LEAST_WEIGHT).astype(np.float32) for weights in (rows, cols)))
+
+
+def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px: float) -> Weights:
+    """Which share of the way over the ramps lies behind, 1 beyond them."""
     share = np.ones(from_start.shape)
-    if start_px > 0:
-        share = np.minimum(share, from_start / start_px)
-    if end_px > 0:
-        share = np.minimum(share, to_end / end_px)
-    return np.maximum(feather(share), LEAST_WEIGHT).astype(np.float32)
+    for way, ramp_px in ((from_start, start_px), (to_end, end_px)):
+        if ramp_px > 0:
+            share = np.minimum(share, way / ramp_px)
+    return share
 
 
 def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
@@ -224,31 +257,32 @@ def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[Hei
 def _blend_in(window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:
     """The other fields, into a piece that holds the first."""
     blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
-    weight = fields[0][1].weights * (blend.floor + blend.trust * blended.confidence[here])
-    tally = Tally(weight.astype(np.float32), blended.raw[here].copy(), blended.raw[here].copy())
-    limit_um = max(_max_step_um(height) for height, _ in fields)
-    rule = Rule(blend.floor, blend.trust, limit_um if blend.resolves and limit_um > 0 else np.inf)
+    first, laid = fields[0]
+    raw = blended.raw[here]
+    tally = Tally(laid.fade.weights * laid.belief(first, blend), raw.copy(), raw.copy())
+    limit_um = max(_max_step_um(height) for height, _ in fields) if blend.judges else 0.0
     scratch = np.empty((2, here[1].stop - here[1].start), np.float32)
     for height, laid in fields[1:]:
-        overlay.blend_in(_read(height, laid), rule, tally, scratch, blended, here[0].start, here[1].start)
+        piece = _read(height, laid, blend)
+        overlay.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
 
 
-def _read(height: HeightMap, laid: Laid) -> Piece:
+def _read(height: HeightMap, laid: Laid, blend: Blend) -> Piece:
     """The layers of a field over a piece."""
     z, raw = (np.empty(laid.shape, np.float32) for _ in range(2))
     laid.heights(height.z_um, _max_step_um(height), z, 0, 0)
     laid.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
     confidence, origin = (fixed(laid.nearest(layer)) for layer in (height.confidence, height.origin))
-    return Piece(z, raw, confidence, origin, laid.row_weights, laid.col_weights)
+    return Piece(z, raw, confidence, origin, laid.belief(height, blend), laid.fade.rows, laid.fade.cols)
 
 
 def _grey(fields: Sequence[tuple[Image, Laid]]) -> Float32s:
     """The grey of a piece, of all pictures that cover it."""
     total = fields[0][1].grey(fields[0][0])
     if len(fields) > 1:
-        weight = fields[0][1].weights
+        weight = fields[0][1].grey_fade.weights
         for picture, laid in fields[1:]:
-            overlay.blend_grey(laid.grey(picture), laid.row_weights, laid.col_weights, weight, total)
+            overlay.blend_grey(laid.grey(picture), laid.grey_fade.rows, laid.grey_fade.cols, weight, total)
     return total
 
 

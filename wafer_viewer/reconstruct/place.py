@@ -40,13 +40,14 @@ class Lattice:
 class Lean:
     """What is subtracted from the heights of a field: z_um at its centre, so much a pixel to the right and up, and sag.
 
-    sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 at the field's border.
+    sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 so far (px) from the centre.
     """
 
     z_um: float = 0.0
     right_um_px: float = 0.0
     up_um_px: float = 0.0
     sag_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    so_far_px: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +130,8 @@ class Layout:
         if (poses := self.poses) is None:
             return Lean()
         right_um_px, up_um_px = (float(tilt[n]) * self.pixel_um for tilt in (poses.tilt_x, poses.tilt_y))
-        return Lean(float(poses.z_um[n]), right_um_px, up_um_px, poses.form.field_form_um)
+        width_px, height_px = (size_um / 2 / self.pixel_um for size_um in poses.form.field_size_um)
+        return Lean(float(poses.z_um[n]), right_um_px, up_um_px, poses.form.field_form_um, (width_px, height_px))
 
 
 def layout(outlines: Sequence[Outline], poses: Poses | None = None, lattice: Lattice | None = None) -> Layout:
