@@ -46,70 +46,115 @@ def rigid(dx: Numbers, dy: Numbers, size: int) -> Numbers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Level:
-    """One system of the hierarchy: its matrix, the damped inverse of its diagonal blocks, and the step to the next."""
+class System:
+    """[blocks, border; border^T, corner]: sparse blocks of fields (scipy BSR), bordered by m unknowns that all share.
 
-    matrix: Sparse
+    border: [n, m]; corner: [m, m]; vectors are [n + m, k], those of the shared unknowns last. Symmetric and positive.
+    """
+
+    blocks: Sparse
+    border: Numbers
+    corner: Numbers
+
+    def __matmul__(self, x: Numbers) -> Numbers:
+        n = len(self.border)
+        return np.vstack((self.blocks @ x[:n] + self.border @ x[n:], self.border.T @ x[:n] + self.corner @ x[n:]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """One system of the hierarchy: the damped inverse of its diagonal blocks, and the steps to and from the next."""
+
+    system: System
     jacobi: Sparse
     up: Sparse
     down: Sparse
 
+    def smooth(self, x: Numbers, right: Numbers) -> Numbers:
+        """Nearer to the solution where neighbours differ; what they share is left to the coarser levels."""
+        n = len(self.system.border)
+        x = x.copy()
+        x[:n] += self.jacobi @ (right - self.system @ x)[:n]
+        return x
+
+    def lower(self, x: Numbers) -> Numbers:
+        """A residual for the coarser level."""
+        n = len(self.system.border)
+        return np.vstack((self.down @ x[:n], x[n:]))
+
+    def raise_(self, x: Numbers) -> Numbers:
+        """A correction from the coarser level."""
+        n = self.up.shape[1]
+        return np.vstack((self.up @ x[:n], x[n:]))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solver:
-    """A symmetric positive definite block matrix, ready to be solved for any number of right-hand sides."""
+    """A system, ready to be solved for any number of right-hand sides."""
 
-    matrix: Sparse
+    system: System
     levels: tuple[_Level, ...]
     coarsest: Apply
 
     def solve(self, right: Numbers, tolerance: float, start: Numbers | None = None) -> Numbers:
-        """x of matrix @ x = right, all [n, k]; tolerance: of the error in the energy norm, relative to the solution.
+        """x of system @ x = right, all [n + m, k]; tolerance: of the error in the energy norm, relative to x.
 
         Raises ComputeError when it does not get there.
         """
         if not self.levels:
             return self.coarsest(right)
-        return _conjugate_gradients(self.matrix, self._cycle, right, tolerance, start)
+        return _conjugate_gradients(self.system, self._cycle, right, tolerance, start)
 
     def _cycle(self, right: Numbers, at: int = 0) -> Numbers:
         """One symmetric V cycle: smooth, correct on the coarser level, smooth."""
         if at == len(self.levels):
             return self.coarsest(right)
         level = self.levels[at]
-        x = level.jacobi @ right
-        x = x + level.up @ self._cycle(level.down @ (right - level.matrix @ x), at + 1)
-        return x + level.jacobi @ (right - level.matrix @ x)
+        n = len(level.system.border)
+        x = np.vstack((level.jacobi @ right[:n], np.zeros_like(right[n:])))
+        x += level.raise_(self._cycle(level.lower(right - level.system @ x), at + 1))
+        return level.smooth(x, right)
 
 
-def prepare(matrix: Sparse, x_um: Numbers, y_um: Numbers) -> Solver:
-    """The hierarchy for a block matrix (scipy BSR) whose blocks belong to fields at (x_um, y_um)."""
+def prepare(system: System, x_um: Numbers, y_um: Numbers) -> Solver:
+    """The hierarchy for a system whose blocks belong to fields at (x_um, y_um)."""
     levels: list[_Level] = []
-    coarse = matrix
+    coarse = system
     while len(x_um) > DIRECT_FIELDS:
         level, x_um, y_um = _coarsened(coarse, x_um, y_um)
         levels.append(level)
-        coarse = level.down @ (coarse @ level.up)
-    return Solver(matrix, tuple(levels), _factorised(coarse))
+        coarse = System(level.down @ (coarse.blocks @ level.up), level.down @ coarse.border, coarse.corner)
+    return Solver(system, tuple(levels), _factorised(coarse))
 
 
-def _factorised(matrix: Sparse) -> Apply:
+def _factorised(system: System) -> Apply:
+    """Fields first, then what they share, then what fields make of it."""
     from scipy.sparse.linalg import splu
 
-    if matrix.shape[0] == 0:
-        return lambda right: right
-    return splu(matrix.tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True}).solve
+    n = len(system.border)
+    options = {"SymmetricMode": True}
+    fields: Apply = splu(system.blocks.tocsc(), "MMD_AT_PLUS_A", 0.0, options=options).solve if n else np.copy
+    response = fields(system.border)
+    shared = np.linalg.inv(system.corner - system.border.T @ response)
+
+    def solve(right: Numbers) -> Numbers:
+        alone = fields(right[:n])
+        q = shared @ (right[n:] - system.border.T @ alone)
+        return np.vstack((alone - response @ q, q))
+
+    return solve
 
 
-def _coarsened(matrix: Sparse, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Numbers, Numbers]:
+def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Numbers, Numbers]:
     """A level, and where its coarse fields lie."""
+    blocks = system.blocks
     cell, mid_x_um, mid_y_um = _cells(x_um, y_um)
-    inverse = _inverse_diagonal(matrix)
-    jacobi = inverse * (_JACOBI / _largest_eigenvalue(matrix, inverse))
-    size = matrix.blocksize[0]
+    inverse = _inverse_diagonal(blocks)
+    jacobi = inverse * (_JACOBI / _largest_eigenvalue(blocks, inverse))
+    size = blocks.blocksize[0]
     lumped = _bsr(rigid(x_um - mid_x_um[cell], y_um - mid_y_um[cell], size), cell, len(mid_x_um))
-    up = (lumped - jacobi @ (matrix @ lumped)).tobsr((size, size))
-    return _Level(matrix, jacobi, up, up.T.tobsr((size, size))), mid_x_um, mid_y_um
+    up = (lumped - jacobi @ (blocks @ lumped)).tobsr((size, size))
+    return _Level(system, jacobi, up, up.T.tobsr((size, size))), mid_x_um, mid_y_um
 
 
 def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Numbers]:
@@ -158,18 +203,18 @@ def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
 
 
 def _conjugate_gradients(
-    matrix: Sparse, precondition: Apply, right: Numbers, tolerance: float, start: Numbers | None
+    system: System, precondition: Apply, right: Numbers, tolerance: float, start: Numbers | None
 ) -> Numbers:
     """All right-hand sides at once, each with its own steps."""
     x = np.zeros_like(right) if start is None else start.copy()
-    residual = right - matrix @ x if start is not None else right.copy()
+    residual = right - system @ x if start is not None else right.copy()
     goal = tolerance**2 * _dots(right, precondition(right))
     ahead = precondition(residual)
     direction, energy = ahead, _dots(residual, ahead)
     for _ in range(_MOST_STEPS):
         if np.all(energy <= goal):
             return x
-        pushed = matrix @ direction
+        pushed = system @ direction
         step = _ratio(energy, _dots(direction, pushed))
         x += step * direction
         residual -= step * pushed
@@ -177,7 +222,7 @@ def _conjugate_gradients(
         energy, before = _dots(residual, ahead), energy
         direction = ahead + _ratio(energy, before) * direction
     raise ComputeError(
-        f"The poses of {matrix.shape[0]} unknowns were not found in {_MOST_STEPS} steps: look for fields far from all "
+        f"The poses of {len(right)} unknowns were not found in {_MOST_STEPS} steps: look for fields far from all "
         "others and leave them out."
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Numbers
-from wafer_viewer.reconstruct.multigrid import Sparse
+from wafer_viewer.reconstruct.multigrid import Sparse, System
 
 Whole32s = NDArray[np.int32]
 Flags = NDArray[np.bool_]
@@ -106,17 +106,8 @@ class Network:
         return values - self.prior_shared @ shared
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Normal:
-    """The normal equations of the free fields: [matrix, coupling; coupling^T, among_shared]."""
-
-    matrix: Sparse
-    coupling: Numbers
-    among_shared: Numbers
-
-
-def normal_equations(network: Network, weight: Numbers) -> Normal:
-    """What overlaps with weights [e] and the priors say together."""
+def normal_equations(network: Network, weight: Numbers) -> System:
+    """What overlaps with weights [e] and the priors say together, of the free fields and of what is shared."""
     ties, precision = network.ties, network.prior_sigma**-2.0
     weighted = weight[:, None, None] * network.information
     from_a, from_b = _turned(network.at_first) @ weighted, _turned(network.at_second) @ weighted
@@ -124,23 +115,23 @@ def normal_equations(network: Network, weight: Numbers) -> Normal:
     expected = precision[:, None] * network.prior_shared
     coupling = _add(ties.from_second, from_b @ network.at_shared) - _add(ties.from_first, from_a @ network.at_shared)
     among = _gram(network.at_shared, weighted @ network.at_shared) + _gram(network.prior_shared, expected)
-    return Normal(
+    return System(
         _matrix(ties, diagonal + np.diag(precision), -from_a @ network.at_second),
         flat((coupling - expected)[ties.free]),
         among + np.diag(network.shared_sigma**-2.0),
     )
 
 
-def pull(network: Network, by_overlap: Numbers, by_prior: Numbers) -> tuple[Numbers, Numbers]:
-    """How forces pull at the unknowns: those of overlaps [e, d, k] and of priors [n, d, k], for k cases at once.
+def pull(network: Network, by_overlap: Numbers, by_prior: Numbers, by_shared: Numbers) -> Numbers:
+    """How forces pull at the unknowns of the system, [free unknowns + m, k] for k cases at once.
 
-    Returns [free unknowns, k] and [m, k]; the force of a prior on shared unknowns is for the caller to add.
+    Forces of overlaps, [e, d, k], of priors of fields, [n, d, k], and of priors of what is shared, [m, k].
     """
     ties = network.ties
     fields = _add(ties.from_second, _turned(network.at_second) @ by_overlap)
     fields -= _add(ties.from_first, _turned(network.at_first) @ by_overlap)
     shared = _gram(network.at_shared, by_overlap) - _gram(network.prior_shared, by_prior)
-    return flat((fields + by_prior)[ties.free]), shared
+    return np.vstack((flat((fields + by_prior)[ties.free]), shared + by_shared))
 
 
 def flat(of_fields: Numbers) -> Numbers:

@@ -15,7 +15,7 @@ from wafer_viewer.reconstruct.contested import verdicts
 from wafer_viewer.reconstruct.graph import groups
 from wafer_viewer.reconstruct.network import Flags, Network, Ties
 from wafer_viewer.reconstruct.settle import REJECTED, Settled, settle
-from wafer_viewer.reconstruct.sureness import standard_uncertainties
+from wafer_viewer.reconstruct.sureness import shared_uncertainties, standard_uncertainties
 
 _FLOOR_PX = 0.02
 """Registration is never better than this: two pictures of one spot differ by more than noise."""
@@ -190,9 +190,8 @@ class _Task:
 
 def _found(unturned: Camera, at: Settled) -> Camera:
     """The camera as the shared unknowns say."""
-    u = np.sqrt(np.diag(at.covariance)) if at.covariance is not None else np.full(2, np.inf)
-    scale, turn = at.shared
-    return dataclasses.replace(unturned, turn=float(turn), u_turn=float(u[1]), scale=float(scale), u_scale=float(u[0]))
+    (scale, turn), (u_scale, u_turn) = at.shared.tolist(), shared_uncertainties(at).tolist()
+    return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
 
 
 def _decide(network: Network, at: Settled) -> Numbers:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.poses import Numbers
 from wafer_viewer.reconstruct.graph import groups
 from wafer_viewer.reconstruct.multigrid import Solver, prepare
-from wafer_viewer.reconstruct.network import Network, flat, normal_equations, pull
+from wafer_viewer.reconstruct.network import Network, normal_equations, pull
 
 REJECTED = 0.1
 """An overlap with less weight is not believed."""
@@ -30,7 +30,7 @@ _MOST_EXCESS = 5.0
 _MOST_ROUNDS = 30
 _MOST_VERDICTS = 8
 _STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
-_COARSE, _FINE = 1e-3, 1e-6
+_COARSE, _FINE = 1e-2, 1e-4
 _LEAST_REDUNDANCY = 0.1
 _PROBES = 4
 _MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
@@ -42,9 +42,8 @@ class Settled:
     """Values [n, d] of the fields, shared unknowns [m], and how they came about.
 
     weight: [e], 0 ... 1; excess: by how much misfits are larger than their uncertainties; scale: misfit in standard
-    deviations where a weight has fallen to a quarter; solver: of the free fields among themselves; response: [free
-    unknowns, m], by how much these fall when a shared unknown rises; covariance: of the shared unknowns, [m, m];
-    echoes: [free unknowns, probes], answers to `_probes`.
+    deviations where a weight has fallen to a quarter; solver: of the last least squares; echoes: [unknowns, probes],
+    answers to `_probes`.
     """
 
     values: Numbers
@@ -53,8 +52,6 @@ class Settled:
     excess: float = 1.0
     scale: float = np.inf
     solver: Solver | None = None
-    response: Numbers | None = None
-    covariance: Numbers | None = None
     echoes: Numbers | None = None
 
 
@@ -81,7 +78,7 @@ def settle(
         decided, before = decide(network, at) if decide else decided, decided
         if np.array_equal(decided, before, equal_nan=True):
             break
-    return network, _improved(network, _improved(network, at, _FINE), _FINE)
+    return network, _improved(network, at, _FINE)
 
 
 def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> tuple[Network, Settled]:
@@ -101,57 +98,50 @@ def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: N
 def _improved(network: Network, at: Settled, tolerance: float) -> Settled:
     """One step of least squares with the weights as they are."""
     weight = at.weight / at.excess**2
-    normal = normal_equations(network, weight)
     free = network.ties.free
-    solver = prepare(normal.matrix, network.x_um[free], network.y_um[free])
-    fields, shared = _gradient(network, at, weight)
-    right = np.hstack((fields, normal.coupling, _probes(network, solver)))
-    begun = None if at.response is None or at.echoes is None else np.hstack((0 * fields, at.response, at.echoes))
-    solved = solver.solve(right, tolerance, begun)
-    alone, response, echoes = np.split(solved, (1, 1 + normal.coupling.shape[1]), axis=1)
-    covariance = np.asarray(np.linalg.inv(normal.among_shared - normal.coupling.T @ response), np.float64)
-    step = covariance @ (shared - normal.coupling.T @ alone)
+    solver = prepare(normal_equations(network, weight), network.x_um[free], network.y_um[free])
+    downhill = _gradient(network, at, weight)
+    begun = None if at.echoes is None else np.hstack((np.zeros_like(downhill), at.echoes))
+    solved = solver.solve(np.hstack((downhill, _probes(network, solver))), tolerance, begun)
+    step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
     values = at.values.copy()
-    values[free] += (alone - response @ step).reshape(-1, network.size)
-    found = (values, at.shared + step[:, 0], at.weight, at.excess, at.scale)
-    return Settled(*found, solver, response, covariance, echoes)
+    values[free] += step.reshape(-1, network.size)
+    return Settled(values, at.shared + shared_step, at.weight, at.excess, at.scale, solver, solved[:, 1:])
 
 
-def _gradient(network: Network, at: Settled, weight: Numbers) -> tuple[Numbers, Numbers]:
-    """Where misfits and priors pull: [free unknowns, 1] and [m, 1]."""
+def _gradient(network: Network, at: Settled, weight: Numbers) -> Numbers:
+    """Where misfits and priors pull, [unknowns, 1]."""
     by_overlap = weight[:, None, None] * (network.information @ network.misfit(at.values, at.shared)[:, :, None])
     by_prior = -network.surprise(at.values, at.shared) / network.prior_sigma**2
-    fields, shared = pull(network, by_overlap, by_prior[:, :, None])
-    return fields, shared - (at.shared / network.shared_sigma**2)[:, None]
+    by_shared = -at.shared / network.shared_sigma**2
+    return pull(network, by_overlap, by_prior[:, :, None], by_shared[:, None])
 
 
 def _probes(network: Network, solver: Solver) -> Numbers:
-    """Random signs [free unknowns, probes] for each group of unknowns whose prior is to be found.
+    """[unknowns, probes] random signs at all fields, for each group of unknowns whose prior is to be found.
 
-    The mean product of a probe with its answer is the trace of the inverse (Hutchinson 1990): of large systems one
-    says enough.
+    The product of a probe with its answer is, on average, the trace of the inverse (Hutchinson 1990): of large systems
+    one says enough.
     """
-    n, d = int(network.ties.free.sum()), network.size
     each = 1 if solver.levels else _PROBES
+    n, d, m = len(network.x_um), network.size, len(network.shared_sigma)
     signs = np.zeros((n, d, each * len(network.auto)))
     random = np.random.default_rng(3)
     for k, group in enumerate(network.auto):
         signs[:, group, k * each : (k + 1) * each] = random.choice((-1.0, 1.0), (n, len(group), each))
-    return flat(signs)
+    nothing = np.zeros((len(network.first), d, signs.shape[2]))
+    return pull(network, nothing, signs, np.zeros((m, signs.shape[2])))
 
 
 def _with_priors_found(network: Network, at: Settled) -> Network:
     """Priors as wide as what was found and how unsure it is (expectation maximisation, Dempster 1977)."""
-    if not network.auto or at.solver is None or at.response is None or at.covariance is None or at.echoes is None:
+    if not network.auto or at.solver is None or at.echoes is None:
         return network
-    free = network.ties.free
     surprise = network.surprise(at.values, at.shared)
-    follow = at.response + flat(network.prior_shared[free])
-    by_shared = np.einsum("na,ab,nb->n", follow, at.covariance, follow).reshape(-1, network.size)
     traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
-        total = np.sum(surprise[:, group] ** 2) + np.sum(by_shared[:, group]) + trace
+        total = np.sum(surprise[:, group] ** 2) + trace
         sigma[list(group)] = np.sqrt(total / (len(surprise) * len(group)))
     return dataclasses.replace(network, prior_sigma=sigma)
 
