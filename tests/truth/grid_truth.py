@@ -13,7 +13,7 @@ from tests.truth.endless_wafer import Wafer
 from wafer_viewer.model.plan import Field, FieldGrid
 
 PIXEL_UM = 0.46729
-VERSION = 4
+VERSION = 5
 """Counted up when the same parameters make other fields than before."""
 Numbers = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Grid:
     stage_error_px: float = 6.0
     z_error_um: float = 1.0
     tilt_error: float = 1e-4
-    noise_um: float = 0.25
+    noise_um: float = 0.85
     grey_noise: float = 2.0
     shiver_px: float = 0.1
     gap_fraction: float = 0.03
