@@ -1,0 +1,167 @@
+"""What stitching a grid costs, in a process of its own: time by the clock and of the processor, and anonymous memory.
+
+    python tests/bench/stitch_costs.py GRID.json RESULT.json
+
+Memory is RssAnon of /proc/self/status, looked at every few milliseconds: what the process holds itself. Pages of the
+height maps that the system keeps mapped and may drop at any time do not count. Kernels are compiled or loaded before.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.bench.stitch_judge import mosaic_of
+from tests.truth.field_grid import SMALL, Grid, Made, make
+from wafer_viewer.model.poses import Poses
+from wafer_viewer.model.recipe import Stitching
+from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window
+from wafer_viewer.reconstruct.parts import on_threads
+from wafer_viewer.reconstruct.poses import solve_heights
+from wafer_viewer.reconstruct.register import register
+from wafer_viewer.reconstruct.seams import compare
+from wafer_viewer.reconstruct.stitch import Eyes, find_poses
+from wafer_viewer.store.mosaic import write_mosaic
+
+REGISTERED = Stitching(poses="registered", blend="confidence")
+THREADS, WINDOW_PX, LOOK_S = 2, 1024, 0.004
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Seconds by the clock and of the processor, and the most anonymous memory meanwhile, MB."""
+
+    clock_s: float
+    processor_s: float
+    peak_mb: float
+
+
+class Meter:
+    """Costs by name, in the order they were met."""
+
+    def __init__(self) -> None:
+        self.costs: dict[str, Cost] = {}
+
+    def __call__(self, name: str, work: Callable[[], T]) -> T:
+        began, busy = time.perf_counter(), time.process_time()
+        with watched() as peak:
+            result = work()
+        self.costs[name] = Cost(time.perf_counter() - began, time.process_time() - busy, peak[0])
+        return result
+
+    def without(self, name: str, *parts: str) -> None:
+        """Take the time of parts off the whole that they were measured in."""
+        whole = self.costs[name]
+        clock_s, processor_s = (
+            getattr(whole, k) - sum(getattr(self.costs[part], k) for part in parts) for k in ("clock_s", "processor_s")
+        )
+        self.costs[name] = replace(whole, clock_s=clock_s, processor_s=processor_s)
+
+
+@contextmanager
+def watched() -> Iterator[list[float]]:
+    """The most anonymous memory while it lasts, MB, in a list of one."""
+    peak, over = [anonymous_mb()], threading.Event()
+
+    def look() -> None:
+        while not over.wait(LOOK_S):
+            peak[0] = max(peak[0], anonymous_mb())
+
+    watcher = threading.Thread(target=look)
+    watcher.start()
+    try:
+        yield peak
+    finally:
+        over.set()
+        watcher.join()
+        peak[0] = max(peak[0], anonymous_mb())
+
+
+def anonymous_mb() -> float:
+    """RssAnon of this process."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssAnon"))
+    return int(line.split()[1]) / 1024
+
+
+def found_poses(made: Made, meter: Meter | None = None) -> Poses:
+    """Poses from the overlaps, on two threads."""
+    meter = meter or Meter()
+    eyes = Eyes(
+        lambda pairs: meter("registration", lambda: register(made.heights, pairs, threads=THREADS)),
+        lambda pairs, x_um, y_um: meter("seams", lambda: compare(made.heights, pairs, x_um, y_um, threads=THREADS)),
+    )
+    numbers, marks = [f.number for f in made.fields], np.zeros(len(made.fields), np.int64)
+    poses = meter("poses", lambda: find_poses(made.heights, numbers, marks, REGISTERED, eyes))
+    meter.without("poses", "registration", "seams")
+    return poses
+
+
+def with_levels(made: Made, poses: Poses) -> Poses:
+    """The same places, z and tilt solved for where they are."""
+    seams = compare(made.heights, made.known.grid.edges, poses.x_um, poses.y_um, threads=THREADS)
+    plan = made.known.grid.plan
+    size_um = plan.field_width_um, plan.field_height_um
+    levels = solve_heights(poses.x_um, poses.y_um, seams, z_error_um="auto", tilt_error="auto", field_size_um=size_um)
+    there = replace(poses, z_um=levels.z_um, tilt_x=levels.tilt_x, tilt_y=levels.tilt_y)
+    return replace(there, seams=levels.seams, form=levels.form)
+
+
+def stitched(made: Made, meter: Meter, folder: Path) -> None:
+    """All that is done to a grid, as it is done to a scan."""
+    poses = found_poses(made, meter)
+    mosaic = meter("places", lambda: mosaic_of(made.heights, poses, "confidence"))
+    meter("blend", lambda: blended(mosaic))
+    meter("blend, pyramid and store", lambda: write_mosaic(folder / "mosaic.zarr", mosaic, threads=THREADS))
+
+
+def blended(mosaic: StitchedMosaic) -> None:
+    """Every window of the mosaic once, none of them kept."""
+
+    def one(window: tuple[slice, slice]) -> None:
+        blend_window(mosaic.heights, *window, mosaic.layout, mosaic.provenance)
+
+    on_threads(one, list(windows(mosaic.shape)), THREADS)
+
+
+def windows(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
+    for row in range(0, shape[0], WINDOW_PX):
+        for col in range(0, shape[1], WINDOW_PX):
+            yield slice(row, min(row + WINDOW_PX, shape[0])), slice(col, min(col + WINDOW_PX, shape[1]))
+
+
+def costs_of(grid: Grid) -> dict[str, Cost]:
+    """The costs of a grid, measured in a process of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        asked, told = Path(folder) / "grid.json", Path(folder) / "costs.json"
+        asked.write_text(json.dumps(asdict(grid)))
+        subprocess.run([sys.executable, __file__, str(asked), str(told)], check=True)
+        return {name: Cost(**cost) for name, cost in json.loads(told.read_text()).items()}
+
+
+def main(asked: str, told: str) -> None:
+    options: dict[str, Any] = json.loads(Path(asked).read_text())
+    grid = Grid(**{k: tuple(v) if isinstance(v, list) else v for k, v in options.items()})
+    with tempfile.TemporaryDirectory() as folder:
+        stitched(make(replace(SMALL, rows=2, cols=2)), Meter(), Path(folder))
+    meter = Meter()
+    with tempfile.TemporaryDirectory() as folder:
+        stitched(make(grid), meter, Path(folder))
+    Path(told).write_text(json.dumps({name: asdict(cost) for name, cost in meter.costs.items()}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
