@@ -11,7 +11,7 @@ from wafer_viewer.model.surface import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.store.files import write_text
 from wafer_viewer.store.mosaic import ZarrMosaic
-from wafer_viewer.store.mosaic_facts import Facts, facts_of, sampling_step
+from wafer_viewer.store.mosaic_facts import Facts, facts_of
 from wafer_viewer.store.mosaic_layout import SURFACE
 from wafer_viewer.store.result import Result
 
@@ -71,7 +71,7 @@ def load_summary(result: Result) -> SurfaceInfo | None:
 
 def _facts_of(surface: HeightMap) -> Facts:
     layers = {name: getattr(surface, name) for name in SURFACE if getattr(surface, name) is not None}
-    return facts_of(layers, sampling_step(surface.shape))
+    return facts_of(layers)
 
 
 def _rms_um(differences_um: NDArray[np.float32]) -> float | None:

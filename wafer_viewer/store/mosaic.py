@@ -7,6 +7,7 @@ is replaced in one rename, so that others can read while patches are made again.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,18 +20,20 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
 from wafer_viewer.numerics.pyramid import Layers, halve
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.files import replacing, write_text, writing
-from wafer_viewer.store.mosaic_facts import Facts, blocks_of, keep_blocks, kept_facts, sampling_step
+from wafer_viewer.store.mosaic_facts import FACTS, Facts, facts_array, keep_facts, kept_facts
 from wafer_viewer.store.mosaic_layout import (
     FILLS,
-    HEADER,
+    GROUP,
+    OWN,
     SPANS,
     SURFACE,
     MosaicHeader,
+    as_json,
     header_of,
     levels_of,
     multiscale,
@@ -91,7 +94,8 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
 
     header = header_of(source)
     with writing(path):
-        root = zarr.open_group(path, mode="w", zarr_format=3)
+        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes={OWN: as_json(header)})
+        root.create_array(FACTS, **facts_array(header.shape_of(0)))
         for name, fill in FILLS.items():
             group = root.create_group(name, attributes={"ome": multiscale(header, name)})
             for level in levels_of(name, header):
@@ -105,7 +109,6 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
                     fill_value=fill,
                     dimension_names=("y", "x"),
                 )
-        (path / HEADER).write_text(encode(header, "json"), encoding="utf-8")
     return header
 
 
@@ -117,7 +120,9 @@ def rewrite_header(path: Path, source: Mosaic) -> None:
     old, new = ZarrMosaic.open(path).header, header_of(source)
     if old.lattice != new.lattice:
         raise DatasetError(f"{path} lies on another lattice than what it is to show: stitch the fields again.")
-    write_text(path / HEADER, encode(new, "json"))
+    root = json.loads((path / GROUP).read_bytes())
+    root["attributes"][OWN] = as_json(new)
+    write_text(path / GROUP, json.dumps(root, indent=2))
 
 
 def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
@@ -165,7 +170,7 @@ def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Laye
     layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
     _write_layers(stored, 0, rows.start, cols.start, layers)
     with writing(stored.path):
-        keep_blocks(stored.path, rows.start, cols.start, blocks_of(layers, sampling_step(stored.shape)))
+        keep_facts(stored.path, stored.shape, rows.start, cols.start, layers)
     return layers
 
 
@@ -189,12 +194,11 @@ class ZarrMosaic:
     def open(cls, path: Path) -> Self:
         """Open a mosaic. Raises DatasetError when the folder holds none."""
         try:
-            text = (path / HEADER).read_bytes()
-        except OSError as fault:
-            raise DatasetError(
-                f"{path} is no mosaic of Wafer Viewer, it has no {HEADER}: stitch the fields."
-            ) from fault
-        return cls(path, decode(text, MosaicHeader, str(path / HEADER), "json"))
+            root = json.loads((path / GROUP).read_bytes())
+            own = json.dumps(root["attributes"][OWN]).encode()
+        except (OSError, ValueError, KeyError, TypeError) as fault:
+            raise DatasetError(f"{path} is no mosaic of Wafer Viewer, or damaged: stitch the fields.") from fault
+        return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
 
     def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:
         return type(self), (self.path, self.header)
@@ -252,7 +256,7 @@ class ZarrMosaic:
 
     def facts(self) -> Facts:
         """What it holds, in numbers. Raises DatasetError when they are missing or damaged."""
-        return kept_facts(self.path)
+        return kept_facts(self.path, self.shape)
 
     def layers(self, level: int, rows: slice, cols: slice) -> Layers:
         """A part of all layers that a level has."""

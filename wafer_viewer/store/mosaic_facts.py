@@ -1,10 +1,12 @@
 """What a mosaic holds, in numbers, kept beside it as it is written, so that nobody need read it all for them.
 
-They are kept by blocks: the pixels of level 0 under one chunk of level 1. A file holds the blocks of one shard of it.
+They are kept by blocks: the pixels of level 0 under one chunk of level 1. A chunk of the array of bytes ``facts``
+holds the blocks of one shard of it, uncompressed.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,11 @@ from wafer_viewer.numerics.pyramid import Layers
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.files import replacing
 
-FOLDER = "facts"
+FACTS = "facts"
 SAMPLES = 400_000
 """About as many pixels are looked at where all of them would be too many."""
-COARSEST_STEP = 64
+FINEST_KEPT, COARSEST = 8, 64
+"""Steps from one of them to the next: a file of samples shall stay small beside what it tells of."""
 _CODES = 32
 """Origins have smaller codes than this."""
 
@@ -47,21 +50,21 @@ class Facts:
         return self.lowest_um <= self.highest_um
 
 
-def sampling_step(shape: tuple[int, int]) -> int:
-    """Every how manieth pixel of a mosaic, along rows and columns, is looked at."""
-    return int(np.clip(np.sqrt(shape[0] * shape[1] / SAMPLES), 1, COARSEST_STEP))
-
-
-def facts_of(layers: Layers, step: int) -> Facts:
+def facts_of(layers: Layers) -> Facts:
     """The facts of a surface whose layers are in memory, the differences of overlaps among them or not."""
-    return _joined(blocks_of(layers, step))
+    return _joined(_blocks_of(layers, _step(layers["z_um"].shape, 1)))
 
 
-def blocks_of(layers: Layers, step: int) -> Blocks:
+def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
+    """Every how manieth pixel of a mosaic of a shape, along rows and columns, is looked at."""
+    return int(np.clip(np.sqrt(shape[0] * shape[1] / SAMPLES), finest, COARSEST))
+
+
+def _blocks_of(layers: Layers, step: int) -> Blocks:
     """The facts of a window of level 0 that begins with a block, block by block."""
     size = 2 * mosaic_layout.CHUNK
     rows, cols = layers["z_um"].shape
-    blocks = np.empty((-(-rows // size), -(-cols // size)), _record(size, step))
+    blocks = np.empty((-(-rows // size), -(-cols // size)), _record(step))
     for row, col in np.ndindex(blocks.shape):
         here = slice(row * size, (row + 1) * size), slice(col * size, (col + 1) * size)
         z, overlap = layers["z_um"][here], layers.get("overlap_um")
@@ -74,28 +77,52 @@ def blocks_of(layers: Layers, step: int) -> Blocks:
     return blocks
 
 
-def keep_blocks(mosaic: Path, top: int, left: int, blocks: Blocks) -> None:
-    """Keep the facts of a window that begins at pixel (top, left) of level 0 and lies under one shard of level 1."""
-    size, n = 2 * mosaic_layout.CHUNK, mosaic_layout.SHARD // mosaic_layout.CHUNK
+def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
+    """How Zarr makes the array of facts of a mosaic of a shape: a chunk of bytes for each shard of level 1."""
+    rows, cols = (math.ceil(size / 2 / mosaic_layout.SHARD) for size in shape)
+    n_bytes = _per_shard() ** 2 * _record(_step(shape)).itemsize
+    return {
+        "shape": (rows, cols, n_bytes),
+        "chunks": (1, 1, n_bytes),
+        "dtype": "uint8",
+        "compressors": None,
+        "fill_value": 0,
+    }
+
+
+def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers: Layers) -> None:
+    """Keep the facts of a window of level 0 of a mosaic of a shape.
+
+    It begins at pixel (top, left), with a block, and lies under one shard of level 1.
+    """
+    size, n = 2 * mosaic_layout.CHUNK, _per_shard()
     row, col = top // size, left // size
-    path = mosaic / FOLDER / f"{row // n}.{col // n}.npy"
-    whole = _loaded(path) if path.exists() else _nothing((n, n), blocks.dtype)
+    path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
+    blocks = _blocks_of(layers, _step(shape))
+    whole = _loaded(path, blocks.dtype) if path.exists() else _nothing((n, n), blocks.dtype)
     whole[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
-    path.parent.mkdir(exist_ok=True)
-    with replacing(path) as beside, beside.open("wb") as file:
-        np.save(file, whole)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as beside:
+        beside.write_bytes(whole.tobytes())
 
 
-def kept_facts(mosaic: Path) -> Facts:
-    """The facts of a whole mosaic. Raises DatasetError when they are damaged."""
-    files = sorted((mosaic / FOLDER).glob("*.npy"))
+def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
+    """The facts of a whole mosaic of a shape. Raises DatasetError when they are missing or damaged."""
+    files = sorted((mosaic / FACTS).glob("c/*/*/0"))
     if not files:
-        raise DatasetError(f"{mosaic / FOLDER} is missing or empty: stitch the fields again.")
-    return _joined(np.concatenate([_loaded(path).ravel() for path in files]))
+        raise DatasetError(f"{mosaic / FACTS} is missing or empty: stitch the fields again.")
+    record = _record(_step(shape))
+    return _joined(np.concatenate([_loaded(path, record).ravel() for path in files]))
 
 
-def _record(size: int, step: int) -> np.dtype[Any]:
-    side = -(-size // step)
+def _per_shard() -> int:
+    """Blocks along a side of a shard."""
+    return mosaic_layout.SHARD // mosaic_layout.CHUNK
+
+
+def _record(step: int) -> np.dtype[Any]:
+    """What is kept of a block."""
+    side = -(-2 * mosaic_layout.CHUNK // step)
     sample = ("<f4", (side, side))
     return np.dtype(
         [
@@ -121,10 +148,11 @@ def _sample(layer: NDArray[np.float32], step: int, out: NDArray[np.float32]) -> 
     out[: some.shape[0], : some.shape[1]] = some
 
 
-def _loaded(path: Path) -> Blocks:
+def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
+    n = _per_shard()
     try:
-        return np.load(path)
-    except (OSError, ValueError, EOFError) as fault:
+        return np.frombuffer(path.read_bytes(), record).reshape(n, n).copy()
+    except (OSError, ValueError) as fault:
         raise DatasetError(f"{path} is damaged: stitch the fields again.") from fault
 
 

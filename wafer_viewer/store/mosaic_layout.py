@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import Any, ClassVar
 
@@ -9,14 +10,15 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import Count, Positive, Spec
+from wafer_viewer.model.spec import Count, Positive, Spec, encode
 from wafer_viewer.model.surface import Mosaic, Origin, Provenance
 from wafer_viewer.store.shard import Shards
 
 CHUNK, SHARD = 256, 2048
 COARSEST_PX = 512
 """The pyramid ends with the first level that fits into this square: one picture of the whole surface."""
-HEADER = "wafer_viewer.json"
+GROUP, OWN = "zarr.json", "wafer_viewer"
+"""The file of a group, and the one of its attributes that holds the header."""
 FILLS: dict[str, float] = {
     "z_um": math.nan,
     "z_raw_um": math.nan,
@@ -76,6 +78,11 @@ def header_of(source: Mosaic) -> MosaicHeader:
         grey_bits=corner.all_in_focus.dtype.itemsize * 8,
         provenance=source.provenance,
     )
+
+
+def as_json(header: MosaicHeader) -> dict[str, Any]:
+    """The header as an attribute of the group."""
+    return json.loads(encode(header, "json"))
 
 
 def shards_of(name: str, header: MosaicHeader) -> Shards:
