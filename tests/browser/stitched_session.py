@@ -11,6 +11,7 @@ from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.poses import Doubt, Poses
 from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.changes import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 PITCH_UM, STREET_UM = 148.0, 26.0
@@ -22,21 +23,22 @@ MANY_DOUBTS = {
 
 
 class StitchedSession(FakeSession):
-    """`rows` x `cols` fields; many of them are drawn from a coarser surface. `grown`: how much of it is there."""
+    """`rows` x `cols` fields, seen in pixels `coarse` times as large as theirs; by itself, that is one for a few."""
 
-    def __init__(self, rows: int = 3, cols: int = 3) -> None:
+    def __init__(self, rows: int = 3, cols: int = 3, coarse: int = 0) -> None:
         job, plan = job_and_plan(grid(rows, cols))
         many = rows * cols > 30
         if many:
-            poses = made_up_poses(plan.fields, WIDTH_UM, HEIGHT_UM, MANY_DOUBTS, left_out=(77,), n_groups=2)
+            doubts = {pair: doubt for pair, doubt in MANY_DOUBTS.items() if max(pair) <= rows * cols}
+            poses = made_up_poses(plan.fields, WIDTH_UM, HEIGHT_UM, doubts, left_out=(77,), n_groups=2)
             notes = ("10 of 208 fields are held by the stage alone along y.",)
         else:
             poses, notes = made_up_poses(plan.fields, WIDTH_UM, HEIGHT_UM, FEW_DOUBTS), ()
-        whole = a_wafer(poses, 4 * PIXEL_UM if many else PIXEL_UM)
+        whole = a_wafer(poses, (coarse or (4 if many else 1)) * PIXEL_UM)
         snapshot = snapshot_of(whole, plan, job)
         if snapshot.surface is None:
             raise ValueError("The surface of this session is not there.")
-        surface = dataclasses.replace(snapshot.surface, pixel_um=PIXEL_UM, stitching=stitching_of(poses, notes))
+        surface = dataclasses.replace(snapshot.surface, stitching=stitching_of(poses, notes))
         super().__init__(dataclasses.replace(snapshot, surface=surface))
         self.shelf = MemoryShelf({0: whole})
         self._painter = StandIn(self.shelf)
@@ -53,6 +55,45 @@ class StitchedSession(FakeSession):
 
     def close(self) -> None:
         self._painter.close()
+
+
+class GrowingSession(StitchedSession):
+    """The same while its scan goes on: `grow` adds the next fields, of which at first there are none."""
+
+    def __init__(self, rows: int, cols: int, coarse: int = 0) -> None:
+        super().__init__(rows, cols, coarse)
+        self._whole, self._there = self.shelf.surfaces[0], 0
+        self._first = self.snapshot.surface
+        self.change(surface=None, rig=dataclasses.replace(self.snapshot.rig, state="scanning"))
+
+    def grow(self, fields: int, told: bool = True) -> None:
+        """Add fields; `told`: the page hears where the surface changed."""
+        old, self._there = self._there, min(self._there + fields, len(self._poses.numbers))
+        boxes = [self._box(k) for k in range(old, self._there)]
+        self.shelf.surfaces[0] = self._up_to(self._there)
+        before, info = self.snapshot.surface, self._first
+        if info is None or not boxes:
+            return
+        now = dataclasses.replace(info, stamp=before.stamp + 1 if before else 1, n_fields=self._there)
+        low, high = np.min(boxes, axis=0), np.max(boxes, axis=0)
+        now = with_change(now, before, (low[0], low[1], high[2], high[3])) if told else now
+        self.change(surface=now)
+
+    def finish(self) -> None:
+        """The scan is done."""
+        self.change(rig=dataclasses.replace(self.snapshot.rig, state="ready"))
+
+    def _box(self, k: int) -> tuple[float, float, float, float]:
+        x, y = float(self._poses.x_um[k]), float(self._poses.y_um[k])
+        return x - WIDTH_UM / 2, y - HEIGHT_UM / 2, x + WIDTH_UM / 2, y + HEIGHT_UM / 2
+
+    def _up_to(self, n: int) -> HeightMap:
+        whole, there = self._whole, np.zeros(self._whole.shape, bool)
+        for k in range(n):
+            x0, y0, x1, y1 = self._box(k)
+            there |= ((whole.x_um >= x0) & (whole.x_um <= x1)) & ((whole.y_um >= y0) & (whole.y_um <= y1))[:, None]
+        z = np.where(there, whole.z_um, np.nan)
+        return dataclasses.replace(height_map(z, whole.pixel_um, whole.x0_um, whole.y0_um), overlap_um=whole.overlap_um)
 
 
 def a_wafer(poses: Poses, pixel_um: float) -> HeightMap:

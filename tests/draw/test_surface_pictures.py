@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import struct
@@ -15,12 +16,15 @@ from PIL import Image
 from tests.gui.stand_in import height_map
 from wafer_viewer.draw import mesh
 from wafer_viewer.draw.bake import bake
-from wafer_viewer.draw.colours import COLOUR_MAPS, table
+from wafer_viewer.draw.colours import COLOUR_MAPS, ELSEWHERE, table
 from wafer_viewer.draw.glb import painted
 from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.mesh import plates
 from wafer_viewer.draw.reduce import reduced
 from wafer_viewer.draw.shade import light_gain, shade, without_gaps
+from wafer_viewer.draw.text import sheet, tag
 from wafer_viewer.draw.tone import as_shown, to_texture
+from wafer_viewer.model.surface import HeightMap
 
 FLAT = Look(hillshade=0.0, low=0.0, high=10.0)
 
@@ -188,3 +192,56 @@ def test_a_block_is_measured_as_soon_as_a_pixel_of_it_is() -> None:
     assert small.z_um[0, 0] == 3.0
     assert np.isnan(small.z_um).sum() == 5
     assert small.origin[0, 0] == 0
+
+
+# ---------------------------------------------------------------- overlaps
+
+
+def with_overlap(z: np.ndarray, overlap: np.ndarray | None) -> HeightMap:
+    return dataclasses.replace(height_map(z), overlap_um=overlap)
+
+
+def test_a_difference_is_coloured_where_fields_overlap_and_the_rest_is_grey():
+    overlap = np.full((40, 60), np.nan, np.float32)
+    overlap[:, 20:30], overlap[:, 30:40] = 0.0, 0.5
+    z = np.zeros((40, 60), np.float32)
+    z[:, 55:] = np.nan
+    picture = bake(with_overlap(z, overlap), Look("overlap", "mako", 0.0, 0.5, hillshade=0.0), Light())
+    ends = table("mako")[[0, 255]]
+    assert (picture[:, 20:30, :3] == ends[0]).all()
+    assert (picture[:, 30:40, :3] == ends[1]).all()
+    assert (picture[:, 45:55, :3] == np.array(ELSEWHERE)).all()
+    assert (picture[:, 45:55, 3] == 255).all()
+    assert (picture[:, 55:, 3] == 0).all()
+
+
+def test_a_coarser_map_keeps_what_is_known_of_overlaps():
+    overlap = np.full((8, 8), np.nan, np.float32)
+    overlap[:, :3] = 0.4
+    half = reduced(with_overlap(np.zeros((8, 8)), overlap), 2)
+    assert half.overlap_um is not None
+    assert np.isfinite(half.overlap_um[0]).tolist() == [True, True, False, False]
+    assert half.overlap_um[:, :2] == pytest.approx(0.4)
+    assert reduced(with_overlap(np.zeros((8, 8)), None), 2).overlap_um is None
+
+
+def test_words_in_one_picture_are_each_found_again():
+    tags = [tag(str(n), (255, 255, 255), (10, 20, 30)) for n in range(1, 60)]
+    picture, uv = sheet(tags)
+    height, width = picture.shape[:2]
+    for word, (u0, v0, u1, v1) in zip(tags, uv.tolist(), strict=True):
+        part = picture[round(v0 * height) : round(v1 * height), round(u0 * width) : round(u1 * width)]
+        assert np.array_equal(part, word)
+
+
+def test_plates_lie_where_they_are_put_with_their_tops_at_the_larger_y():
+    boxes = np.array([[0.0, 0.0, 2.0, 1.0], [5.0, 5.0, 6.0, 7.0]])
+    made = plates(boxes, np.array([0.1, 0.4]), np.array([[0, 0, 0.5, 1], [0.5, 0, 1, 1]], np.float32))
+    assert made.triangles.shape == (4, 3)
+    first, second = made.vertices[:4], made.vertices[4:]
+    assert first[:, 2] == pytest.approx(0.1)
+    assert second.min(axis=0).tolist() == pytest.approx([5.0, 5.0, 0.4])
+    top = made.vertices[:, 1] == np.repeat([1.0, 7.0], 4)
+    assert (made.uv[top, 1] == 0).all()
+    across, along = (made.vertices[made.triangles[:, k]] - made.vertices[made.triangles[:, 0]] for k in (1, 2))
+    assert (np.cross(across, along)[:, 2] > 0).all()

@@ -21,7 +21,7 @@ from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, Group, lines, rectangle, word
 from wafer_viewer.gui.stage import Item
 from wafer_viewer.gui.surface_scene import result_of
-from wafer_viewer.gui.tiles import surface_items
+from wafer_viewer.gui.tiles import Shown, surface_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.stack import Image
@@ -76,7 +76,7 @@ def _finished(data: OpenDataset, snapshot: Snapshot, view: View, facts: dict[int
     items: list[Item] = []
     for number, fact in facts.items():
         source = _source(data, snapshot, number)
-        items += surface_items(source, fact, look, _solid(view), z0_um, pixels, f"field/{number}")
+        items += surface_items(Shown(source, fact, fact), look, _solid(view), z0_um, pixels, f"field/{number}")
     return items
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 Preset = Literal["top", "front", "iso", "all"]
 Vector = NDArray[np.float64]
 
-NEAR_MM = 0.005
+NEAR_MM, NEAR_SHARE = 0.005, 2.5e-3
+"""Nothing nearer to the camera is drawn; of a large sample a share of the distance to it, or thin layers flicker."""
 FOV_RAD = math.radians(29)
 _TURNS: dict[str, tuple[float, float]] = {"top": (0.0, 89.9), "front": (0.0, 22.0), "iso": (-10.0, 50.0)}
 """Each preset's turn from the south towards the east, and how far it looks down, in degrees."""
@@ -168,7 +169,7 @@ class Eye:
         with self._client.atomic():
             camera.up_direction = (0.0, 0.0, 1.0)
             camera.fov = FOV_RAD
-            camera.near = NEAR_MM
+            camera.near = max(NEAR_MM, NEAR_SHARE * float(np.linalg.norm(pose.position - pose.look_at)))
             camera.position = pose.position
             camera.look_at = pose.look_at
         self._client.flush()

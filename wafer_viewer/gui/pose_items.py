@@ -129,7 +129,7 @@ def _draw(fields: Fields, pen: _Pen, ink: Inks) -> None:
     pen.line(1, "blank", in_dashes(sides(fields.doubted(blank=True)), dash), ink.blank, 2.0)
     pen.line(1, "circles", fields.circles(), ink.arrow, 1.6)
     pen.line(2, "arrows", fields.arrows(), ink.arrow, 2.4)
-    pen.line(2, "doubted", in_dashes(sides(fields.doubted(blank=False)), dash), ink.doubt, 2.8)
+    pen.line(2, "doubted", in_dashes(sides(fields.doubted(blank=False)), dash), ink.doubt, 3.2)
     pen.line(
         2, "left out", np.concatenate([in_dashes(fields.left_out_frames(), dash), fields.left_out()]), ink.doubt, 2.4
     )

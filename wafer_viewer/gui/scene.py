@@ -17,6 +17,7 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.stage import NotYet, Stage
+from wafer_viewer.gui.steady import Steady
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
@@ -24,6 +25,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
 _CAMERA_EVERY_S = 0.1
+Wanted = tuple[Snapshot, View]
 
 
 class SceneView:
@@ -42,13 +44,15 @@ class SceneView:
         self._client, self._session = client, session
         self._on_fault = on_fault or (lambda fault: None)
         self._due = threading.Condition()
-        self._wanted: tuple[Snapshot, View] | None = None
+        self._wanted: Wanted | None = None
+        self._begun: Wanted | None = None
         self._asked: Hashable = None
         self._more, self._closed, self._settled = False, False, True
         self._stage = Stage(client.scene, session.paint, self._arrived)
         self._book = Book(session.paint, self._arrived)
         self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
         self._poses.on_arrival(self._arrived)
+        self._steady = Steady()
         self._eye = Eye(client)
         self._tools = Tools(client, self._eye)
         self._shown: Contents | None = None
@@ -128,7 +132,7 @@ class SceneView:
             return view.step, view.dark, draft.job, draft.plan, snapshot.overview, snapshot.rig.limits
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
         if source is not None:
-            return view, source
+            return view, source, snapshot.scanning
         progress = None if data is None else (data.path, *data.states.items(), *data.stamps.items())
         return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
 
@@ -153,14 +157,24 @@ class SceneView:
                 self._due.wait_for(lambda: self._more or self._closed or self._preset is not None, pause)
                 if self._closed:
                     return
-                self._more, self._settled, wanted = False, False, self._wanted
+                self._more, self._settled = False, False
+                self._begun = wanted = self._next()
                 preset, self._preset = self._preset, None
             whole = self._turn(wanted, preset)
             pause = self._stage.tidy()
             with self._due:
+                if whole:
+                    self._begun = None
+                    self._more |= wanted is not self._wanted
                 self._settled = whole and pause is None
 
-    def _turn(self, wanted: tuple[Snapshot, View] | None, preset: str | None) -> bool:
+    def _next(self) -> Wanted | None:
+        """What is wanted now; of a surface that grows first what was begun, or fast growth would never be seen."""
+        if self._begun is None or self._wanted is None or not _only_grew(self._begun, self._wanted):
+            return self._wanted
+        return self._begun
+
+    def _turn(self, wanted: Wanted | None, preset: str | None) -> bool:
         """Draw and look; whether all there is to draw is drawn."""
         whole = True
         try:
@@ -193,7 +207,7 @@ class SceneView:
             return plan_contents(snapshot, view)
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
         if source is not None:
-            return surface_contents(self._book, self._poses, snapshot, view, source)
+            return surface_contents(self._book, self._steady, self._poses, snapshot, view, source)
         return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
 
     def _place_camera(self, contents: Contents) -> None:
@@ -202,3 +216,17 @@ class SceneView:
         else:
             self._eye.follow(contents.corners_mm, contents.clear)
         self._place, self._shown = contents.place, contents
+
+
+def _only_grew(begun: Wanted, now: Wanted) -> bool:
+    """Whether two views are of the same surface at two stamps."""
+    sources = [source_of(snapshot, view.show) for snapshot, view in (begun, now)]
+    if (
+        begun[1] != now[1]
+        or None in sources
+        or begun[1].step not in ("surface", "measure")
+        or begun[0].scanning != now[0].scanning
+    ):
+        return False
+    places = [(s.dataset, s.result, s.show) for s in sources if s is not None]
+    return places[0] == places[1]

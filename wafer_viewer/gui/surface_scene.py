@@ -15,8 +15,10 @@ from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_items import pose_items
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import Handle, Item
-from wafer_viewer.gui.tiles import FIRST_PIXELS, TEXTURE_PIXELS, add_glb, bounds_mm, look_of, surface_items
+from wafer_viewer.gui.steady import Steady, as_planned
+from wafer_viewer.gui.tiles import FIRST_PIXELS, TEXTURE_PIXELS, Shown, add_glb, bounds_mm, look_of, surface_items
 from wafer_viewer.gui.view import View
+from wafer_viewer.session.changes import stamp_of
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
 from wafer_viewer.session.state import OpenDataset, Snapshot
 
@@ -41,11 +43,14 @@ def result_of(snapshot: Snapshot) -> str:
     return data.results[0] if data is not None and data.results else "default"
 
 
-def surface_contents(book: Book, poses: PoseBook, snapshot: Snapshot, view: View, source: Source) -> Contents:
-    """The block with its surface, and over it its fields. May wait for the painter."""
-    facts = book.facts(source)
-    view = _with_what_there_is(view, facts)
-    scale = book.scale(source, view)
+def surface_contents(
+    book: Book, steady: Steady, poses: PoseBook, snapshot: Snapshot, view: View, source: Source
+) -> Contents:
+    """The block with its surface, and over it its fields. Raises NotYet when the painter is still to tell of it."""
+    told = book.facts(source)
+    view = _with_what_there_is(view, told)
+    shown = _shown(snapshot, source, steady.facts(source, view, told))
+    facts, scale = shown.facts, steady.scale(source, view, book.scale(source, view))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     stretch = view.exaggeration
     on_show = OnShow(source, facts, scale, z0, stretch)
@@ -54,8 +59,8 @@ def surface_contents(book: Book, poses: PoseBook, snapshot: Snapshot, view: View
     ground = block_items(box, view.dark, plinth=solid)
     over = (*_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show))
     return Contents(
-        items=(*surface_items(source, facts, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *over),
-        rough=(*surface_items(source, facts, look, view, z0, FIRST_PIXELS, "surface"), *ground),
+        items=(*surface_items(shown, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *over),
+        rough=(*surface_items(shown, look, view, z0, FIRST_PIXELS, "surface"), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
         place=("surface", source.dataset, source.show, view.look == "plan"),
         preset="top" if view.look == "plan" else "iso",
@@ -63,6 +68,15 @@ def surface_contents(book: Book, poses: PoseBook, snapshot: Snapshot, view: View
         on_show=on_show,
         clear=Clear(),
     )
+
+
+def _shown(snapshot: Snapshot, source: Source, facts: Facts) -> Shown:
+    """While a scan goes on, the stitched surface has the room of all planned fields, and stays in its place."""
+    data, info = snapshot.dataset, snapshot.surface
+    if source.show or data is None or info is None:
+        return Shown(source, facts, facts)
+    stamps = partial(stamp_of, info) if info.changed else None
+    return Shown(source, as_planned(facts, data.plan) if snapshot.scanning else facts, facts, stamps)
 
 
 def _with_what_there_is(view: View, facts: Facts) -> View:
