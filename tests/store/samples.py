@@ -103,3 +103,18 @@ def assert_same_surface(a: HeightMap, b: HeightMap) -> None:
         assert getattr(a, name).dtype == getattr(b, name).dtype
     assert (a.pixel_um, a.x0_um, a.y0_um) == (b.pixel_um, b.x0_um, b.y0_um)
     assert a.provenance == b.provenance
+
+
+class Source:
+    """A mosaic that notes the largest window it is asked for."""
+
+    def __init__(self, surface: HeightMap):
+        self.surface, self.largest = surface, 0
+
+    def __getattr__(self, name):
+        return getattr(self.surface, name)
+
+    def window(self, region=None, level=0):
+        part = self.surface.window(region, level)
+        self.largest = max(self.largest, part.z_um.size)
+        return part

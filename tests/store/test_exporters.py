@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import json
 
@@ -26,7 +27,16 @@ TEXTS = [ending for ending in EXPORTERS if ending != ".npz"]
 def test_npz_comes_back_as_it_was(tmp_path, grey):
     surface = make_surface(grey=grey, recipe=Recipe(window=9), calibration=CALIBRATION, simulated=True, notes=("a",))
     export(surface, tmp_path / "a.npz")
-    assert_same_surface(read_npz(tmp_path / "a.npz"), surface)
+    back = read_npz(tmp_path / "a.npz")
+    assert_same_surface(back, surface)
+    assert back.overlap_um is None
+
+
+def test_differences_of_overlaps_are_written_too(tmp_path):
+    surface = make_surface()
+    overlap = np.where(surface.origin == 0, np.float32(0.25), np.float32(np.nan))
+    export(dataclasses.replace(surface, overlap_um=overlap), tmp_path / "a.npz")
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz").overlap_um, overlap)
 
 
 def test_npz_has_the_keys_that_others_read(tmp_path):

@@ -1,6 +1,7 @@
 """A height map as ``.npz``: uncompressed, so that its layers can be mapped from the disk instead of read.
 
-Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; pixel_um, x0_um, y0_um; provenance, a JSON text.
+Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; of a mosaic overlap_um as well; pixel_um, x0_um,
+y0_um; provenance, a JSON text.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Provenance
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+OVERLAP = "overlap_um"
 PLACE = ("pixel_um", "x0_um", "y0_um")
 _LOCAL_HEADER = struct.Struct("<26xHH")
 """The end of a zip member's own header: the lengths of its name and of its extra field."""
@@ -26,6 +28,7 @@ _LOCAL_HEADER = struct.Struct("<26xHH")
 def write_npz(surface: HeightMap, path: Path) -> None:
     """Write a height map to a path, whatever its ending."""
     arrays: dict[str, Any] = {name: getattr(surface, name) for name in (*LAYERS, *PLACE)}
+    arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
     with path.open("wb") as file:
         np.savez(file, provenance=np.array(encode(surface.provenance, "json")), **arrays)
 
@@ -38,7 +41,8 @@ def read_npz(path: str | Path) -> HeightMap:
     place = Path(path)
     try:
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
-            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in LAYERS}
+            there = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
+            layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in there}
         with np.load(place) as members:
             where: dict[str, Any] = {name: float(members[name]) for name in PLACE}
             provenance = decode(str(members["provenance"]), Provenance, place.name, "json")
