@@ -106,9 +106,10 @@ def test_further_than_the_reach_is_not_believed(sample):
     assert register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=25).doubt is Doubt.NONE
 
 
-def test_without_a_reach_what_fits_nowhere_is_looked_for_further_away(sample):
-    off = 3.0, -70.0
-    found = register_pair(*pair(sample, BESIDE, off))
+def test_without_a_reach_what_fits_nowhere_is_looked_for_further_away():
+    sample, off = a_sample((500, 960)), (3.0, -49.0)
+    first = a_field(sample, 20, 20, (420, 460))
+    found = register_pair(first, a_field(sample, 20, 400, (420, 460), off_px=off, seed=2))
     assert found.doubt is Doubt.NONE
     assert np.abs(error_px(found, off)).max() < 0.06
 

@@ -23,9 +23,9 @@ _TELLING_PX = 0.05
 _PROBE = np.array([0.2, 0.2])
 _NEARLY_NO_NOISE = 0.95
 _LEAST_EASE = 0.05
-_AREA = 4
-_SHOWS, _SMOOTHED = 16.0, 0.33
-"""A block shows something from four times the noise on that is left when the picture is read."""
+_AREAS = (4, 8)
+_SHOWS, _SMOOTHED = 3.0, 0.33
+"""A block shows something when its variance is over three times that of the noise that is left in reading it."""
 _LEAST_PIXELS = 0.2
 """A block that knows fewer of its pixels tells nothing."""
 
@@ -167,8 +167,11 @@ def _spread_of_lines(blocks: _Blocks) -> Numbers:
 
 def _spread_of_areas(blocks: _Blocks) -> Numbers:
     """The same for blocks that are near each other: parts of a picture that come from different frames."""
-    area = blocks.index // _AREA
-    return _spread_of(blocks.pull, area[:, 0] * (1 + area[:, 1].max()) + area[:, 1])
+    return np.maximum(*(_spread_of(blocks.pull, _numbered(blocks.index // side)) for side in _AREAS))
+
+
+def _numbered(index: NDArray[np.intp]) -> NDArray[np.intp]:
+    return index[:, 0] * (1 + index[:, 1].max()) + index[:, 1]
 
 
 def _spread_of(pull: Numbers, cluster: NDArray[np.intp]) -> Numbers:
@@ -183,7 +186,7 @@ def _agreeing(blocks: _Blocks, noise: float) -> float:
     A block of strong contrast does not count for more than others that show more than noise.
     """
     strength = np.sqrt(blocks.first * blocks.second) / np.maximum(blocks.pixels, 1)
-    seen = blocks.pixels * strength / (strength + _SHOWS * (_SMOOTHED * noise) ** 2)
+    seen = blocks.pixels * strength**2 / (strength**2 + (_SHOWS * (_SMOOTHED * noise) ** 2) ** 2 + 1e-30)
     if not seen.sum() > 0:
         return 0.0
     alike = blocks.both / np.maximum(strength * blocks.pixels, 1e-30)
@@ -205,6 +208,7 @@ def _bent(blocks: _Blocks) -> tuple[float, float]:
     stiffness += (1e-6 * np.trace(stiffness) + 1e-30) * np.eye(4)
     inverse = np.linalg.inv(stiffness)
     bend = inverse @ pulls.sum(axis=0)
-    spread = inverse @ (pulls.T @ pulls) @ inverse
+    left = np.einsum("bpj,bj->bp", basis, blocks.pull - np.einsum("bij,bqj,q->bi", blocks.stiffness, basis, bend))
+    spread = inverse @ (left.T @ left) @ inverse
     most = int(np.argmax(np.abs(bend)))
     return float(np.abs(bend[most])), float(np.abs(bend[most]) / np.sqrt(max(spread[most, most], 1e-30)))

@@ -19,6 +19,8 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 LEAST_PIXELS = 30
 _TUKEY = 4.685
 """Deviations from which on a difference counts nothing: 95 % as sharp as least squares where errors are normal."""
+_TUKEY_SQUARES = 0.6605
+"""What the weighted squares of normal errors of deviation 1 come to, by weight."""
 _MAD = 1.4826
 _STEPS = 8
 _SAMPLES = 12000
@@ -109,7 +111,7 @@ def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     alike = _alike_pixels(sums[3], squares, side)
     information = about * bend**2 * weight / max(alike * squares, weight * _LEAST_SCALE**2)
     value = float(plane[0] + plane[1] * row0 + plane[2] * col0)
-    rms = math.sqrt(squares / weight)
+    rms = math.sqrt(squares / (weight * _TUKEY_SQUARES))
     return Plane(row0, col0, value, float(plane[1]), float(plane[2]), information, round(weight), rms)
 
 

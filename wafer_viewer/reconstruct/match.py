@@ -14,8 +14,9 @@ from wafer_viewer.reconstruct.strips import Read, Window, shrunk
 
 SURE_SIGMAS = 7.0
 """The highest of some hundred correlations of unlike pictures is three to four deviations high."""
-LIKE = 0.7
-"""What repeats has few pixels of its own: it may be alike by chance, which is ambiguous and not unlike."""
+LIKE, SURELY_LIKE = 0.7, 0.9
+"""What goes on over many pixels has few that are independent: it may be alike by chance, which is ambiguous and not
+unlike; but not when it fits at one place only and as well as this."""
 NEARLY = 0.6
 """Candidates have at least so much of the best one's significance."""
 CANDIDATES = 6
@@ -162,7 +163,7 @@ def _doubt(fits: list[Alignment], by_chance: bool, beyond: bool) -> Doubt:
     turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
     if turned or best.agreeing < LEAST_AGREEING or not np.isfinite(best.covariance).all():
         return Doubt.UNLIKE
-    if by_chance or len(fits) > 1:
+    if len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
         return Doubt.AMBIGUOUS
     return Doubt.END_OF_SEARCH if beyond else Doubt.NONE
 

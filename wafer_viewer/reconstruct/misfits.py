@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Doubt, Shifts
 from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.reconstruct.register import REACHES_PX, register_pair
+from wafer_viewer.reconstruct.register import REACH_PX, register_pair
 
 LEAST_NEIGHBOURS = 2
 """One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
@@ -101,7 +101,7 @@ def turned(height: HeightMap, turn: Turn) -> HeightMap:
 
 
 def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
-    return sum(register_pair(height, other, REACHES_PX[0]).doubt is Doubt.NONE for other in neighbours)
+    return sum(register_pair(height, other, REACH_PX).doubt is Doubt.NONE for other in neighbours)
 
 
 def _lost_overlaps(n_fields: int, shifts: Shifts) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

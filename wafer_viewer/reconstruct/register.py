@@ -19,9 +19,9 @@ from wafer_viewer.reconstruct.match import Match, match
 from wafer_viewer.reconstruct.parts import on_threads
 from wafer_viewer.reconstruct.strips import height_of, picture_of
 
-REACHES_PX = (40.0, 120.0)
+REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
 """Without a reach of its own a neighbour is looked for within 40 px of the stage's word, four deviations of a good
-stage; where the two show enough but do not fit there, within 120 px."""
+stage; where the two show enough but do not fit there, within 120 px or an eighth of the shorter side of a field."""
 _LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
 
 
@@ -47,9 +47,9 @@ def register(
 ) -> Shifts:
     """How each pair of fields (their places in the list, int32 [n, 2]) lies beside what the stage says.
 
-    reach_um: how far from the stage's word a neighbour is looked for, `REACHES_PX` without one. Only what may overlap
-    is read. progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores without
-    one.
+    reach_um: how far from the stage's word a neighbour is looked for; as `REACH_PX` says without one. Only what may
+    overlap is read. progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores
+    without one.
     """
     found: list[PairShift] = [_by_stage(Doubt.BLANK)] * len(pairs)
     done = 0
@@ -69,14 +69,15 @@ def register(
 def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = None) -> PairShift:
     """How the second field lies beside the first, against what the stage says.
 
-    reach_px: how far off it may be along x and along y; `REACHES_PX` without one. What fits nowhere keeps its best
-    place and correlation, with a doubt; it must not be used.
+    reach_px: how far off it may be along x and along y; as `REACH_PX` says without one. What fits nowhere keeps its
+    best place and correlation, with a doubt; it must not be used.
     """
-    found = _within(first, second, REACHES_PX[0] if reach_px is None else reach_px)
-    if reach_px is None and found.doubt in _LOST:
-        wider = _within(first, second, REACHES_PX[1])
-        return wider if wider.doubt is Doubt.NONE else found
-    return found
+    found = _within(first, second, REACH_PX if reach_px is None else reach_px)
+    wide_px = min(WIDE_REACH_PX, WIDE_FRACTION * min(*first.shape, *second.shape))
+    if reach_px is not None or found.doubt not in _LOST or wide_px <= REACH_PX:
+        return found
+    wider = _within(first, second, wide_px)
+    return wider if wider.doubt is Doubt.NONE else found
 
 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:

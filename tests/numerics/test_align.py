@@ -1,0 +1,114 @@
+"""A shift to a small part of a pixel, and an uncertainty that is that of the errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import affine_transform, gaussian_filter
+
+from wafer_viewer.numerics.align import Picture, align
+from wafer_viewer.numerics.blocks import block_sums, taps
+
+SHAPE = 160, 90
+
+
+def picture(values: NDArray, known: NDArray | None = None, noise: float = 0.1) -> Picture:
+    mask = np.ones(values.shape) if known is None else known
+    return Picture(values.astype(np.float32), mask.astype(np.float32), noise)
+
+
+def two(off: tuple[float, float], noise: float, noise_blur: float = 0.0, seed: int = 0) -> tuple[Picture, Picture]:
+    """A texture and what a camera sees of it that looks `off` further on, each with noise of its own."""
+    rng = np.random.default_rng(seed)
+    texture = gaussian_filter(rng.normal(size=(SHAPE[0] + 20, SHAPE[1] + 20)), 1.3, mode="wrap")
+    down, right = (np.fft.fftfreq(n) for n in texture.shape)
+    turn = np.exp(2j * np.pi * (down[:, None] * off[0] + right * off[1]))
+    moved = np.fft.ifft2(np.fft.fft2(texture) * turn).real
+
+    def seen(of: NDArray) -> NDArray:
+        dirt = gaussian_filter(rng.normal(size=SHAPE), noise_blur)
+        return (of / texture.std())[10:-10, 10:-10] + noise * dirt / dirt.std()
+
+    return picture(seen(texture)), picture(1.4 * seen(moved) - 3)
+
+
+@pytest.mark.parametrize("part", [-0.5, -0.2, 0.0, 0.37, 0.5])
+def test_reading_between_pixels_keeps_a_plane(part):
+    value, slope = taps(part)
+    away = np.arange(-3, 4)
+    assert value.sum() == pytest.approx(1, abs=1e-6)
+    assert slope.sum() == pytest.approx(0, abs=1e-6)
+    assert value @ away == pytest.approx(part, abs=3e-3)
+    assert slope @ away == pytest.approx(1, abs=1e-5)
+
+
+def test_sums_of_blocks_are_those_of_the_pixels():
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 50, 41)).astype(np.float32)
+    known = (rng.random((50, 41)) < 0.8).astype(np.float32)
+    sums = block_sums(a, known, b, np.ones_like(b), (4.0, -3.0), 12)
+    assert sums.shape == (3, 2, 5, 5)
+    assert sums[:, :, 0, 0].sum() == known[7:47, 3:35].sum()
+    smooth = np.stack([np.convolve(row, taps(0)[0], "valid") for row in a])
+    smooth = np.stack([np.convolve(col, taps(0)[0], "valid") for col in smooth.T]).T
+    inner = known[7:47, 3:35]
+    np.testing.assert_allclose(sums[:, :, 0, 1].sum(), (smooth[4:44, :32] * inner).sum(), rtol=1e-4)
+    np.testing.assert_allclose(sums[:, :, 1, 1].sum(), (smooth[4:44, :32] ** 2 * inner).sum(), rtol=1e-4)
+    np.testing.assert_array_equal(sums, sums.swapaxes(2, 3))
+
+
+def test_nothing_in_common_tells_nothing():
+    first, second = two((0, 0), 0.1)
+    found = align(first, second, (0.0, 300.0), 20)
+    assert np.isinf(found.covariance).all()
+    assert (found.correlation, found.n_pixels) == (0, 0)
+
+
+@pytest.mark.parametrize(("noise", "noise_blur"), [(0.1, 0), (1.0, 0), (2.0, 0), (1.0, 1.5)])
+def test_the_uncertainty_is_that_of_the_errors(noise, noise_blur):
+    rng = np.random.default_rng(1)
+    normalised = []
+    for seed in range(40):
+        off = tuple(rng.uniform(-0.8, 0.8, 2))
+        found = align(*two(off, noise, noise_blur, seed), (0.0, 0.0), 20)
+        normalised.append((np.array(found.lag) - off) / np.sqrt(np.diag(found.covariance)))
+    assert 0.6 < np.sqrt(np.mean(np.square(normalised))) < 1.35
+    assert np.abs(np.mean(normalised, axis=0)).max() < 0.5
+
+
+def test_noise_does_not_pull_to_the_middle_between_pixels():
+    errors = [np.array(align(*two((0.25, 0.25), 1.0, 0.0, seed), (0.0, 0.0), 20).lag) - 0.25 for seed in range(60)]
+    assert np.abs(np.mean(errors)) < 0.005
+
+
+def test_pixels_that_are_not_known_count_nothing():
+    first, second = two((0.4, -0.3), 0.05)
+    rng = np.random.default_rng(0)
+    known = rng.random(SHAPE) < 0.9
+    known[60:90] = False
+    spoilt = np.where(known, second.values, second.values.mean())
+    found = align(first, picture(spoilt, known), (0.0, 0.0), 20)
+    whole = align(first, second, (0.0, 0.0), 20)
+    assert found.n_pixels < 0.8 * whole.n_pixels
+    assert np.abs(np.array(found.lag) - (0.4, -0.3)).max() < 0.08
+
+
+def test_a_picture_that_is_turned_is_bent():
+    first, second = two((0, 0), 0.1)
+    angle = 0.006
+    turn = np.array([[1, -angle], [angle, 1]])
+    middle = (np.array(SHAPE) - 1) / 2
+    turned = affine_transform(second.values, turn, middle - turn @ middle, order=3, mode="reflect")
+    found = align(first, picture(turned), (0.0, 0.0), 20)
+    assert found.bent_px == pytest.approx(angle * SHAPE[0] / 2, rel=0.3)
+    assert found.bent_sigmas > 6
+    assert align(first, second, (0.0, 0.0), 20).bent_sigmas < 4
+
+
+def test_where_only_a_part_fits_little_agrees():
+    first, second = two((0, 0), 0.1)
+    other, _ = two((0, 0), 0.1, seed=9)
+    mixed = np.where(np.arange(SHAPE[0])[:, None] < 60, second.values, 1.4 * other.values)
+    assert align(first, picture(mixed), (0.0, 0.0), 20).agreeing < 0.5
+    assert align(first, second, (0.0, 0.0), 20).agreeing > 0.95
