@@ -16,8 +16,9 @@ from wafer_viewer.session.crew import Crew, Here, crew_for, n_local_workers, req
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo
+from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.session.summary import summarise
-from wafer_viewer.session.tasks import reconstruct_field, stitch_fields
+from wafer_viewer.session.tasks import reconstruct_field
 from wafer_viewer.session.worker import attempt
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
@@ -89,8 +90,9 @@ def make_surface(
         with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
             crew.require_sight(data.path)
             share = 0 if not todo else 1 - STITCH_SHARE
-            _reconstruct(data, result, recipe, todo, crew, lambda done: tell(share * done), warn)
-            return stitch_fields(data.path, result, recipe, progress=lambda done: tell(share + (1 - share) * done))
+            _reconstruct(data, result, recipe, todo, crew, partial(_part, tell, 0, share), warn)
+            drawn = partial(_part, tell, share, 1 - share)
+            return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
     finally:
         lock.release()
 
@@ -169,7 +171,7 @@ def _outcomes(
     """
     kept, n = data.result(result), 0
     while n < len(todo) and (isinstance(crew, Here) or (recipe.heights_have_auto and kept.settled() is None)):
-        task = partial(reconstruct_field, progress=partial(_part, tell, n, len(todo)))
+        task = partial(reconstruct_field, progress=partial(_part, tell, n / len(todo), 1 / len(todo)))
         _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
         n += 1
         yield todo[n - 1], fault
@@ -179,5 +181,5 @@ def _outcomes(
             yield todo[n + done.index], done.fault
 
 
-def _part(tell: Tell, index: int, total: int, share: float) -> None:
-    tell((index + share) / total)
+def _part(tell: Tell, begin: float, length: float, share: float) -> None:
+    tell(begin + length * share)

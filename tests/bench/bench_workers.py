@@ -1,0 +1,213 @@
+"""What a cluster of workers costs and gains: fields on two workers beside two bare processes that do the same fields.
+
+    python tests/bench/bench_workers.py [--quick]
+
+Fields of full size, 1080 x 1440, of the virtual wafer: 126 frames each, 24 with --quick, which takes at most a minute.
+One process, two bare processes and two workers do the same fields in turn, several rounds; the least time of each
+counts, so that what else the machine does counts little. Kernels are compiled and loaded before.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.pool import Pool
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.bench.tables import met, show
+from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.stack import Frame, FrameStatus
+from wafer_viewer.reconstruct.field import warm_up
+from wafer_viewer.rigs.virtual.optics import Optics
+from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
+from wafer_viewer.session.crew import Crew, crew_for
+from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.writer import DatasetWriter
+
+ROWS, COLS, PIXEL_UM, OVERLAP = 1080, 1440, 0.46729, 0.12
+RESULT, RECIPE, WORKERS = "bench", Recipe(), 2
+SPEED_UP_GOAL, OVERHEAD_GOAL_MS, N_EMPTY = 0.9, 3.0, 2000
+WAFER_MM = 300.0
+Item = tuple[Path, int, str, Recipe, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Spent:
+    """Seconds of the processor and bytes written, for one field."""
+
+    processor_s: float
+    surface_bytes: int
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What a cluster of workers costs and gains.")
+    parser.add_argument("--quick", action="store_true", help="short fields, under a minute")
+    quick = parser.parse_args().quick
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "bench.wafer"
+        n_fields, n_frames = (6, 24) if quick else (12, 126)
+        make_dataset(path, n_fields, n_frames)
+        items = [(path, field.number, RESULT, RECIPE, 1) for field in Dataset.open(path).fields]
+        reconstruct_field(path, 1, RESULT, RECIPE)  # settles what `auto` means for all
+        began = time.perf_counter()
+        with crew_for(workers=WORKERS) as crew:
+            first = next(crew.each(nothing, [(0,)]))
+            show_start(time.perf_counter() - began, crew, first.fault is None)
+            spent = show_speed_up(crew, items, rounds=2 if quick else 3)
+            show_costs(path, spent, stitch_s(path, crew))
+
+
+def make_dataset(path: Path, n_fields: int, n_frames: int) -> None:
+    """Fields of two rows over the middle of the virtual wafer."""
+    scene = SCENES["wafer"]
+    size = {"field_width_um": COLS * PIXEL_UM, "field_height_um": ROWS * PIXEL_UM}
+    grid = FieldGrid(rows=2, cols=n_fields // 2, overlap_x_fraction=OVERLAP, overlap_y_fraction=OVERLAP, **size)
+    sweep = FocusSweep(z_step_um=4.0, n_frames=n_frames)
+    job = Job(grid=grid.centred_on(*scene.tour_center_um), z_start_um=-40.0, sweep=sweep)
+    about = {"exposures_us": (100.0,), "strategy": "z_up", "legs": (), "predicted_s": 1.0, "prices": ()}
+    plan = ScanPlan(fields=job.all_fields(), sweep=sweep, rows=ROWS, cols=COLS, pixel_um=PIXEL_UM, **about)
+    renderer = FrameRenderer(scene, Optics(), Sensor(ROWS, COLS))
+    with DatasetWriter.create(path, plan, job, simulated=True) as writer:
+        for field in plan.fields:
+            for k in range(n_frames):
+                z_um = sweep.z_um(field, k)
+                image = renderer.frame(field.x_um, field.y_um, min(z_um, 120.0), 100.0, k + 1)
+                at = {"x_um": field.x_um, "y_um": field.y_um, "z_um": z_um}
+                about = {"exposure_us": 100.0, "device_time_us": k, "status": FrameStatus.OK}
+                writer.frame(Frame(shot=Shot(field.number, k), pulse_count=k, image=image, **at, **about))
+
+
+def show_start(start_s: float, crew: Crew, well: bool) -> None:
+    """From nothing to the first answer of a worker, and what one empty task costs among many."""
+    if not well:
+        raise SystemExit("The workers do not answer.")
+    empty = partial(drain, crew, nothing, [(i,) for i in range(N_EMPTY)])
+    clock_ms, own_ms = (
+        1e3 * min(times) / N_EMPTY for times in zip(*(both_clocks(empty) for _ in range(3)), strict=True)
+    )
+    rows = [("two workers", start_s, clock_ms, own_ms, f"{OVERHEAD_GOAL_MS:g} {met(clock_ms, OVERHEAD_GOAL_MS)}")]
+    header = ("", "start, s", "an empty task, ms", "of it here", "goal")
+    show("A cluster of one's own, its scheduler in this process", header, rows)
+
+
+def show_speed_up(crew: Crew, items: list[Item], rounds: int) -> list[Spent]:
+    """The same fields by one process, by two bare ones and by two workers. What each field took a worker."""
+    n, spent = len(items), list[Spent]()
+    drain(crew, warm, [()] * 2 * WORKERS)
+    least = dict.fromkeys(("one process", "two processes", "two workers"), math.inf)
+    with bare(1) as one, bare(WORKERS) as two:
+        for _ in range(rounds):
+            times = (
+                clock(lambda: one.starmap(timed, items[: n // 2], 1)) * n / (n // 2),
+                clock(lambda: two.starmap(timed, items, 1)),
+                clock(lambda: spent.extend(drain(crew, timed, items))),
+            )
+            least = {name: min(before, now) for (name, before), now in zip(least.items(), times, strict=True)}
+    gains = {name: least["one process"] / seconds for name, seconds in least.items()}
+    share = gains["two workers"] / gains["two processes"]
+    goals = {"two workers": f"{share:.2f} of two processes; {SPEED_UP_GOAL} {met(share, SPEED_UP_GOAL, at_least=True)}"}
+    rows = [(name, seconds, seconds / n, f"{gains[name]:.2f} x", goals.get(name)) for name, seconds in least.items()]
+    show(f"Heights of {n} fields", ("", "s", "s a field", "faster", "goal"), rows)
+    return spent
+
+
+def show_costs(path: Path, spent: list[Spent], stitch: tuple[float, int]) -> None:
+    """What a whole wafer takes, from what a field took."""
+    plan = Dataset.open(path).scan.plan
+    n_frames, seconds = plan.sweep.n_frames, min(one.processor_s for one in spent)
+    frame_bytes, surface_bytes = n_frames * ROWS * COLS, spent[0].surface_bytes
+    pitch_um2 = (1 - OVERLAP) ** 2 * ROWS * COLS * PIXEL_UM**2
+    n_wafer = math.ceil(math.pi / 4 * (1e3 * WAFER_MM) ** 2 / pitch_um2)
+    hours, tera = 1 / 3600, 1e-12
+    stitch_each_s = stitch[0] / stitch[1]
+    rows = [
+        ("fields", 1, n_wafer),
+        ("frames, bytes", f"{frame_bytes / 1e6:.0f} MB", f"{n_wafer * frame_bytes * tera:.1f} TB"),
+        ("surfaces, bytes", f"{surface_bytes / 1e6:.1f} MB", f"{n_wafer * surface_bytes * tera:.1f} TB"),
+        ("heights, time of a worker", f"{seconds:.2f} s", f"{n_wafer * seconds * hours:.0f} h"),
+        ("stitching, time of the cluster", f"{stitch_each_s:.2f} s", f"{n_wafer * stitch_each_s * hours:.0f} h"),
+    ]
+    title = f"A field of {n_frames} frames, and a {WAFER_MM:.0f} mm wafer of such fields at {OVERLAP:.0%} overlap"
+    show(title, ("", "a field", "the wafer"), rows)
+
+
+def stitch_s(path: Path, crew: Crew) -> tuple[float, int]:
+    """Seconds by the clock to stitch all fields anew, and their number."""
+    kept = Dataset.open(path).result(RESULT)
+    kept.save_recipe(RECIPE)
+    stitch = partial(bring_up_to_date, path, RESULT, RECIPE, crew=crew)
+    stitch()  # loads kernels
+    times: list[float] = []
+    for _ in range(2):
+        shutil.rmtree(kept.mosaic_path)
+        times.append(clock(stitch))
+    return min(times), len(Dataset.open(path).fields)
+
+
+@contextmanager
+def bare(n_processes: int) -> Iterator[Pool]:
+    """Processes that do fields and nothing else, with their kernels loaded."""
+    with get_context("spawn").Pool(n_processes) as pool:
+        pool.starmap(warm, [()] * 2 * n_processes, 1)
+        yield pool
+
+
+def drain(crew: Crew, task: Callable, items: list) -> list:
+    """What a crew makes of all items; the first fault is raised."""
+    values = []
+    for done in crew.each(task, items):
+        if done.fault is not None:
+            raise done.fault
+        values.append(done.value)
+    return values
+
+
+def clock(work: Callable[[], object]) -> float:
+    """Seconds by the clock."""
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def both_clocks(work: Callable[[], object]) -> tuple[float, float]:
+    """Seconds by the clock, and of this process on the processor."""
+    busy = time.process_time()
+    return clock(work), time.process_time() - busy
+
+
+def nothing(number: int) -> int:
+    """A task that costs nothing itself."""
+    return number
+
+
+def warm() -> None:
+    """Load the kernels."""
+    warm_up()
+
+
+def timed(path: Path, number: int, result: str, recipe: Recipe, threads: int) -> Spent:
+    """Heights of a field, and what they took."""
+    began = time.process_time()
+    reconstruct_field(path, number, result, recipe, threads)
+    seconds = time.process_time() - began
+    data = Dataset.open(path)
+    return Spent(seconds, (data.result(result).path / "surfaces" / f"{data.field(number).name}.npz").stat().st_size)
+
+
+if __name__ == "__main__":
+    main()
