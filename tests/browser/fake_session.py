@@ -198,7 +198,11 @@ def scanning() -> Snapshot:
         needs_person=False,
         source="scan",
     )
-    works = (Work("w1", "Surface of field 6", 0.41), Work("w2", "Stitch 9 fields", None))
+    works = (
+        Work("w1", "Surface of field 6", 0.41),
+        Work("w2", "Placing field 2", 0.8),
+        Work("w3", "Stitching the fields", None),
+    )
     return dataclasses.replace(
         planned(), rig=dataclasses.replace(RIG, state="scanning"), dataset=data, scan=scan, works=works, faults=(fault,)
     )

@@ -64,13 +64,16 @@ def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
     values = VALUES[look.colour_by](part, light.plane)
-    known = np.isfinite(values)
-    partly = look.colour_by == "overlap"
-    place = ((np.where(known, values, 0) if partly else without_gaps(values)) - look.low) / max(
-        look.high - look.low, 1e-12
-    )
-    colour = table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
-    return np.where(known[..., None], colour, np.array(ELSEWHERE, np.float32)) if partly else colour
+    if look.colour_by == "overlap":
+        known = np.isfinite(values)
+        return np.where(known[..., None], _by_value(np.where(known, values, 0), look), np.array(ELSEWHERE, np.float32))
+    return _by_value(without_gaps(values), look)
+
+
+def _by_value(values: NDArray[np.float32], look: Look) -> NDArray[np.float32]:
+    """The colours of a look for values without gaps."""
+    place = (values - look.low) / max(look.high - look.low, 1e-12)
+    return table(look.colours)[(np.clip(place, 0, 1) * 255).astype(np.uint8)].astype(np.float32)
 
 
 def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> NDArray[np.float32]:

@@ -17,12 +17,12 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "height": ("Height", "µm"),
     "confidence": ("Confidence", ""),
     "slope": ("Slope", "°"),
-    "deviation": ("Deviation from plane", "µm"),
-    "overlap": ("Overlap difference", "µm"),
+    "deviation": ("Deviation", "µm"),
+    "overlap": ("Difference", "µm"),
     "grey": ("Grey", ""),
     "origin": ("Origin", ""),
 }
-"""Title and unit of each quantity a surface can be coloured by."""
+"""Title of the colour bar and unit of each quantity a surface can be coloured by."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from wafer_viewer.draw.look import QUANTITIES
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.paint_request import Scale
 from wafer_viewer.session.state import Snapshot
 
@@ -32,7 +32,7 @@ class ColourLegend:
         scale = self._page.scale if view.step in ("surface", "measure") else None
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
-        bar = _bar(scale, view, bar_px) if scale is not None and not of_origins else ""
+        bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""
         self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
         origins = scale.origins if scale is not None and of_origins else {}
         rows = sum(share > 0 for share in origins.values())
@@ -53,12 +53,11 @@ def _origins_px(rows: int) -> int:
     return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
 
 
-def _bar(scale: Scale, view: View, bar_px: int) -> str:
-    quantity = view.colour_by if view.colour_by != "overlap" or scale.quantity == "overlap" else "height"
+def _bar(scale: Scale, view: View, quantity: ColourBy, bar_px: int) -> str:
     title, unit = QUANTITIES[quantity]
     colours = "grey" if quantity == "grey" else view.colours
     return colour_bar_html(
-        title.removesuffix(" from plane").removeprefix("Overlap ").capitalize(),
+        title,
         unit,
         scale.low,
         scale.high,

@@ -14,7 +14,7 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.html import icon, micro, note, pick, safe
 from wafer_viewer.gui.style import RGB_OF_TONE
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.paint_request import Scale
 from wafer_viewer.session.state import Fault, Snapshot
 
@@ -96,6 +96,10 @@ class Page:
         if (scale, overlaps) != (self.scale, self.has_overlaps):
             self.scale, self.has_overlaps = scale, overlaps
             self._due.set()
+
+    def coloured_by(self, view: View) -> ColourBy:
+        """What colours the surface on show: its height where it does not have what was chosen."""
+        return "height" if view.colour_by == "overlap" and not self.has_overlaps else view.colour_by
 
     def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:
         """Hear of clicks on elements that `html.pick(what, key)` made; the callback gets the key."""

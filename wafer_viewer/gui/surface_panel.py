@@ -31,6 +31,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Origin": "origin",
 }
 TITLES_OF_COLOUR_BY = {key: name for name, key in COLOUR_BY.items()}
+NEVER_NEGATIVE = ("confidence", "slope", "overlap")
 STITCHED = "Stitched surface"
 FULL_BLEND = 0.4
 """All-in-focus, when it is switched on."""
@@ -160,9 +161,8 @@ class SurfacePanel:
             self._shown.show(shown)
 
     def _show_colour(self, info: SurfaceInfo | None, view: View) -> None:
-        scale = self._page.scale
-        by = "height" if scale is not None and scale.quantity != view.colour_by == "overlap" else view.colour_by
-        set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps or by == "overlap"))
+        scale, by = self._page.scale, self._page.coloured_by(view)
+        set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps))
         self._by.show(TITLES_OF_COLOUR_BY[by])
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
@@ -189,7 +189,8 @@ class SurfacePanel:
         if scale is None:
             return None
         spare = (scale.own_high - scale.own_low) / 2
-        return scale.own_low - spare, scale.own_high + spare
+        low = scale.own_low - spare
+        return max(0.0, low) if scale.quantity in NEVER_NEGATIVE else low, scale.own_high + spare
 
     def _show_light(self, view: View) -> None:
         self._height.show(view.exaggeration)
