@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Origin
-from wafer_viewer.numerics import overlay
-from wafer_viewer.numerics.overlay import Blended, Leaning, Piece, Shift, Tally
+from wafer_viewer.numerics import overlay, placed
+from wafer_viewer.numerics.overlay import Blended, Piece, Tally
+from wafer_viewer.numerics.placed import Leaning, Shift
 from wafer_viewer.reconstruct.pieces import pieces
 from wafer_viewer.reconstruct.place import Layout, Part, Place
 
@@ -149,12 +150,12 @@ class Laid:
 
     def heights(self, layer: Float32s, max_step_um: float, out: Float32s, row: int, col: int) -> None:
         """Read heights of the piece, upright, to (row, col) of `out`."""
-        overlay.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
+        placed.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
 
     def grey(self, picture: Image) -> Float32s:
         """The grey of the piece."""
         out = np.empty(self.shape, np.float32)
-        overlay.read_grey(fixed(picture), self.shift, out)
+        placed.read_grey(fixed(picture), self.shift, out)
         return out
 
 

@@ -1,0 +1,106 @@
+"""Layers of a field read in the pixels of a window, at whole or broken pixels of its own, and put upright."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Float32s, Greys, Real, Whole
+from wafer_viewer.numerics.jit import lean_kernel, lean_part
+
+
+class Shift(NamedTuple):
+    """Pixel (r, c) of a piece lies at (r + row + row_part, c + col + col_part) of a field, the parts in 0 ... 1."""
+
+    row: int
+    col: int
+    row_part: float
+    col_part: float
+
+
+class Leaning(NamedTuple):
+    """What is subtracted from the heights at (r, c) of a piece: rows[r] + cols[c] + up[r] * right[c]."""
+
+    rows: Float32s
+    cols: Float32s
+    up: Float32s
+    right: Float32s
+
+
+@lean_kernel
+def read_heights(
+    layer: Float32s, shift: Shift, leaning: Leaning, max_step: Real, out: Float32s, row: Whole, col: Whole
+) -> None:
+    """Heights of a field in the window's pixels, from (row, col) of `out` on, as many as `leaning` has.
+
+    Where the field lies between the pixels it is read bilinearly, but never across NaN or a step over `max_step`.
+    """
+    n = leaning.cols.size
+    s, t, limit = np.float32(shift.row_part), np.float32(shift.col_part), np.float32(max_step)
+    ahead = shift.col + (1 if t > 0 else 0)
+    near = ahead if t > 0.5 else shift.col
+    for r in range(leaning.rows.size):
+        i = r + shift.row
+        k = i + (1 if s > 0 else 0)
+        nearest = layer[k if s > 0.5 else i, near : near + n]
+        target = out[row + r, col : col + n]
+        base, up = leaning.rows[r], leaning.up[r]
+        if s == 0 and t == 0:
+            _upright(nearest, base, up, leaning.cols, leaning.right, target)
+        else:
+            a, b = layer[i, shift.col : shift.col + n], layer[i, ahead : ahead + n]
+            c, d = layer[k, shift.col : shift.col + n], layer[k, ahead : ahead + n]
+            _between(a, b, c, d, nearest, s, t, limit, base, up, leaning.cols, leaning.right, target)
+
+
+@lean_kernel
+def read_grey(picture: Greys, shift: Shift, out: Float32s) -> None:
+    """The grey of a picture in the pixels of a piece, bilinearly between its own."""
+    n = out.shape[1]
+    ahead = shift.col + (1 if shift.col_part > 0 else 0)
+    s, t = np.float32(shift.row_part), np.float32(shift.col_part)
+    for r in range(out.shape[0]):
+        i = r + shift.row
+        k = i + (1 if shift.row_part > 0 else 0)
+        a, b = picture[i, shift.col : shift.col + n], picture[i, ahead : ahead + n]
+        c, d = picture[k, shift.col : shift.col + n], picture[k, ahead : ahead + n]
+        _grey_between(a, b, c, d, s, t, out[r])
+
+
+@lean_part
+def _upright(heights: Float32s, base: Real, up: Real, cols: Float32s, right: Float32s, out: Float32s) -> None:
+    for x in range(out.size):
+        out[x] = heights[x] - (base + cols[x] + up * right[x])
+
+
+@lean_part
+def _between(
+    a: Float32s,
+    b: Float32s,
+    c: Float32s,
+    d: Float32s,
+    nearest: Float32s,
+    s: Real,
+    t: Real,
+    limit: Real,
+    base: Real,
+    up: Real,
+    cols: Float32s,
+    right: Float32s,
+    out: Float32s,
+) -> None:
+    """The bilinear value, or the nearest one beside NaN (which no comparison lets pass) or a step; put upright."""
+    for x in range(out.size):
+        above, below = a[x] + t * (b[x] - a[x]), c[x] + t * (d[x] - c[x])
+        flat = (abs(b[x] - a[x]) <= limit) & (abs(d[x] - c[x]) <= limit) & (abs(c[x] - a[x]) <= limit)
+        value = above + s * (below - above) if flat else nearest[x]
+        out[x] = value - (base + cols[x] + up * right[x])
+
+
+@lean_part
+def _grey_between(a: Greys, b: Greys, c: Greys, d: Greys, s: Real, t: Real, out: Float32s) -> None:
+    for x in range(out.size):
+        left, below = np.float32(a[x]), np.float32(c[x])
+        above = left + t * (np.float32(b[x]) - left)
+        out[x] = above + s * (below + t * (np.float32(d[x]) - below) - above)
