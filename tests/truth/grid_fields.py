@@ -14,6 +14,8 @@ from wafer_viewer.model.plan import Field
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 
 Z_STEP_UM, FALSE_UM, WRONG_PX = 4.0, 15.0, 15.0
+FOREIGN_UM = 1234.5
+"""So far from where they should be do foreign fields lie on their own wafer, so that not even its dies fit."""
 
 
 def simulated(truth: Truth, field: Field, n: int) -> HeightMap:
@@ -44,6 +46,8 @@ def _seen(truth: Truth, n: int) -> tuple[Floats, Floats, Floats]:
     """Height, grey and sureness at a field's pixels, before the instrument adds its errors."""
     wafer = dataclasses.replace(truth.wafer, seed=truth.grid.seed + 100) if n in truth.grid.foreign else truth.wafer
     x, y = float(truth.x_um[n]), float(truth.y_um[n])
+    if n in truth.grid.foreign:
+        x, y = x + FOREIGN_UM, y - FOREIGN_UM
     layers = look(wafer, _pixels(truth.grid, x, y, n))
     for edge in np.flatnonzero(truth.wrong & (truth.grid.edges[:, 1] == n)):
         angle = edge * 2.399963
