@@ -14,8 +14,11 @@ import numpy as np
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.poses import Form, Numbers
 
-SIGMA = 3e-3
-"""Of turn (rad) and scale (fraction) before anything is measured."""
+SIGMA = 0.05
+"""Of turn (rad) and scale (fraction) before anything is measured: what is not certain is not applied, however small."""
+
+LEAST_OVERLAPS = 4
+"""With fewer, one that is wrong looks like a wrong pixel size."""
 
 _SIGNIFICANT = 4.0
 _WORTH_PX = 0.1
@@ -61,16 +64,10 @@ class Camera:
         """From the middle to places of the stage."""
         return stage_x_um - self.middle_x_um, stage_y_um - self.middle_y_um
 
-    def worth_applying(self, field_um: float, pixel_um: float) -> bool:
-        """Whether turn or scale is certain, and moves neighbours `field_um` apart by enough to matter."""
-        return self._matters(self.turn, self.u_turn, field_um, pixel_um) or self._matters(
-            self.scale, self.u_scale, field_um, pixel_um
-        )
-
     def notes(self, field_um: float, pixel_um: float) -> tuple[str, ...]:
-        """What the operator should know of it.
+        """What the operator should know of it: turn and scale, where they are certain and move neighbours noticeably.
 
-        Raises ComputeError when the pixel size cannot be right.
+        field_um: how far neighbours are apart. Raises ComputeError when the pixel size cannot be right.
         """
         notes: list[str] = []
         if self._matters(self.turn, self.u_turn, field_um, pixel_um):

@@ -36,14 +36,16 @@ def uncertainty_of_form(
 
     z_error_um, tilt_error: of each field by itself; lean: standard deviation of the tilt that all fields share.
     """
+    if len(x_um) < 2:
+        return (2 * z_error_um, *[float("inf")] * 5)
     x, y = x_um - x_um.mean(), y_um - y_um.mean()
-    rim_um = float(np.hypot(x, y).max()) or 1.0
+    rim_um = float(np.hypot(x, y).max())
     x, y, one, zero = x / rim_um, y / rim_um, np.ones_like(x_um), np.zeros_like(x_um)
     height = np.column_stack((one, x, y, x**2 + y**2, 2 * x * y, x**2 - y**2, zero, zero))
     along_x = np.column_stack((zero, one, zero, 2 * x, 2 * y, 2 * x, -one, zero)) / rim_um
     along_y = np.column_stack((zero, zero, one, 2 * y, 2 * x, -2 * y, zero, -one)) / rim_um
     told = height.T @ height / z_error_um**2 + (along_x.T @ along_x + along_y.T @ along_y) / tilt_error**2
-    before = np.array([_UNKNOWN_UM] * 6 + [lean * rim_um] * 2) * 10
+    before = np.array([10 * _UNKNOWN_UM] * 6 + [lean * rim_um] * 2)
     covariance = np.linalg.inv(told + np.diag(before**-2.0))
     u_um = 2 * np.sqrt(np.diag(covariance)[:6])
     return tuple(float(u) if u < _UNKNOWN_UM else float("inf") for u in u_um)

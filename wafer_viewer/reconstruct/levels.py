@@ -112,7 +112,8 @@ def _network(
     errors: tuple[float | Literal["auto"], float | Literal["auto"]],
 ) -> Network:
     """Planes of differences between fields that are rigid plates; they share a lean, and a sag unless it is known."""
-    arms = [(seams.mid_x_um - x_um[k], seams.mid_y_um - y_um[k]) for k in (seams.first, seams.second)]
+    mid_x_um, mid_y_um = np.nan_to_num(seams.mid_x_um), np.nan_to_num(seams.mid_y_um)
+    arms = [(mid_x_um - x_um[k], mid_y_um - y_um[k]) for k in (seams.first, seams.second)]
     sag = sag_between(arms[0], arms[1], field_size_um)
     measured = np.nan_to_num(np.column_stack((seams.z_um, seams.slope_x, seams.slope_y)))
     shared = np.concatenate((np.zeros((len(sag), 3, 2)), sag), axis=2)
@@ -133,6 +134,7 @@ def _network(
         measured=measured,
         information=_floored(seams),
         prior_sigma=np.array([z_um, tilt, tilt]),
+        prior_guess=np.array([z_um, tilt, tilt]),
         prior_shared=lean,
         shared_sigma=np.array([_LEAN, _LEAN, _SAG_UM, _SAG_UM, _SAG_UM])[: shared.shape[2]],
         ties=Ties.of(seams.first, seams.second, ~fixed),

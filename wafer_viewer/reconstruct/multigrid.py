@@ -96,14 +96,18 @@ class Solver:
     levels: tuple[_Level, ...]
     coarsest: Apply
 
-    def solve(self, right: Numbers, tolerance: float, start: Numbers | None = None) -> Numbers:
-        """x of system @ x = right, all [n + m, k]; tolerance: of the error in the energy norm, relative to x.
+    def solve(
+        self, right: Numbers, tolerance: float, start: Numbers | None = None, enough: Numbers | float = 0.0
+    ) -> Numbers:
+        """x of system @ x = right, all [n + m, k], begun at `start`.
 
-        Raises ComputeError when it does not get there.
+        tolerance: of the error in the energy norm, relative to x; enough: energy of the error, x^T system x, that is
+        small enough however small x is, [k]. Raises ComputeError when it does not get there.
         """
         if not self.levels:
             return self.coarsest(right)
-        return _conjugate_gradients(self.system, self._cycle, right, tolerance, start)
+        begun = np.zeros_like(right) if start is None else start
+        return _conjugate_gradients(self.system, self._cycle, right, (tolerance, enough), begun)
 
     def _cycle(self, right: Numbers, at: int = 0) -> Numbers:
         """One symmetric V cycle: smooth, correct on the coarser level, smooth."""
@@ -203,14 +207,14 @@ def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
 
 
 def _conjugate_gradients(
-    system: System, precondition: Apply, right: Numbers, tolerance: float, start: Numbers | None
+    system: System, precondition: Apply, right: Numbers, goals: tuple[float, Numbers | float], start: Numbers
 ) -> Numbers:
     """All right-hand sides at once, each with its own steps."""
-    x = np.zeros_like(right) if start is None else start.copy()
-    residual = right - system @ x if start is not None else right.copy()
-    goal = tolerance**2 * _dots(right, precondition(right))
+    x = start.copy()
+    residual = right - system @ x
     ahead = precondition(residual)
     direction, energy = ahead, _dots(residual, ahead)
+    goal = np.maximum(goals[0] ** 2 * _dots(right, precondition(right)), goals[1])
     for _ in range(_MOST_STEPS):
         if np.all(energy <= goal):
             return x

@@ -68,7 +68,7 @@ class Network:
 
     x_um, y_um: where fields lie, [n]; at_first (A), at_second (B), information: [e, d, d]; at_shared (K): [e, d, m];
     measured (y): [e, d]; prior_shared (E): [n, d, m]; prior_sigma: [d], shared_sigma: [m]. auto: groups of unknowns
-    whose common prior_sigma is only a first guess.
+    whose common prior_sigma is to be found, from a first guess.
     """
 
     x_um: Numbers
@@ -84,7 +84,8 @@ class Network:
     prior_shared: Numbers
     shared_sigma: Numbers
     ties: Ties
-    auto: tuple[tuple[int, ...], ...] = ()
+    prior_guess: Numbers
+    auto: tuple[tuple[int, ...], ...]
 
     @property
     def size(self) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Doubt, Numbers, Shifts
-from wafer_viewer.reconstruct.camera_axes import SIGMA, Camera, shared_by_all
+from wafer_viewer.reconstruct.camera_axes import LEAST_OVERLAPS, SIGMA, Camera, shared_by_all
 from wafer_viewer.reconstruct.contested import verdicts
 from wafer_viewer.reconstruct.graph import groups
 from wafer_viewer.reconstruct.network import Flags, Network, Ties
@@ -73,7 +73,7 @@ def solve_positions(
     unturned = task.unturned()
     network, at = task.settled(unturned, (SIGMA, SIGMA))
     found = _found(unturned, at)
-    notes = found.notes(task.neighbours_um, pixel_um)
+    notes = found.notes(task.neighbours_um, pixel_um) if np.sum(at.weight >= REJECTED) >= LEAST_OVERLAPS else ()
     if not notes:
         network, at = task.settled(unturned, like=at)
         found = dataclasses.replace(found, turn=0.0, scale=0.0)
@@ -125,7 +125,6 @@ class _Task:
     def _network(self, camera: Camera, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> Network:
         first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
         ones = np.broadcast_to(np.eye(2), (len(first), 2, 2))
-        auto = self.stage_error_um == "auto"
         error_um = _USUAL_ERROR_PX * self.pixel_um if self.stage_error_um == "auto" else self.stage_error_um
         return Network(
             x_um=x_um,
@@ -141,7 +140,8 @@ class _Task:
             prior_shared=shared_by_all(*camera.arms(self.stage_x_um, self.stage_y_um))[:, :, :m],
             shared_sigma=shared_sigma,
             ties=Ties.of(first, second, ~self.fixed),
-            auto=((0, 1),) if auto else (),
+            prior_guess=np.full(2, error_um),
+            auto=((0, 1),) if self.stage_error_um == "auto" else (),
         )
 
     def _measured(self, x_um: Numbers, y_um: Numbers) -> Numbers:

@@ -30,9 +30,17 @@ _MOST_EXCESS = 5.0
 _MOST_ROUNDS = 30
 _MOST_VERDICTS = 8
 _STEADY, _RESTLESS_FRACTION = 0.05, 1e-3
-_COARSE, _FINE = 1e-2, 1e-4
+_ON_THE_WAY = 3e-2
+"""Relative error of a solution that is only to find weights."""
+
+_ENOUGH_EACH, _ENOUGH = 1e-4, 1e-2
+"""Energy of an error, in variances, that does not show in misfits (for each unknown), nor anywhere (for all)."""
+
 _LEAST_REDUNDANCY = 0.1
 _PROBES = 4
+_USUALLY = 4
+"""The first guess of a prior counts like so many fields."""
+
 _MEDIAN_CHI2 = (1.0, 0.455, 0.693, 0.789)
 """Median of chi squared over its degrees of freedom, by these."""
 
@@ -78,14 +86,14 @@ def settle(
         decided, before = decide(network, at) if decide else decided, decided
         if np.array_equal(decided, before, equal_nan=True):
             break
-    return network, _improved(network, at, _FINE)
+    return network, _improved(network, at, on_the_way=False)
 
 
 def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: Numbers) -> tuple[Network, Settled]:
     """Solve, see what does not fit, and solve again until the weights rest, those that are not `decided` (NaN)."""
     for _ in range(_MOST_ROUNDS):
         before, sigma = at.weight, network.prior_sigma
-        at = _improved(network, at, _COARSE)
+        at = _improved(network, at, on_the_way=True)
         network = _with_priors_found(network, at)
         at = _weighed(network, at, telling, decided)
         restless = np.count_nonzero(np.abs(at.weight - before) > _STEADY)
@@ -95,14 +103,17 @@ def _rounds(network: Network, at: Settled, telling: NDArray[np.intp], decided: N
     return network, at
 
 
-def _improved(network: Network, at: Settled, tolerance: float) -> Settled:
+def _improved(network: Network, at: Settled, on_the_way: bool) -> Settled:
     """One step of least squares with the weights as they are."""
     weight = at.weight / at.excess**2
     free = network.ties.free
     solver = prepare(normal_equations(network, weight), network.x_um[free], network.y_um[free])
     downhill = _gradient(network, at, weight)
-    begun = None if at.echoes is None else np.hstack((np.zeros_like(downhill), at.echoes))
-    solved = solver.solve(np.hstack((downhill, _probes(network, solver))), tolerance, begun)
+    probes = _probes(network, solver) if on_the_way else downhill[:, :0]
+    begun = np.hstack((np.zeros_like(downhill), 0 * probes if at.echoes is None else at.echoes[:, : probes.shape[1]]))
+    enough = np.zeros(begun.shape[1])
+    enough[0] = _ENOUGH_EACH * len(downhill) if on_the_way else _ENOUGH
+    solved = solver.solve(np.hstack((downhill, probes)), _ON_THE_WAY if on_the_way else 0.0, begun, enough)
     step, shared_step = np.split(solved[:, 0], (network.size * int(free.sum()),))
     values = at.values.copy()
     values[free] += step.reshape(-1, network.size)
@@ -141,8 +152,8 @@ def _with_priors_found(network: Network, at: Settled) -> Network:
     traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
-        total = np.sum(surprise[:, group] ** 2) + trace
-        sigma[list(group)] = np.sqrt(total / (len(surprise) * len(group)))
+        total = np.sum(surprise[:, group] ** 2) + trace + _USUALLY * np.sum(network.prior_guess[list(group)] ** 2)
+        sigma[list(group)] = np.sqrt(total / ((len(surprise) + _USUALLY) * len(group)))
     return dataclasses.replace(network, prior_sigma=sigma)
 
 

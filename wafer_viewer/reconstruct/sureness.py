@@ -2,7 +2,7 @@
 
 Up to `DIRECT_FIELDS` fields their diagonal is exact. Beyond, `_SAMPLES` sets of errors are drawn from what overlaps and
 priors are unsure of, each is solved like a measurement, and the spread of the solutions is the uncertainty (Papandreou
-and Yuille 2010: Gaussian sampling by local perturbations): without bias, and right to 1 / sqrt(2 * samples) = 9 %.
+and Yuille 2010: Gaussian sampling by local perturbations): without bias, and right to 1 / sqrt(2 * samples) = 10 %.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from wafer_viewer.reconstruct.multigrid import Solver
 from wafer_viewer.reconstruct.network import Network, pull
 from wafer_viewer.reconstruct.settle import Settled
 
-_SAMPLES = 64
+_SAMPLES = 48
 _AT_ONCE = 8
 _COLUMNS = 256
-_TOLERANCE = 1e-3
+_TOLERANCE = 1e-2
 
 
 def standard_uncertainties(network: Network, at: Settled, wanted: tuple[int, ...]) -> Numbers:
