@@ -288,6 +288,14 @@ def test_a_planned_lattice_has_room_and_does_not_move(grid_of_maps: Any) -> None
     assert beyond.window_of(0)[1].start == 0
 
 
+def test_where_nothing_is_covered_the_picture_is_of_the_same_kind(make_map: MakeMap) -> None:
+    deep = make_map(np.zeros((20, 20)), all_in_focus=np.full((20, 20), 3000, np.uint16))
+    whole = StitchedMosaic([deep], layout([deep], None, planned_lattice([deep])), deep.provenance)
+    corner = whole.window(Region.rectangle(whole.x0_um, whole.y0_um, whole.x0_um, whole.y0_um))
+    assert (corner.all_in_focus.dtype, corner.origin.item()) == (np.uint16, Origin.NOT_COVERED)
+    assert whole.window().all_in_focus.max() == 3000
+
+
 # ---------------------------------------------------------------------------------------------- overlaps
 
 

@@ -160,6 +160,13 @@ def test_sixteen_bit_grey_is_kept(tmp_path):
     assert_same_surface(write_mosaic(tmp_path / "m.zarr", surface).window(), surface)
 
 
+def test_deeper_grey_than_a_mosaic_has_room_for_is_refused(tmp_path, surface):
+    lay_out(tmp_path / "m.zarr", surface)
+    deep = dataclasses.replace(surface, all_in_focus=surface.all_in_focus.astype(np.uint16))
+    with pytest.raises(DatasetError, match="holds uint8 and not uint16: stitch fields of one kind of camera"):
+        write_patch(tmp_path / "m.zarr", deep, patches(surface.shape)[0])
+
+
 def test_memory_is_that_of_shards_not_of_the_surface(stored, source):
     assert source.largest == 64 * 64
 

@@ -146,8 +146,12 @@ class ShardedArray:
     def write(self, layer: NDArray[Any], top: int, left: int) -> None:
         """Put a layer into one shard, from pixel (top, left) of the array on: whole chunks, or up to its end.
 
-        Raises DatasetError when the shard has other chunks and is damaged.
+        Raises DatasetError when the shard has other chunks and is damaged, and when numbers would not fit in.
         """
+        if not np.can_cast(layer.dtype, self.shards.dtype):
+            raise DatasetError(
+                f"{self.folder} holds {self.shards.dtype} and not {layer.dtype}: stitch fields of one kind of camera."
+            )
         rows, cols = slice(top, top + layer.shape[0]), slice(left, left + layer.shape[1])
         path, inside_r, inside_c = self._inside(rows, cols)
         whole = self._fills(rows, self.shape[0]) and self._fills(cols, self.shape[1])
