@@ -69,11 +69,11 @@ class Known:
     def _and(self, pairs: Pairs, look: Callable[[Pairs], T], earlier: T | None) -> T:
         if earlier is None or earlier.first.size == 0:
             return look(pairs)
-        first, second = self._now(earlier.first), self._now(earlier.second)
-        kept = selected(earlier, (first >= 0) & (second >= 0))
-        kept = replace(kept, first=self._now(kept.first), second=self._now(kept.second))
-        n = len(self.row)
-        new = ~np.isin(_keys(pairs[:, 0], pairs[:, 1], n), _keys(kept.first, kept.second, n))
+        n, first, second = len(self.row), self._now(earlier.first), self._now(earlier.second)
+        asked, there = _keys(pairs[:, 0], pairs[:, 1], n), _keys(first, second, n)
+        of_use = (first >= 0) & (second >= 0) & np.isin(there, asked)
+        kept = replace(selected(earlier, of_use), first=first[of_use], second=second[of_use])
+        new = ~np.isin(asked, there[of_use])
         return joined([kept, look(pairs[new])]) if new.any() else kept
 
     def _now(self, rows: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as replaced
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,12 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Outline
 from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance, moved_to
 from wafer_viewer.reconstruct.growing import Known
+from wafer_viewer.reconstruct.misfits import suspects
 from wafer_viewer.reconstruct.neighbours import neighbours
 from wafer_viewer.reconstruct.place import layout
 from wafer_viewer.reconstruct.poses import Camera, Levels, Positions, solve_heights, solve_positions
 from wafer_viewer.reconstruct.register import register
+from wafer_viewer.reconstruct.remarks import remarks
 from wafer_viewer.reconstruct.seams import compare
 
 Pairs = NDArray[np.int32]
@@ -33,11 +36,13 @@ REGISTER_SHARE = 0.8
 class Eyes:
     """How overlaps are looked at: in memory, or by workers that open the maps themselves.
 
-    register(pairs): what overlaps say about x and y; compare(pairs, x_um, y_um): about z, at the centres of all fields.
+    register(pairs): what overlaps say about x and y; compare(pairs, x_um, y_um): about z, at the centres of all fields;
+    opened(place): the height map of one field, by its place in the list.
     """
 
     register: Callable[[Pairs], Shifts]
     compare: Callable[[Pairs, Um, Um], Seams]
+    opened: Callable[[int], HeightMap]
 
 
 def stitch(
@@ -86,13 +91,17 @@ def find_poses(
     if stitching.poses == "stage":
         return task.at_stage(listed, marks)
     pairs = neighbours(outlines)
-    positions = task.positions(known.shifts(pairs, eyes.register))
+    shifts = known.shifts(pairs, eyes.register)
+    positions = task.positions(shifts)
+    left_out = np.isin(np.arange(len(outlines)), suspects(len(outlines), shifts))
+    seen = pairs[~left_out[pairs].any(axis=1)]
 
     def look(pairs: Pairs) -> Seams:
         return eyes.compare(pairs, positions.x_um, positions.y_um)
 
-    levels = task.levels(positions, look(pairs) if final else known.seams(pairs, look))
-    return task.poses(listed, marks, positions, levels)
+    levels = task.levels(positions, look(seen) if final else known.seams(seen, look))
+    poses = task.poses(listed, marks, left_out, positions, levels)
+    return replaced(poses, notes=poses.notes + remarks(poses, pairs, eyes.opened))
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +147,12 @@ class _Task:
         return None if self.fixed is None or poses is None or not self.fixed.any() else poses.form
 
     def poses(
-        self, numbers: NDArray[np.int32], marks: NDArray[np.int64], positions: Positions, levels: Levels
+        self,
+        numbers: NDArray[np.int32],
+        marks: NDArray[np.int64],
+        left_out: NDArray[np.bool_],
+        positions: Positions,
+        levels: Levels,
     ) -> Poses:
         stage_x_um, stage_y_um = centres(self.outlines)
         return Poses(
@@ -155,7 +169,7 @@ class _Task:
             u_y_um=positions.u_y_um,
             u_z_um=levels.u_z_um,
             group=positions.group,
-            left_out=np.zeros(len(numbers), bool),
+            left_out=left_out,
             shifts=positions.shifts,
             seams=levels.seams,
             form=positions.camera.in_form(levels.form),
@@ -191,4 +205,4 @@ def _eyes_on(heights: Sequence[HeightMap], stitching: Stitching, progress: Progr
         rest = 1 - REGISTER_SHARE
         return compare(heights, pairs, x_um, y_um, progress=lambda share: progress(REGISTER_SHARE + rest * share))
 
-    return Eyes(registered, compared)
+    return Eyes(registered, compared, heights.__getitem__)

@@ -36,7 +36,7 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
         height_u_um=COVERAGE * float(np.median(poses.u_z_um)),
         step_median_um=float(np.median(steps_um)) if steps_um.size else None,
         step_p95_um=float(np.percentile(steps_um, 95)) if steps_um.size else None,
-        form=tuple(zip(poses.form.names, poses.form.u_um, strict=True)),
+        form=tuple((name, u) for name, u in zip(poses.form.names, poses.form.u_um, strict=True) if np.isfinite(u)),
         n_groups=int(np.unique(poses.group[~poses.left_out]).size),
         left_out=tuple(poses.numbers[poses.left_out].tolist()),
         notes=poses.notes,

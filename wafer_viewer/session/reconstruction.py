@@ -20,8 +20,8 @@ from wafer_viewer.session.link import ChildGone
 from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.state import FieldState, SurfaceInfo
-from wafer_viewer.session.stitching import bring_up_to_date
-from wafer_viewer.session.tasks import describe_mosaic, reconstruct_field, reconstruct_live
+from wafer_viewer.session.stitching import bring_up_to_date, describe_mosaic
+from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
 
 GROWING_PAUSES = 3.0
 """A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""

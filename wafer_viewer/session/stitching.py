@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.session.crew import Crew, Here
 from wafer_viewer.session.state import Box, SurfaceInfo
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
@@ -91,14 +91,15 @@ class _Hands:
 def _find_poses(sheets: Sheets, recipe: Recipe, known: Known, final: bool, hands: _Hands) -> Poses:
     from wafer_viewer.reconstruct.stitch import Eyes, find_poses
 
-    eyes = Eyes(partial(_register, hands), partial(_compare, hands))
+    eyes = Eyes(partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__)
     return find_poses(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, eyes, known, final=final)
 
 
-def _register(hands: _Hands, pairs: NDArray[np.int32]) -> Shifts:
+def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> Shifts:
     from wafer_viewer.model.poses import joined, no_shifts
 
-    items = [_names(hands, part) for part in _batches(pairs)]
+    reach_um = None if stitching.search_um == "auto" else stitching.search_um
+    items = [(*_names(hands, part), reach_um) for part in _batches(pairs)]
     found = hands.each(register_pairs, items, 0.0, 0.7 * LOOK_SHARE)
     return _of_fields(joined(found), pairs) if found else no_shifts()
 
@@ -127,12 +128,14 @@ def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
     return replace(table, first=pairs[:, 0].copy(), second=pairs[:, 1].copy())
 
 
-def register_pairs(dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32]) -> Shifts:
+def register_pairs(
+    dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], reach_um: float | None
+) -> Shifts:
     """A worker's task: what the overlaps of some fields say about x and y."""
     from wafer_viewer.reconstruct.register import register
     from wafer_viewer.session.sheets import surfaces_of
 
-    return register(surfaces_of(dataset, result, numbers), pairs, threads=1)
+    return register(surfaces_of(dataset, result, numbers), pairs, reach_um, threads=1)
 
 
 def compare_pairs(
@@ -206,14 +209,30 @@ def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int
 # ------------------------------------------------------------------------------------------------ saying how it looks
 
 
+def describe_mosaic(
+    dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> SurfaceInfo:
+    """A worker's task: say how a mosaic looks that was stitched elsewhere."""
+    from wafer_viewer.session.sheets import Sheets
+
+    sheets = Sheets.open(dataset, result)
+    return _described(sheets, sheets.kept.poses(), sheets.kept.recipe())
+
+
 def _summary(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:
+    info = _described(sheets, poses, recipe)
+    return info if windows is None else replace(info, changed=tuple((0, box) for box in _hull_um(sheets, windows)))
+
+
+def _described(sheets: Sheets, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
+    """The numbers of the mosaic, which are kept beside it."""
     from wafer_viewer.session.placement import stitching_info
     from wafer_viewer.session.summary import save_summary, summarise
 
     info = summarise(sheets.kept.mosaic(), len(sheets.fields), sheets.kept.name, recipe)
-    info = replace(info, stitching=stitching_info(poses))
+    info = replace(info, stitching=None if poses is None else stitching_info(poses))
     save_summary(sheets.kept, info)
-    return info if windows is None else replace(info, changed=tuple((0, box) for box in _hull_um(sheets, windows)))
+    return info
 
 
 def _hull_um(sheets: Sheets, windows: Sequence[Window]) -> list[Box]:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.plan import MIN_FRAMES, Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.session.state import SurfaceInfo
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset import Dataset
@@ -102,41 +101,6 @@ def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Itera
             yield data.stack(field_number)
         else:
             time.sleep(LIVE_LOOK_EVERY_S)
-
-
-def stitch_fields(
-    dataset: Path, result: str, recipe: Recipe, *, progress: Progress = silent, should_stop: ShouldStop = never
-) -> SurfaceInfo:
-    """Stitch the surfaces that a result has into its mosaic, and say how it looks."""
-    from wafer_viewer.reconstruct.stitch import stitch
-    from wafer_viewer.session.summary import save_summary, summarise
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.mosaic import write_mosaic
-
-    data = Dataset.open(dataset)
-    kept = data.result(result)
-    done = kept.surfaces_done(data.fields)
-    fields = [f for f in data.fields if f.number in done]
-    heights = [kept.surface(f) for f in fields]
-    write_mosaic(kept.mosaic_path, stitch(heights, fields, recipe), progress, should_stop)
-    info = summarise(kept.mosaic(), len(heights), result, recipe)
-    save_summary(kept, info)
-    return info
-
-
-def describe_mosaic(
-    dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
-) -> SurfaceInfo:
-    """Say how a mosaic looks that was stitched elsewhere."""
-    from wafer_viewer.session.summary import save_summary, summarise
-    from wafer_viewer.store.dataset import Dataset
-
-    data = Dataset.open(dataset)
-    kept = data.result(result)
-    heights = [kept.surface(f) for f in data.fields if f.number in kept.surfaces_done(data.fields)]
-    info = summarise(kept.mosaic(), len(heights), result, kept.recipe())
-    save_summary(kept, info)
-    return info
 
 
 def import_images(
