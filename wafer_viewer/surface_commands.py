@@ -9,6 +9,7 @@ import msgspec
 from wafer_viewer.arguments import (
     Count,
     DatasetFolder,
+    File,
     NewFile,
     Out,
     Place,
@@ -63,6 +64,7 @@ def stitch(
     recipe: Recipe = Recipe(),
     result: str = "default",
     again: bool = False,
+    poses: File = None,
     scheduler: Text = None,
     workers: Count = None,
 ) -> None:
@@ -73,14 +75,17 @@ def stitch(
         recipe: --recipe RECIPE.toml gives all settings, --recipe.FIELD VALUE single ones.
         result: Name under which the surfaces are kept.
         again: Make the heights of all fields again.
+        poses: Also write where each field lies, with uncertainties, as CSV.
         scheduler: A dask cluster that does the work, tls://HOST:PORT.
         workers: Processes of this machine that do the work; 1 is this one alone. As many as pay by default.
     """
-    from wafer_viewer.session.offline import Hire, make_surface
+    from wafer_viewer.session.offline import Hire, make_surface, write_poses_of
 
     hire = Hire(scheduler, workers)
     with progress("Stitching") as tell:
         info = make_surface(dataset, recipe, result, again=again, tell=tell, warn=warn, hire=hire)
+    if poses is not None:
+        write_poses_of(dataset, result, poses)
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
 
 

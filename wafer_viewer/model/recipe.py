@@ -138,6 +138,10 @@ class Recipe(Spec, frozen=True, kw_only=True):
         """Whether any choice is left to the data on the way to the heights of a field."""
         return replace(self, stitching=_STAGE_ONLY).has_auto
 
+    def makes_heights_of(self, other: Recipe) -> bool:
+        """Whether it makes the same heights of a field as another; they may be stitched differently."""
+        return replace(self, stitching=_STAGE_ONLY) == replace(other, stitching=_STAGE_ONLY)
+
 
 _STAGE_ONLY = Stitching(search_um=1.0, stage_error_um=1.0, z_error_um=1.0, tilt_error=1.0)
 """Nothing in it is left to the data."""

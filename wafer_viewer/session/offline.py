@@ -24,6 +24,7 @@ from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
 from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.npz import read_npz
+from wafer_viewer.store.poses import write_poses_csv
 
 Tell = Callable[[float], None]
 Warn = Callable[[str], None]
@@ -97,6 +98,13 @@ def make_surface(
         lock.release()
 
 
+def write_poses_of(path: Path, result: str, out: Path) -> None:
+    """Write where the fields of a stitched surface lie, as CSV. Raises DatasetError when they were not stitched."""
+    if (poses := Dataset.open(path).result(result).poses()) is None:
+        raise DatasetError(f"{path.name} has no stitched surface {result!r}: stitch it first.")
+    write_poses_csv(poses, out)
+
+
 def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic, bool]:
     """The surface of a dataset (0: the mosaic) or of a file, and whether its calibration holds today."""
     if not is_dataset(src):
@@ -142,7 +150,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
     kept, complete = data.result(result), sorted(data.complete_fields())
     if not complete:
         raise DatasetError(f"{data.path.name} has no field with all its frames yet: go on with its scan.")
-    same = kept.exists and kept.surfaces_done(data.fields) and kept.recipe() == recipe
+    same = kept.exists and kept.surfaces_done(data.fields) and recipe.makes_heights_of(kept.recipe())
     kept.save_recipe(recipe)
     done = kept.surfaces_done(data.fields) if same and not again else set[int]()
     return [number for number in complete if number not in done]

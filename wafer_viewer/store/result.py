@@ -51,8 +51,8 @@ class Result:
         return decode(self._text(RECIPE), Recipe, str(self.path / RECIPE), "json")
 
     def save_recipe(self, recipe: Recipe) -> None:
-        """Keep the recipe; what another one was settled to is forgotten."""
-        if (self.path / RECIPE).exists() and self.recipe() != recipe:
+        """Keep the recipe; what one that makes other heights was settled to is forgotten."""
+        if (self.path / RECIPE).exists() and not recipe.makes_heights_of(self.recipe()):
             (self.path / SETTLED).unlink(missing_ok=True)
         self._save(RECIPE, recipe)
 
