@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.reconstruct.blend import blend_window
 from wafer_viewer.reconstruct.pieces import pieces
 from wafer_viewer.reconstruct.place import Layout, layout
 
@@ -81,3 +82,9 @@ def test_whoever_lies_between_the_pixels_covers_those_within(make_map: MakeMap) 
     laid = placed(make_map, (0, 0), (0.4, 64.7))
     assert laid.window_of(1) == (slice(1, ROWS), slice(65, 64 + COLS))
     assert laid.window_of(0) == (slice(0, ROWS), slice(0, COLS))
+
+
+def test_a_line_of_pixels_between_two_of_the_mosaic_is_not_seen(make_map: MakeMap) -> None:
+    maps = [make_map(np.zeros((ROWS, COLS))), make_map(np.zeros((1, COLS)), 1.0, -2.2)]
+    assert layout(maps).touching(slice(0, 10), slice(0, 10)) == [0, 1]
+    assert blend_window(maps, slice(0, ROWS), slice(0, COLS)).measured.all()

@@ -15,6 +15,8 @@ from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 _MEASURED = 0
 _NOT_COVERED = 10
+_LEAST_TRUST, _LEAST_SHARE = np.float32(1e-4), np.float32(0.01)
+"""What a height without any confidence, and one without any neighbour, still counts."""
 
 
 class Blended(NamedTuple):
@@ -121,13 +123,13 @@ def _count_near(a: Float32s, b: Float32s, c: Float32s, limit: Real, out: Float32
         beside = np.float32(abs(b[x] - z) <= limit) + np.float32(abs(b[x + 2] - z) <= limit)
         under = np.float32(abs(c[x] - z) <= limit) + np.float32(abs(c[x + 1] - z) <= limit)
         corners = np.float32(abs(a[x + 2] - z) <= limit) + np.float32(abs(c[x + 2] - z) <= limit)
-        out[x] = np.float32(0.125) * (over + beside + under + corners) + np.float32(0.01)
+        out[x] = np.float32(0.125) * (over + beside + under + corners) + _LEAST_SHARE
 
 
 @lean_part
 def _trust(confidence: Float32s, belief: Float32s) -> None:
     for x in range(belief.size):
-        belief[x] *= confidence[x] * confidence[x] + np.float32(1e-4)
+        belief[x] *= confidence[x] * confidence[x] + _LEAST_TRUST
 
 
 @lean_part

@@ -25,6 +25,8 @@ MAX_STEP_FRAMES = 2.0
 """Neighbouring heights that differ by over two frames of the sweep are two surfaces: there is nothing between them."""
 LEAST_WEIGHT = 1e-6
 """A border pixel counts almost nothing beside a neighbour, and fully where the neighbour saw nothing."""
+FADE_SHARE = 0.3
+"""Of an overlap: long enough that no line is seen, and the shorter the smaller are the errors."""
 
 Weights = NDArray[np.float64]
 Float32s = NDArray[np.float32]
@@ -41,8 +43,8 @@ def _smooth(share: Weights) -> Weights:
 
 
 def _soon_smooth(share: Weights) -> Weights:
-    """Over three tenths of the overlap: in the rest of it both fields count, and errors average out."""
-    return _smooth(np.minimum(share / 0.3, 1))
+    """Over a part of the overlap: in the rest of it both fields count fully, and errors average out."""
+    return _smooth(np.minimum(share / FADE_SHARE, 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,9 +193,9 @@ def fixed(layer: NDArray[Any]) -> NDArray[Any]:
 
 
 def _laid(items: Sequence[Any], layout: Layout, rows: slice, cols: slice, blend: Blend) -> list[tuple[Any, Laid]]:
-    """What touches a window, each with how it lies."""
+    """What touches a window, each with how it lies; a line of pixels between two of the mosaic's covers none."""
     touching = ((n, layout.place(n)) for n in layout.touching(rows, cols))
-    return [(items[n], Laid.of(place, blend)) for n, place in touching if place is not None]
+    return [(items[n], Laid.of(place, blend)) for n, place in touching if place is not None and place.covers_any]
 
 
 def _leaning(place: Place, up: Weights, right: Weights) -> Leaning:

@@ -72,6 +72,11 @@ class Place:
             slice(math.ceil(self.col), math.floor(self.col + self.cols - 1) + 1),
         )
 
+    @property
+    def covers_any(self) -> bool:
+        """Whether it covers any of them."""
+        return all(run.start < run.stop for run in self.part)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
