@@ -73,6 +73,9 @@ def test_many_doubted_overlaps_unfold_and_the_rest_is_counted():
 def test_what_a_person_should_look_at_is_said_in_sentences():
     asks = dataclasses.replace(FOUND, left_out=(7,), n_groups=3, notes=("Field 2 moved by 4 um <b>",))
     said = words.cautions(asks)
+    assert (
+        text(words.cautions(dataclasses.replace(asks, notes=("Field 7 fits if it is turned",)))).count("Field 7") == 1
+    )
     assert "attention" in said
     assert "<b>" not in said
     for phrase in ("Field 7 is left out: it fits none", "3 islands", "Field 2 moved by 4 µm"):

@@ -146,7 +146,13 @@ def _said(data: OpenDataset | None, info: SurfaceInfo | None, unfolded: set[str]
     said += f"<div>{html.safe(lead + words.how(settled))}</div>"
     if values and "values" in unfolded:
         said += f'<div class="wv-chosen"><div class="wv-lab">Chosen from the data</div>{html.pairs(values)}</div>'
-    return said + words.notes(info.recipe_notes if info else ())
+    return said + words.notes(_noted(info) if info else ())
+
+
+def _noted(info: SurfaceInfo) -> list[str]:
+    """What was noted, but for what stands with the stitching."""
+    elsewhere = info.stitching.notes if info.stitching is not None else ()
+    return [note for note in info.recipe_notes if note not in elsewhere]
 
 
 def _link(part: str, name: str, unfolded: set[str]) -> str:

@@ -59,21 +59,21 @@ def chosen_by_data(asked: Recipe, settled: Recipe) -> list[tuple[str, str]]:
     return [(name, told(settled)) for name, get, told in _LEFT_TO_DATA if get(asked) == "auto" != get(settled)]
 
 
-def notes(sentences: Iterable[str]) -> str:
-    """What the reconstruction noted, each kind once: what differs by its numbers alone unfolds."""
+def notes(sentences: Iterable[str], sign: Any = viser.Icon.INFO_CIRCLE, tone: str = "") -> str:
+    """What was noted, each kind once: what differs by its numbers alone unfolds. `tone`: '' or 'attention'."""
     kinds: dict[str, list[str]] = {}
     for sentence in sentences:
         kinds.setdefault(re.sub(r"\d[\d.]*", "0", sentence), []).append(sentence)
-    said = "".join(_kind(alike) for alike in kinds.values())
-    return said and f'<div class="wv-notes">{said}</div>'
+    said = "".join(_kind(alike, sign) for alike in kinds.values())
+    return said and f'<div class="wv-notes {tone}">{said}</div>'
 
 
-def _kind(alike: list[str]) -> str:
+def _kind(alike: list[str], sign: Any) -> str:
     first, *others = (html.safe(_sentence(text)) for text in alike)
     if others:
         more = "".join(f"<p>{other}</p>" for other in others)
         first = f"<details><summary>{first} <u>{len(others)} more like it</u></summary>{more}</details>"
-    return f"<div>{html.icon(viser.Icon.INFO_CIRCLE, 15)}<div>{first}</div></div>"
+    return f"<div>{html.icon(sign, 15)}<div>{first}</div></div>"
 
 
 def _sentence(text: str) -> str:

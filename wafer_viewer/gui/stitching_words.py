@@ -7,6 +7,7 @@ import viser
 
 from wafer_viewer.draw.numbers import THIN, digits_of_u, number, with_unit
 from wafer_viewer.gui import html
+from wafer_viewer.gui.recipe_words import notes
 from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
 from wafer_viewer.session.state import StitchingInfo
 
@@ -50,19 +51,16 @@ def details(info: StitchingInfo) -> str:
 
 
 def cautions(info: StitchingInfo) -> str:
-    """What a person should look at, in the colour of attention."""
-    said: list[str] = []
-    if info.left_out:
-        said.append(f"{_left_out(info.left_out)} Look at the frames, or take them again.")
+    """What a person should look at, in the colour of attention; what was noted of a field says more than its number."""
+    noted = " ".join(info.notes)
+    unsaid = tuple(n for n in info.left_out if f"ield {n} " not in noted)
+    said = [_left_out(unsaid)] if unsaid else []
     if info.n_groups > 1:
         said.append(
             f"The fields fall into {info.n_groups} islands: no overlap joins them, so between islands "
             "places and heights are the stage's."
         )
-    said += [html.micro(note).rstrip(".") + "." for note in info.notes]
-    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 15)
-    lines = "".join(f"<div>{sign}<div>{html.safe(text)}</div></div>" for text in said)
-    return lines and f'<div class="wv-notes attention">{lines}</div>'
+    return notes((*said, *info.notes), viser.Icon.ALERT_TRIANGLE, "attention")
 
 
 def doubted(poses: Poses, pixel_um: float) -> str:
@@ -105,10 +103,10 @@ def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> str:
 
 def _left_out(fields: tuple[int, ...]) -> str:
     if len(fields) == 1:
-        return f"Field {fields[0]} is left out: it fits none of its neighbours."
+        return f"Field {fields[0]} is left out: it fits none of its neighbours. Look at its frames, or take it again."
     named, more = [str(n) for n in fields[:NAMED]], len(fields) - NAMED
     names = f"{', '.join(named)} and {more} more" if more > 0 else f"{', '.join(named[:-1])} and {named[-1]}"
-    return f"Fields {names} are left out: they fit none of their neighbours."
+    return f"Fields {names} are left out: they fit none of their neighbours. Look at their frames, or take them again."
 
 
 def _length(value_um: float) -> str:
