@@ -11,6 +11,9 @@ FORM_TERMS = ("height", "tilt along x", "tilt along y", "bow", "twist", "saddle"
 _UNKNOWN_UM = 1e4
 """More than this is said to be infinite: a single row tells nothing of its tilt across."""
 
+_RIDGE = 1e-12
+"""Of the diagonal: terms that look alike where fields lie are told apart by rounding errors otherwise."""
+
 Arms = tuple[Numbers, Numbers]
 
 
@@ -46,6 +49,8 @@ def uncertainty_of_form(
     along_y = np.column_stack((zero, zero, one, 2 * y, 2 * x, -2 * y, zero, -one)) / rim_um
     told = height.T @ height / z_error_um**2 + (along_x.T @ along_x + along_y.T @ along_y) / tilt_error**2
     before = np.array([10 * _UNKNOWN_UM] * 6 + [lean * rim_um] * 2)
-    covariance = np.linalg.inv(told + np.diag(before**-2.0))
+    told += np.diag(before**-2.0)
+    scale = 1 / np.sqrt(np.diag(told))
+    covariance = scale[:, None] * np.linalg.inv(told * scale[:, None] * scale + _RIDGE * np.eye(8)) * scale
     u_um = 2 * np.sqrt(np.diag(covariance)[:6])
     return tuple(float(u) if u < _UNKNOWN_UM else float("inf") for u in u_um)

@@ -145,7 +145,8 @@ def _network(
 def _floored(seams: Seams) -> Numbers:
     """What seams tell, [e, 3, 3], once the least error of any comparison is added to their covariances."""
     floor = np.diag(np.array([_FLOOR_UM, _FLOOR_SLOPE, _FLOOR_SLOPE]) ** 2)
-    information = np.where(np.isfinite(seams.z_um)[:, None, None], seams.information, 0.0)
+    told = np.isfinite(seams.z_um) & np.isfinite(seams.mid_x_um) & np.isfinite(seams.mid_y_um)
+    information = np.where(told[:, None, None], seams.information, 0.0)
     floored = np.linalg.solve(np.eye(3) + information @ floor, information)
     return (floored + np.swapaxes(floored, 1, 2)) / 2
 
