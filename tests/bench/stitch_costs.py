@@ -37,6 +37,7 @@ from wafer_viewer.reconstruct.stitch import Eyes, find_poses
 from wafer_viewer.store.mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")
+STORE = "blend, pyramid and store"
 THREADS, WINDOW_PX, LOOK_S = 2, 1024, 0.004
 T = TypeVar("T")
 
@@ -103,6 +104,7 @@ def found_poses(made: Made, meter: Meter | None = None) -> Poses:
     eyes = Eyes(
         lambda pairs: meter("registration", lambda: register(made.heights, pairs, threads=THREADS)),
         lambda pairs, x_um, y_um: meter("seams", lambda: compare(made.heights, pairs, x_um, y_um, threads=THREADS)),
+        made.heights.__getitem__,
     )
     numbers, marks = [f.number for f in made.fields], np.zeros(len(made.fields), np.int64)
     poses = meter("poses", lambda: find_poses(made.heights, numbers, marks, REGISTERED, eyes))
@@ -125,7 +127,7 @@ def stitched(made: Made, meter: Meter, folder: Path) -> None:
     poses = found_poses(made, meter)
     mosaic = meter("places", lambda: mosaic_of(made.heights, poses, "confidence"))
     meter("blend", lambda: blended(mosaic))
-    meter("blend, pyramid and store", lambda: write_mosaic(folder / "mosaic.zarr", mosaic, threads=THREADS))
+    meter(STORE, lambda: write_mosaic(folder / "mosaic.zarr", mosaic, threads=THREADS))
 
 
 def blended(mosaic: StitchedMosaic) -> None:

@@ -96,9 +96,11 @@ def strewn(shape: tuple[int, int], n: int) -> list[tuple[slice, slice]]:
 
 def seam_steps_um(made: Made, poses: Poses) -> Numbers:
     """What is left between neighbours, as anybody would look: the median over each overlap of the heights of one minus
-    those of the other, both where the poses have them, um (absolute); without fields that were left out."""
+    those of the other, both where the poses have them, um (absolute); without fields that were left out
+    and overlaps without a height."""
     edges = [(a, b) for a, b in made.known.grid.edges.tolist() if not (poses.left_out[a] or poses.left_out[b])]
-    return np.array([abs(_step_um(made.heights, poses, a, b)) for a, b in edges])
+    steps = np.array([abs(_step_um(made.heights, poses, a, b)) for a, b in edges])
+    return steps[np.isfinite(steps)]
 
 
 def _step_um(heights: Sequence[HeightMap], poses: Poses, a: int, b: int) -> float:
@@ -106,7 +108,8 @@ def _step_um(heights: Sequence[HeightMap], poses: Poses, a: int, b: int) -> floa
     right, down = (poses.x_um[b] - poses.x_um[a]) / PIXEL_UM, (poses.y_um[a] - poses.y_um[b]) / PIXEL_UM
     rows, cols = _shared(first.shape[0], down), _shared(first.shape[1], right)
     other = _between(second, rows[1], cols[1], down % 1, right % 1)
-    return float(np.nanmedian(other - first[rows[0], cols[0]]))
+    step = other - first[rows[0], cols[0]]
+    return float(np.median(step[np.isfinite(step)])) if np.isfinite(step).any() else float("nan")
 
 
 def _levelled(height: HeightMap, poses: Poses, n: int) -> Numbers:
