@@ -155,7 +155,7 @@ class Library:
         """A stitched surface is there, or more of it."""
         self._show(results=self.dataset.results())
         stamped, before = replace(info, stamp=next(self._stamps)), self._desk.now.surface
-        if before is not None and info.changed:
+        if info.changed:
             stamped = with_change(stamped, before, info.changed[-1][1])
         self._desk.change(surface=stamped)
 
