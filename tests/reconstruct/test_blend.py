@@ -20,7 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
 from wafer_viewer.reconstruct.overlay import BLENDS
-from wafer_viewer.reconstruct.place import layout, planned_lattice
+from wafer_viewer.reconstruct.place import MARGIN_PX, layout, planned_lattice
 
 MakeMap = Callable[..., HeightMap]
 ROWS, COLS, STEP_R, STEP_C = 60, 80, 48, 64
@@ -97,7 +97,7 @@ def test_weights_add_up_to_one_wherever_the_fields_lie(
     np.testing.assert_allclose(whole.z_um[covered], _plane(whole)[covered], atol=1e-4)
     assert (whole.origin[~covered] == Origin.NOT_COVERED).all()
     assert np.isnan(whole.z_um[~covered]).all()
-    assert covered.mean() > 0.8
+    assert covered.mean() > 0.75
 
 
 def test_a_mosaic_of_one_map_is_that_map(make_map: MakeMap) -> None:
@@ -278,8 +278,8 @@ def test_a_field_that_is_left_out_is_not_there(grid_of_maps: Any) -> None:
 def test_a_planned_lattice_has_room_and_does_not_move(grid_of_maps: Any) -> None:
     maps = grid_of_maps(2, 2)
     lattice = planned_lattice(maps)
-    assert lattice.shape == (ROWS + STEP_R + 32, COLS + STEP_C + 32)
-    away = solved(maps[:3], x_um=solved(maps[:3]).x_um - 7.0)
+    assert lattice.shape == (ROWS + STEP_R + 2 * MARGIN_PX, COLS + STEP_C + 2 * MARGIN_PX)
+    away = solved(maps[:3], x_um=solved(maps[:3]).x_um - 15.0)
     placed = layout(maps[:3], away, lattice)
     assert placed.lattice == lattice
     whole = StitchedMosaic(maps[:3], placed, maps[0].provenance).window()

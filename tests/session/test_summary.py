@@ -52,6 +52,11 @@ def test_a_surface_without_any_height_is_summarised_as_well():
     assert info.overlap_rms_um is None
 
 
+def test_what_no_field_covers_is_nobodys_loss():
+    islands = summarise(stitch([flat(1.0), flat(2.0, x0_um=500.0)], recipe=Recipe.paper()).window(), 2, "default")
+    assert (islands.measured_fraction, islands.unmeasured) == (1.0, ())
+
+
 @pytest.mark.parametrize(("dx", "dy"), [(25.0, 0.0), (-25.0, 5.0), (0.0, 15.0), (10.0, -10.0)])
 def test_the_misfit_of_neighbours_is_found_where_they_overlap(dx, dy):
     assert misfit_of(flat(1.0), flat(1.25, x0_um=dx, y0_um=dy)) == pytest.approx(0.25)

@@ -17,7 +17,7 @@ from wafer_viewer.reconstruct.ramps import BOTTOM, LEFT, RIGHT, TOP, Lengths, ra
 
 SNAP_PX = 1e-3
 """A field within a thousandth of a pixel of the mosaic's lattice lies on it: nothing is gained by resampling."""
-MARGIN_PX = 16
+MARGIN_PX = 32
 """Room round the planned fields: those that come later or turn out to lie elsewhere still fit in."""
 SAME_PIXEL_FRACTION = 1e-6
 

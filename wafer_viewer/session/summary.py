@@ -26,11 +26,12 @@ HALF_NORMAL_MEDIAN = 0.6745
 def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None = None) -> SurfaceInfo:
     """How a mosaic of some fields, made by the recipe `asked`, looks: from the facts that are kept beside it.
 
-    Of a surface in memory they are found now.
+    Of a surface in memory they are found now. Fractions are of the pixels that fields cover: what lies round a round
+    wafer is nobody's loss.
     """
     rows, cols = mosaic.shape
-    pixels = rows * cols
     facts = mosaic.facts() if isinstance(mosaic, ZarrMosaic) else _facts_of(mosaic.window())
+    covered = max(1, int(facts.counts.sum() - facts.counts[Origin.NOT_COVERED]))
     low_um, high_um = _colour_range(facts.heights_um)
     return SurfaceInfo(
         result=result,
@@ -44,9 +45,9 @@ def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None =
         n_fields=n_fields,
         highest_um=facts.highest_um if facts.has_heights else 0.0,
         lowest_um=facts.lowest_um if facts.has_heights else 0.0,
-        measured_fraction=float(facts.counts[Origin.MEASURED]) / pixels,
-        filled_fraction=float(facts.counts[Origin.FILLED]) / pixels,
-        unmeasured=_reasons(facts.counts),
+        measured_fraction=float(facts.counts[Origin.MEASURED]) / covered,
+        filled_fraction=float(facts.counts[Origin.FILLED]) / covered,
+        unmeasured=_reasons(facts.counts, covered),
         overlap_rms_um=_rms_um(facts.overlaps_um),
         low_um=low_um,
         high_um=high_um,
@@ -93,7 +94,7 @@ def _colour_range(heights_um: NDArray[np.float32]) -> tuple[float, float]:
     return float(low_um), float(high_um)
 
 
-def _reasons(counts: NDArray[np.int64]) -> tuple[tuple[str, float], ...]:
-    """Why pixels are unmeasured, the most frequent reason first."""
-    reasons = [(ORIGIN_TITLES[o], float(counts[o]) / float(counts.sum())) for o in Origin if o >= UNMEASURED_FROM]
-    return tuple(sorted(((title, share) for title, share in reasons if share > 0), key=lambda r: -r[1]))
+def _reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
+    """Why covered pixels are unmeasured, the most frequent reason first."""
+    codes = [o for o in Origin if o >= UNMEASURED_FROM and o != Origin.NOT_COVERED and counts[o] > 0]
+    return tuple((ORIGIN_TITLES[o], float(counts[o]) / covered) for o in sorted(codes, key=lambda o: -int(counts[o])))
