@@ -30,7 +30,7 @@ def two(off: tuple[float, float], noise: float, noise_blur: float = 0.0, seed: i
         dirt = gaussian_filter(rng.normal(size=SHAPE), noise_blur)
         return (of / texture.std())[10:-10, 10:-10] + noise * dirt / dirt.std()
 
-    return picture(seen(texture)), picture(1.4 * seen(moved) - 3)
+    return picture(seen(texture), noise=noise), picture(1.4 * seen(moved) - 3, noise=1.4 * noise)
 
 
 @pytest.mark.parametrize("part", [-0.5, -0.2, 0.0, 0.37, 0.5])
@@ -80,6 +80,13 @@ def test_the_uncertainty_is_that_of_the_errors(noise, noise_blur):
 def test_noise_does_not_pull_to_the_middle_between_pixels():
     errors = [np.array(align(*two((0.25, 0.25), 1.0, 0.0, seed), (0.0, 0.0), 20).lag) - 0.25 for seed in range(60)]
     assert np.abs(np.mean(errors)) < 0.005
+
+
+def test_along_lines_nothing_is_known():
+    rng = np.random.default_rng(0)
+    lines = np.tile(np.sin(np.arange(SHAPE[1]) / 2), (SHAPE[0], 1))
+    found = align(*(picture(lines + rng.normal(0, 0.1, SHAPE)) for _ in range(2)), (0.0, 0.0), 20)
+    assert not np.sqrt(found.covariance[0, 0]) < 0.3
 
 
 def test_pixels_that_are_not_known_count_nothing():

@@ -100,6 +100,15 @@ def test_what_repeats_is_ambiguous(sample):
     assert register_pair(*pair(lines, BESIDE, (1.5, 2.5))).doubt is Doubt.AMBIGUOUS
 
 
+@pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
+@pytest.mark.parametrize("noise_counts", [0.0, 2.0])
+def test_lines_in_one_direction_are_ambiguous(sample, beside, noise_counts):
+    cols = np.arange(520) / 6
+    lines = 110 + 40 * np.clip(8 * (np.sin(cols) + np.sin(cols * 2.3)), -1, 1)
+    striped = Sample(np.tile(lines, (460, 1)), sample.z_um)
+    assert register_pair(*pair(striped, beside, (2.0, 3.5), noise_counts=noise_counts)).doubt is Doubt.AMBIGUOUS
+
+
 def test_further_than_the_reach_is_not_believed(sample):
     found = register_pair(*pair(sample, BESIDE, (3.0, -20.0)), reach_px=12)
     assert found.doubt in (Doubt.END_OF_SEARCH, Doubt.UNLIKE)

@@ -26,6 +26,8 @@ LEAST_AGREEING = 0.5
 """Half of the contrast must lie where the two agree: content that is turned agrees round one spot only."""
 MOST_BENT_PX, SURELY_BENT = 1.0, 6.0
 """Ends of an overlap that want to be so much further than its middle, so surely, tell of content that is turned."""
+MOST_U_PX = 0.5
+"""Along lines nothing holds a field: what is left of its certainty is that of noise on noise."""
 LEAST_U_PX = 0.01
 """What the form of the pixels and the optics add, that no residual shows."""
 
@@ -112,7 +114,7 @@ def _refined(one: Picture, other: Picture, lags: list[Lag], factor: int, side: i
     fits: list[Alignment] = []
     for f in _FACTORS[_FACTORS.index(factor) :]:
         levels = shrunk(one, f), shrunk(other, f)
-        fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f)), f) for r, c in lags]
+        fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
         near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
         fits = _with_rivals(near, 1.5 * factor)
         lags = [fit.lag for fit in fits]
@@ -161,9 +163,10 @@ def _judged(fits: list[Alignment], by_chance: bool, window: Window, reach_px: fl
 def _doubt(fits: list[Alignment], by_chance: bool, beyond: bool) -> Doubt:
     best = fits[0]
     turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
-    if turned or best.agreeing < LEAST_AGREEING or not np.isfinite(best.covariance).all():
+    if turned or best.agreeing < LEAST_AGREEING:
         return Doubt.UNLIKE
-    if len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
+    held = best.covariance.max() < MOST_U_PX**2
+    if not held or len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
         return Doubt.AMBIGUOUS
     return Doubt.END_OF_SEARCH if beyond else Doubt.NONE
 

@@ -20,6 +20,7 @@ _NOT_SEEN = (Origin.NOT_COVERED, Origin.TOO_FEW_FRAMES)
 _FOCUS_NOISE = 1e3
 """Heights share their errors over a focus window, they do not differ from pixel to pixel: contrast alone counts."""
 _AROUND_PX = 31
+_ENOUGH = 20000
 _STEEPEST = 6.0
 
 
@@ -91,8 +92,9 @@ def _noise(plane: NDArray[np.float32]) -> float:
 
     Source: J. Immerkaer, Fast noise variance estimation, Comput. Vis. Image Underst. 64 (1996) 300; here by a median.
     """
-    some = plane[: len(plane) // 3 * 3]
-    down = some[::3] - 2 * some[1::3] + some[2::3]
+    stride = max(3, plane.size // _ENOUGH)
+    some = plane[: len(plane) - 2 : stride], plane[1 : len(plane) - 1 : stride], plane[2::stride]
+    down = some[0] - 2 * some[1] + some[2]
     curved = down[:, 2:] - 2 * down[:, 1:-1] + down[:, :-2]
     return float(np.median(np.abs(curved))) / (0.6745 * 6) if curved.size else 0.0
 
@@ -119,6 +121,9 @@ def shrunk(picture: Picture, factor: int) -> Picture:
     """The mean of the known ones of factor x factor pixels; known where at least half of them are."""
     if factor == 1:
         return picture
+    if picture.known.all():
+        total = _summed(picture.values, factor) * np.float32(factor**-2)
+        return Picture(total, np.ones_like(total), picture.noise / factor)
     total, known = _summed(picture.values * picture.known, factor), _summed(picture.known, factor)
     mean = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
     return Picture(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
