@@ -15,7 +15,7 @@ from wafer_viewer.reconstruct.network import Network, pull
 from wafer_viewer.reconstruct.settle import Settled
 
 _SAMPLES = 48
-_AT_ONCE = 8
+_AT_ONCE = 4
 _COLUMNS = 256
 _TOLERANCE = 1e-2
 

@@ -1,0 +1,77 @@
+"""How long it takes to place very many fields, how well they are placed, and in how much memory.
+
+    python tests/bench/bench_poses.py [--quick]
+
+Fields lie on a full circle; their overlaps are simulated (10 % of them blank, 3 % wrong; 3 % of the seams wrong; a
+turned camera that leans and bends every field). The full run goes up to 1 000 000 fields, a 300 mm wafer, each size in
+a process of its own; --quick ends at 10 000. Seconds are those of the processor: one core's work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.truth.overlaps import FIELD_UM, PIXEL_UM, seams_of, shifts_of, wafer
+from wafer_viewer.reconstruct.poses import solve_heights, solve_positions
+
+SIZES = (1_000, 10_000, 100_000, 1_000_000)
+HEADER = (
+    f"{'fields':>9} {'overlaps':>9} | {'x, y s':>8} {'rms px':>7} {'far off':>8} {'u px':>6} | "
+    f"{'z s':>8} {'rms um':>7} {'far off':>8} {'u um':>6} | {'all s':>8} {'peak MB':>8}"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How long it takes to place very many fields.")
+    parser.add_argument("--quick", action="store_true", help="up to 10 000 fields, under a minute")
+    parser.add_argument("--size", type=int, help="one size only, in this process")
+    wanted = parser.parse_args()
+    if wanted.size:
+        print(measured(wanted.size), flush=True)
+        return
+    print(HEADER, flush=True)
+    for size in SIZES[:2] if wanted.quick else SIZES:
+        subprocess.run([sys.executable, __file__, "--size", str(size)], check=True)
+
+
+def measured(size: int) -> str:
+    """A row of the table."""
+    fields = wafer(size)
+    shifts, true = shifts_of(fields, np.random.default_rng(size), wrong=0.03, blank=0.1, turn=1e-3)
+    begun = time.process_time()
+    found = solve_positions(fields.x_um, fields.y_um, shifts, PIXEL_UM)
+    xy_s = time.process_time() - begun
+    off_px = np.column_stack((found.x_um, found.y_um)) - true
+    off_px = np.hypot(*(off_px - np.median(off_px, axis=0)).T) / PIXEL_UM
+
+    seams, poses = seams_of(fields, np.random.default_rng(size), wrong=0.03, sag_um=(0.05, 0.0, 0.05), lean=(1e-3, 0.0))
+    begun = time.process_time()
+    levels = solve_heights(
+        fields.x_um, fields.y_um, seams, z_error_um="auto", tilt_error="auto", field_size_um=FIELD_UM
+    )
+    z_s = time.process_time() - begun
+    off_um = np.abs(levels.z_um - poses[:, 0])
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return (
+        f"{len(fields.x_um):9d} {len(fields.pairs):9d} | "
+        f"{xy_s:8.2f} {_rms(off_px[off_px < 1]):7.3f} {np.sum(off_px >= 1):8d} {found.u_x_um.mean() / PIXEL_UM:6.3f} | "
+        f"{z_s:8.2f} {_rms(off_um[off_um < 0.5]):7.3f} {np.sum(off_um >= 0.5):8d} {levels.u_z_um.mean():6.3f} | "
+        f"{xy_s + z_s:8.2f} {peak_mb:8.0f}"
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+if __name__ == "__main__":
+    main()
