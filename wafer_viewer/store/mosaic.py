@@ -133,10 +133,10 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
     whole: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
+    below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
     for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
-        layers = _drawn(stored, source, rows, cols) if patch.level == 1 else stored.layers(patch.level - 1, rows, cols)
         top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
-        for name, half in halve(layers).items():
+        for name, half in halve(below(rows, cols)).items():
             whole[name][top : top + half.shape[0], left : left + half.shape[1]] = half
     _write_layers(stored, patch.level, patch.top, patch.left, whole)
 
@@ -168,6 +168,7 @@ def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Laye
     x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
     part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
     layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
+    layers.setdefault("overlap_um", np.full(part.shape, np.nan, np.float32))
     _write_layers(stored, 0, rows.start, cols.start, layers)
     with writing(stored.path):
         keep_facts(stored.path, stored.shape, rows.start, cols.start, layers)
