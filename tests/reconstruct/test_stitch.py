@@ -12,6 +12,7 @@ from tests.truth.field_grid import PIXEL_UM, SMALL, make
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.poses import Doubt
 from wafer_viewer.model.recipe import Recipe, Stitching
+from wafer_viewer.model.surface import Provenance
 
 
 @pytest.fixture(scope="module")
@@ -97,6 +98,13 @@ def test_a_wrong_pixel_size_is_refused(made):
     wrong = [_with_pixel(h, f, 1.08 * PIXEL_UM) for h, f in zip(made.heights, made.fields, strict=True)]
     with pytest.raises(ComputeError, match=r"a pixel is 0\.46.* um, not 0\.50467 um"):
         wv.stitch(wrong, made.fields)
+
+
+def test_fields_of_two_scans_are_told_apart(made):
+    real = dataclasses.replace(made.heights[1], provenance=Provenance())
+    notes = " ".join(wv.stitch([made.heights[0], real]).provenance.notes)
+    assert "1 of the 2 fields are simulated" in notes
+    assert "in steps of 0, 4 um" in notes
 
 
 def test_pixel_sizes_do_not_mix(made):

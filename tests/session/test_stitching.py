@@ -47,7 +47,7 @@ def test_a_mosaic_from_nothing_shows_every_field_where_it_truly_lies(dataset, ma
     assert mosaic.overlap_um is not None
     assert np.isfinite(mosaic.overlap_um).any()
     bring_up_to_date(dataset, RESULT, Recipe(stitching=Stitching(poses="stage", blend="ramp")))
-    assert _scatter_um(mosaic, made) < 0.6 * _scatter_um(kept.mosaic().window(), made)
+    assert _scatter_um(mosaic, made) < 0.75 * _scatter_um(kept.mosaic().window(), made)
 
 
 def test_hands_make_no_difference(dataset, made, tmp_path):

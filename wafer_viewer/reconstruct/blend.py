@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from wafer_viewer import __version__
@@ -151,5 +151,17 @@ def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance
         software_version=__version__,
         input_checksum=first.input_checksum if len(parts) == 1 else joint,
         simulated=any(p.simulated for p in parts),
-        notes=tuple(dict.fromkeys(note for p in parts for note in p.notes)),
+        notes=(*dict.fromkeys(note for p in parts for note in p.notes), *_mixture(parts)),
     )
+
+
+def _mixture(parts: Sequence[Provenance]) -> Iterator[str]:
+    """A sentence for each way in which fields are not of one kind, as those of one scan are."""
+    simulated = sum(p.simulated for p in parts)
+    if 0 < simulated < len(parts):
+        yield f"{simulated} of the {len(parts)} fields are simulated and the others are not: stitch fields of one scan."
+    if any(p.calibration != parts[0].calibration for p in parts):
+        yield "The fields were taken with different calibrations: stitch fields of one scan; lengths are uncalibrated."
+    if len({p.z_step_um for p in parts}) > 1:
+        steps_um = ", ".join(f"{step_um:g}" for step_um in sorted({p.z_step_um for p in parts}))
+        yield f"The fields were taken in steps of {steps_um} um: they are of different scans."

@@ -1,0 +1,33 @@
+"""The stitched surface grows while its fields are taken, and is solved for as a whole at the end."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+
+def test_the_surface_grows_during_a_scan_and_is_whole_afterwards(session, job, surfaced, patience_s):
+    grown: list[tuple[int, bool]] = []
+
+    def listen(snapshot):
+        if snapshot.surface is not None and snapshot.dataset is not None and snapshot.dataset.name == "growing":
+            grown.append((snapshot.surface.n_fields, bool(snapshot.surface.changed)))
+
+    session.edit_job(job(cols=3, rows=3, n_frames=30)).result()
+    leave = session.subscribe(listen)
+    session.start_scan("growing").result(patience_s)
+    done = session.wait_until(surfaced, patience_s)
+    leave()
+
+    counts = [n for n, _ in grown]
+    assert counts[0] < 9
+    assert counts == sorted(counts)
+    assert counts[-1] == done.surface.n_fields == 9
+    assert any(changed for n, changed in grown if n > counts[0])  # a part was drawn, not the whole again
+    placed = done.surface.stitching
+    assert placed.n_overlaps >= 12
+    assert placed.n_believed > placed.n_overlaps / 2
+    poses = session.poses()
+    assert poses.numbers.tolist() == list(range(1, 10))
+    assert session.mosaic().window(level=1).overlap_um is not None
