@@ -23,8 +23,8 @@ _TUKEY_SQUARES = 0.6605
 """What the weighted squares of normal errors of deviation 1 come to, by weight."""
 _MAD = 1.4826
 _STEPS = 8
-_SAMPLES = 12000
-_N_SUMS = 7
+_SAMPLES = 5000
+_N_SUMS = 9
 _LEAST_BEND = 0.2
 _LEAST_SCALE = 1e-5
 _CLOSE = 1e-3
@@ -80,8 +80,8 @@ def _sample(differences: Float32s) -> Numbers:
 
 
 def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> Numbers:
-    """Sums over bands of about `side` rows of w, w row, w row^2, w r, w r row, (w r)^2 and the slope of w r, float64
-    [7, band, col], with weights w and what is left r."""
+    """Sums over bands of about `side` rows, float64 [9, band, col], of w, w row, w row^2, w r, w r row, (w r)^2, the same
+    times row and row^2, and the slope of w r, with weights w and what is left r."""
     n_rows, n_cols = differences.shape
     sums = np.zeros((max(1, n_rows // side), _N_SUMS, n_cols), np.float32)
     _add_bands(differences, plane.astype(np.float32), np.float32(1 / limit), np.empty((4, n_cols), np.float32), sums)
@@ -90,28 +90,34 @@ def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> N
 
 def _normal(sums: Numbers) -> tuple[Numbers, Numbers]:
     """Normal matrix and right side of (value, slope down, slope right)."""
-    w, wy, wyy, wr, wry = sums[:5].sum(axis=1)
+    _, _, _, wr, wry = sums[:5].sum(axis=1)
+    x = np.arange(len(wr), dtype=np.float64)
+    return _moments(*sums[:3]), np.array([wr.sum(), wry.sum(), wr @ x])
+
+
+def _moments(w: Numbers, wy: Numbers, wyy: Numbers) -> Numbers:
+    """Sums of the products of (1, row, col), weighted; all [band, col]."""
+    w, wy, wyy = w.sum(axis=0), wy.sum(axis=0), wyy.sum(axis=0)
     x = np.arange(len(w), dtype=np.float64)
     corner = float(wy @ x)
-    normal = [[w.sum(), wy.sum(), w @ x], [wy.sum(), wyy.sum(), corner], [w @ x, corner, w @ x**2]]
-    return np.array(normal), np.array([wr.sum(), wry.sum(), wr @ x])
+    return np.array([[w.sum(), wy.sum(), w @ x], [wy.sum(), wyy.sum(), corner], [w @ x, corner, w @ x**2]])
 
 
 def _judged(plane: Numbers, sums: Numbers, side: int) -> Plane | None:
     """The plane about its centroid, with what its residuals say of it (the sandwich of P. J. Huber, 1967)."""
-    normal, _ = _normal(sums)
+    normal = _moments(*sums[:3])
     weight = normal[0, 0]
     if not weight > 0:
         return None
     row0, col0 = normal[0, 1] / weight, normal[0, 2] / weight
-    squares = float(sums[5].sum())
-    about = normal - np.outer(normal[0], normal[0]) / weight
-    about[0, 0] = weight
-    bend = max(_LEAST_BEND, float(sums[6].sum()) / weight)
-    alike = _alike_pixels(sums[3], squares, side)
-    information = about * bend**2 * weight / max(alike * squares, weight * _LEAST_SCALE**2)
+    to_centroid = np.array([[1, 0, 0], [-row0, 1, 0], [-col0, 0, 1]])
+    squares = _moments(*sums[5:8])
+    scatter = to_centroid @ squares @ to_centroid.T * _alike_pixels(sums[3], float(squares[0, 0]), side)
+    about = to_centroid @ normal @ to_centroid.T * max(_LEAST_BEND, float(sums[8].sum()) / weight)
+    scatter += _LEAST_SCALE**2 * about
+    information: Numbers = about @ np.linalg.pinv(scatter, rcond=1e-14, hermitian=True) @ about
     value = float(plane[0] + plane[1] * row0 + plane[2] * col0)
-    rms = math.sqrt(squares / (weight * _TUKEY_SQUARES))
+    rms = math.sqrt(float(squares[0, 0]) / (weight * _TUKEY_SQUARES))
     return Plane(row0, col0, value, float(plane[1]), float(plane[2]), information, round(weight), rms)
 
 
@@ -147,7 +153,9 @@ def _add_bands(differences: Float32s, plane: Float32s, per_limit: Real, lines: F
         for x in range(pull.size):
             square[x] = pull[x] * pull[x]
         _add(square, np.float32(1), band[5])
-        _add(bend, np.float32(1), band[6])
+        _add(square, y, band[6])
+        _add(square, y * y, band[7])
+        _add(bend, np.float32(1), band[8])
 
 
 @lean_part

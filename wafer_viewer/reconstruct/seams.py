@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Seams
 from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.differences import differences
 from wafer_viewer.numerics.planes import Plane, fit_plane
 from wafer_viewer.reconstruct.overlay import MAX_STEP_FRAMES
 from wafer_viewer.reconstruct.parts import on_threads
 
-STEEP = 4.0
-"""Walls are where neighbours differ by four times as much as most of them do."""
+CELL_PX, STEEP = 4, 4.0
+"""Walls are where means of 4 x 4 pixels differ by four times as much as most of them do from their neighbours."""
 
-_USUAL, _EVERY = 0.7, 5
+_USUAL, _EVERY = 0.7, 4
 _BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 40, 8, 40
 """Blocks are wider than the windows of the focus measures, within which errors are alike."""
 
@@ -79,7 +80,9 @@ def compare_pair(
     if rows.length < 2 or cols.length < 2:
         return Seam()
     one, other = _part(first, rows.first, cols.first), _part(second, rows.second, cols.second)
-    left = differences(one, other, rows.part, cols.part, _steepest_um(other, second.provenance.z_step_um))
+    step_um = MAX_STEP_FRAMES * second.provenance.z_step_um or math.inf
+    left = differences(one, other, rows.part, cols.part, step_um)
+    left[_walls(one)] = np.nan
     plane = fit_plane(left, _block_side(left))
     return Seam() if plane is None else _seam(plane, corner, rows.first.start, cols.first.start, pixel_um)
 
@@ -115,13 +118,24 @@ def _part(height: HeightMap, rows: slice, cols: slice) -> NDArray[np.float32]:
     return np.array(height.z_raw_um[rows, cols], np.float32)
 
 
-def _steepest_um(z_um: NDArray[np.float32], z_step_um: float) -> float:
-    """How far neighbours may differ in height: on a wall, a hundredth of a pixel beside is a height of its own."""
-    apart = np.abs(z_um[::_EVERY, 1:] - z_um[::_EVERY, :-1])
-    apart = apart[apart == apart]
-    usual = float(np.quantile(apart, _USUAL)) if apart.size else 0.0
-    limits = [limit for limit in (MAX_STEP_FRAMES * z_step_um, STEEP * usual) if limit > 0]
-    return min(limits, default=math.inf)
+def _walls(z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Where heights change much more than elsewhere: on a wall, a tenth of a pixel beside is a height of its own.
+
+    Judged by means of some pixels together, above their noise.
+    """
+    known = z_um == z_um
+    count = binned(known.astype(np.float32), CELL_PX)
+    total = binned(np.where(known, z_um, np.float32(0)), CELL_PX)
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan, np.float32), where=count > 0)
+    steep = np.zeros(mean.shape, np.bool_)
+    apart = np.abs(np.diff(mean, axis=0)), np.abs(np.diff(mean, axis=1))
+    told = np.concatenate([a[a == a][::_EVERY] for a in apart])
+    limit_um = STEEP * float(np.quantile(told, _USUAL)) if told.size else math.inf
+    for off, ahead, behind in ((apart[0], steep[1:], steep[:-1]), (apart[1], steep[:, 1:], steep[:, :-1])):
+        ahead |= off > limit_um
+        behind |= off > limit_um
+    wide = steep.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
+    return np.pad(wide, [(0, n - m) for n, m in zip(z_um.shape, wide.shape, strict=True)], mode="constant")
 
 
 def _block_side(plane: NDArray[np.float32]) -> int:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.numerics.align import Picture
+from wafer_viewer.numerics.binning import binned
 
 Read = Callable[[HeightMap, slice, slice], Picture]
 """What of a field is compared, read from some of its rows and columns."""
@@ -122,16 +123,8 @@ def shrunk(picture: Picture, factor: int) -> Picture:
     if factor == 1:
         return picture
     if picture.known.all():
-        total = _summed(picture.values, factor) * np.float32(factor**-2)
+        total = binned(picture.values, factor) * np.float32(factor**-2)
         return Picture(total, np.ones_like(total), picture.noise / factor)
-    total, known = _summed(picture.values * picture.known, factor), _summed(picture.known, factor)
+    total, known = binned(picture.values * picture.known, factor), binned(picture.known, factor)
     mean = np.divide(total, known, out=np.zeros_like(total), where=known > 0)
     return Picture(mean, (known >= 0.5 * factor**2).astype(np.float32), picture.noise / factor)
-
-
-def _summed(plane: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """Sums of factor x factor pixels; what is left over at the end is left out."""
-    rows, cols = (n // factor * factor for n in plane.shape)
-    wide: Any = sum(plane[:rows, k:cols:factor] for k in range(factor))
-    both: Any = sum(wide[k::factor] for k in range(factor))
-    return both
