@@ -4,9 +4,10 @@
 
 NAME is a key of PLACING (where the tiles lie, found from their pictures) or SPLICING (tiles at known places made one
 height map). JOB holds files (``.npz`` of height maps), row, col (in the grid), top_px, left_px (where the stage says
-that tiles lie) and edges [n, 2]; RESULT gets seconds and, of a placing, top_px and left_px. Settings are those that the
-programs come with, but for the reach of the search and two without which they give up on these tiles (the correlation
-from which on m2stitch believes a pair, and a little smoothing for ashlar). Reading the tiles is not counted.
+that tiles lie) and edges [n, 2]; RESULT gets seconds, processor_s and, of a placing, top_px and left_px. Reading the
+tiles is not counted. Settings are those that the programs come with, but for the reach of the search and two without
+which they give up on these tiles: the correlation from which on m2stitch believes a pair, and a little smoothing for
+ashlar.
 """
 
 from __future__ import annotations
@@ -45,16 +46,13 @@ def main(name: str, job_file: str, result_file: str) -> None:
     warnings.simplefilter("ignore")
     told = np.load(job_file)
     job = Job([str(f) for f in told["files"]], *(told[k] for k in ("row", "col", "top_px", "left_px", "edges")))
-    if name in SPLICING:
-        heights = job.layers("z_um")
-        began = time.perf_counter()
-        SPLICING[name](job, heights)
-        np.savez(result_file, seconds=time.perf_counter() - began)
-        return
-    pictures = job.layers("all_in_focus")
-    began = time.perf_counter()
-    top, left = PLACING[name](job, pictures)
-    np.savez(result_file, seconds=time.perf_counter() - began, top_px=top, left_px=left)
+    work, layer = (SPLICING[name], "z_um") if name in SPLICING else (PLACING[name], "all_in_focus")
+    layers = job.layers(layer)
+    began, busy = time.perf_counter(), time.process_time()
+    places = work(job, layers)
+    seconds, processor_s = time.perf_counter() - began, time.process_time() - busy
+    found = {} if places is None else {"top_px": places[0], "left_px": places[1]}
+    np.savez(result_file, seconds=seconds, processor_s=processor_s, **found)
 
 
 def m2stitch(job: Job, pictures: list[NDArray]) -> Places:

@@ -41,10 +41,11 @@ PLACERS, SPLICERS = tuple(peer_stitchers.PLACING), tuple(peer_stitchers.SPLICING
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """Where a program put the tiles, and the seconds it took; None where it is not installed or gave up."""
+    """Where a program put the tiles; seconds by the clock and of the processor; None where it is missing or gave up."""
 
     found: Positions | None
     seconds: float | None
+    processor_s: float | None
     why_not: str = ""
 
 
@@ -52,15 +53,15 @@ def place(name: str, made: Made) -> Placed:
     """What a program for placing makes of a grid."""
     told = run(name, made)
     if isinstance(told, str):
-        return Placed(None, None, told)
+        return Placed(None, None, None, told)
     x_um, y_um = told["left_px"] * PIXEL_UM, -told["top_px"] * PIXEL_UM
-    return Placed(position_error(x_um, y_um, made), float(told["seconds"]))
+    return Placed(position_error(x_um, y_um, made), float(told["seconds"]), float(told["processor_s"]))
 
 
-def splice_s(name: str, made: Made) -> float | str:
-    """Seconds that a program takes to make one height map of the tiles where the stage has them, or why it cannot."""
+def splice_s(name: str, made: Made) -> tuple[float, float] | str:
+    """Seconds (clock, processor) to make one height map of the tiles where the stage has them, or why it cannot."""
     told = run(name, made)
-    return told if isinstance(told, str) else float(told["seconds"])
+    return told if isinstance(told, str) else (float(told["seconds"]), float(told["processor_s"]))
 
 
 def run(name: str, made: Made) -> dict[str, NDArray] | str:
