@@ -45,7 +45,7 @@ def test_a_shift_is_found_to_a_small_part_of_a_pixel(sample, beside, off_px):
 def test_the_uncertainty_is_that_of_the_errors(sample):
     rng = np.random.default_rng(3)
     normalised = []
-    for n in range(25):
+    for n in range(16):
         off = tuple(rng.uniform(-6, 6, 2))
         found = register_pair(*pair(sample, BESIDE, off, seed=10 * n, noise_counts=25.0))
         assert found.doubt is Doubt.NONE

@@ -80,8 +80,10 @@ def _sample(differences: Float32s) -> Numbers:
 
 
 def _summed(differences: Float32s, plane: Numbers, limit: float, side: int) -> Numbers:
-    """Sums over bands of about `side` rows, float64 [9, band, col], of w, w row, w row^2, w r, w r row, (w r)^2, the same
-    times row and row^2, and the slope of w r, with weights w and what is left r."""
+    """Sums over bands of about `side` rows, with weights w and what is left r, float64 [9, band, col].
+
+    Of w, w row, w row^2, w r, w r row, (w r)^2, row (w r)^2, (row w r)^2 and the slope of w r.
+    """
     n_rows, n_cols = differences.shape
     sums = np.zeros((max(1, n_rows // side), _N_SUMS, n_cols), np.float32)
     _add_bands(differences, plane.astype(np.float32), np.float32(1 / limit), np.empty((4, n_cols), np.float32), sums)

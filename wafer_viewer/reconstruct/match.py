@@ -143,13 +143,14 @@ def _with_rivals(fits: list[Alignment], apart_px: float) -> list[Alignment]:
     """The best of them, and those elsewhere that are nearly as good."""
     if not fits:
         return []
-    best = max(fits, key=lambda fit: fit.correlation * fit.n_pixels**0.5)
+    best = max(fits, key=lambda fit: (fit.agreeing >= LEAST_AGREEING, fit.correlation * fit.n_pixels**0.5))
     return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
 
 
 def _nearly(fit: Alignment, best: Alignment) -> bool:
     unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
-    return fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
+    agrees = fit.agreeing >= LEAST_AGREEING or best.agreeing < LEAST_AGREEING
+    return agrees and fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
 
 
 def _judged(fits: list[Alignment], by_chance: bool, window: Window, reach_px: float) -> Match:
@@ -172,9 +173,12 @@ def _doubt(fits: list[Alignment], by_chance: bool, beyond: bool) -> Doubt:
 
 
 def _shows(picture: Picture) -> bool:
-    """Whether there is anything to be seen but noise: then pixels near each other are more alike than others."""
+    """Whether anything but noise is to be seen along both axes: then pixels near each other are more alike than others.
+
+    A line alone leaves open where along it a field lies.
+    """
     near, far = _LAGS
-    return any(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
+    return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
 
 
 def _difference(picture: Picture, lag: int, axis: int) -> float:

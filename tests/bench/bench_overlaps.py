@@ -1,0 +1,120 @@
+"""What single overlaps tell: how long it takes, how far they are off, and whether their uncertainties are right.
+
+    python tests/bench/bench_overlaps.py [--quick]
+
+The full run compares all overlaps of the grid of 16 x 13 fields of full size, and of smaller grids where pictures are
+blank, wrong, weak or differently lit, and where fields are turned, mirrored or of another wafer; --quick takes grids of
+small fields. Milliseconds are those of one core's work, the best of three runs; |e|/u is the root mean square of errors
+over their standard uncertainties, of believed overlaps whose content is not wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
+from wafer_viewer.model.poses import Doubt, Seams, Shifts
+from wafer_viewer.reconstruct.misfits import suspects
+from wafer_viewer.reconstruct.register import register
+from wafer_viewer.reconstruct.seams import compare
+
+MIDDLING = replace(Grid(), rows=4, cols=4)
+CASES: dict[str, dict[str, Any]] = {
+    "15 % blank, 6 % wrong": {"blank_fraction": 0.15, "wrong_fraction": 0.06},
+    "little texture, noise": {"textured_fraction": 0.2, "grey_noise": 4.0},
+    "light differs by 30 %": {"brightness": 0.3},
+    "turned, mirrored, foreign": {"turned": (5,), "mirrored": (10,), "foreign": (3,)},
+}
+HEADER = (
+    f"{'':<28} {'overlaps':>8} | {'ms':>5} {'rms px':>7} {'max px':>7} {'|e|/u':>6} | "
+    f"{'ms':>5} {'rms um':>7} {'|e|/u':>6} | doubts; left out"
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="What single overlaps tell.")
+    parser.add_argument("--quick", action="store_true", help="small fields, under a minute")
+    small = parser.parse_args().quick
+    print(HEADER, flush=True)
+    print(row("the whole grid", make(SMALL if small else Grid())), flush=True)
+    for name, changes in CASES.items():
+        made = make(replace(SMALL if small else MIDDLING, **changes))
+        print(row(name, made), flush=True)
+        made.remove()
+
+
+def row(name: str, made: Made) -> str:
+    """A row of the table."""
+    pairs = made.known.grid.edges
+    register(made.heights, pairs[:2], threads=1)
+    shift_ms, shifts = best_ms(lambda: register(made.heights, pairs, threads=1), len(pairs))
+    seam_ms, seams = best_ms(
+        lambda: compare(made.heights, pairs, made.known.x_um, made.known.y_um, threads=1), len(pairs)
+    )
+    off_px, sure = shift_errors(made, shifts)
+    off_um, chi = seam_errors(made, seams)
+    doubts = ", ".join(f"{n} {Doubt(d).name.lower()}" for d, n in sorted(Counter(shifts.doubt.tolist()).items()))
+    return (
+        f"{name:<28} {len(pairs):>8} | {shift_ms:>5.1f} {rms(off_px):>7.3f} {np.abs(off_px).max():>7.3f} "
+        f"{rms(sure):>6.2f} | {seam_ms:>5.1f} {rms(off_um):>7.4f} {chi:>6.2f} | {doubts}; "
+        f"{suspects(len(made.heights), shifts).tolist()}"
+    )
+
+
+def best_ms(work: Callable[[], Any], overlaps: int) -> tuple[float, Any]:
+    """One core's work for an overlap, and what it gave."""
+    seconds: list[float] = []
+    made = None
+    for _ in range(3):
+        begun = time.process_time()
+        made = work()
+        seconds.append(time.process_time() - begun)
+    return 1e3 * min(seconds) / overlaps, made
+
+
+def shift_errors(made: Made, shifts: Shifts) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of believed overlaps in pixels, x and y, and over their uncertainties."""
+    known, true = made.known, shifts.believed & ~made.known.wrong
+    off = []
+    for stage, at, told, u in (
+        (made.stage_x_um, known.x_um, shifts.x_um, shifts.u_x_um),
+        (made.stage_y_um, known.y_um, shifts.y_um, shifts.u_y_um),
+    ):
+        moved = at - stage
+        error = told - (moved[shifts.second] - moved[shifts.first])
+        off.append(np.stack([error[true] / PIXEL_UM, error[true] / u[true]]))
+    return tuple(np.concatenate(off, axis=1))
+
+
+def seam_errors(made: Made, seams: Seams) -> tuple[np.ndarray, float]:
+    """Errors of z in um, and those of z and slopes over their uncertainties, at the true positions."""
+    known = made.known
+    odd = np.isin(np.arange(len(made.heights)), (*known.grid.turned, *known.grid.mirrored, *known.grid.foreign))
+    there = (seams.n_pixels > 0) & ~known.wrong & ~odd[seams.first] & ~odd[seams.second]
+    a, b, x, y = seams.first, seams.second, seams.mid_x_um, seams.mid_y_um
+    first, second = (
+        known.z_um[n] + known.tilt_x[n] * (x - known.x_um[n]) + known.tilt_y[n] * (y - known.y_um[n]) for n in (a, b)
+    )
+    slopes = known.tilt_x[b] - known.tilt_x[a], known.tilt_y[b] - known.tilt_y[a]
+    off = np.stack([seams.z_um - second + first, seams.slope_x - slopes[0], seams.slope_y - slopes[1]], axis=1)[there]
+    chi = np.einsum("ni,nij,nj->n", off, seams.information[there], off) / 3
+    return off[:, 0], float(np.sqrt(chi.mean()))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+if __name__ == "__main__":
+    main()
