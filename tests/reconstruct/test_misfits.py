@@ -52,6 +52,13 @@ def test_blank_and_ambiguous_fields_are_innocent():
     assert len(suspects(9, told(grid_edges(3, 3, {4}, Doubt.AMBIGUOUS)))) == 0
 
 
+def test_an_ambiguous_overlap_does_not_save_a_field_that_three_speak_against():
+    edges = grid_edges(3, 3, {4})
+    edges[2] = (*edges[2][:2], Doubt.AMBIGUOUS)
+    assert 4 in edges[2][:2]
+    assert suspects(9, told(edges)).tolist() == [4]
+
+
 def test_one_overlap_that_fits_is_enough_to_stay():
     edges = grid_edges(3, 3, {4})
     edges[2] = (*edges[2][:2], Doubt.NONE)

@@ -19,7 +19,7 @@ LIKE, SURELY_LIKE = 0.7, 0.9
 unlike; but not when it fits at one place only and as well as this."""
 NEARLY = 0.6
 """Candidates have at least so much of the best one's significance."""
-CANDIDATES = 6
+CANDIDATES = 40
 CLEARLY, UNEXPLAINED = 0.8, 2.0
 """A rival has four fifths of the best correlation, and leaves no more than twice as much unexplained."""
 LEAST_AGREEING = 0.5

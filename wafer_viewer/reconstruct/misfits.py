@@ -16,7 +16,7 @@ LEAST_NEIGHBOURS = 2
 """One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
 
 _LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
-_FITS = (Doubt.NONE, Doubt.AMBIGUOUS, Doubt.DISAGREES)
+_FITS = (Doubt.NONE, Doubt.DISAGREES)
 _EVERY = 16
 
 Layer = NDArray[np.generic]
@@ -38,15 +38,16 @@ def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """The fields to leave out, by their place in the list: they show enough, but fit nowhere where others fit.
 
     Fields that fit each other hang together. Of all that are compared with each other, the largest such group is
-    believed; another one is left out when at least two of its overlaps with that group should fit and none does.
+    believed; another one is left out when at least two of its overlaps with that group, and more than are ambiguous,
+    should fit and none does.
     """
-    _, lost = _lost_overlaps(n_fields, shifts)
+    lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
 
 
 def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """The fields that fit nowhere either, but have too few neighbours to tell whose fault it is: they stay."""
-    _, lost = _lost_overlaps(n_fields, shifts)
+    lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
 
 
@@ -104,21 +105,29 @@ def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
     return sum(register_pair(height, other, REACH_PX).doubt is Doubt.NONE for other in neighbours)
 
 
-def _lost_overlaps(n_fields: int, shifts: Shifts) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The group of each field, and how many overlaps of its group with the believed one should fit and do not.
+def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
+    """How many overlaps of each field's group with the believed one should fit and do not, int [n].
 
-    0 for the fields of the believed groups.
+    0 for the fields of believed groups, and for groups that as many overlaps leave open.
     """
-    fits, lost = np.isin(shifts.doubt, _FITS), np.isin(shifts.doubt, _LOST)
-    group = _joined(n_fields, shifts, fits)
-    whole = _joined(n_fields, shifts, fits | lost)
+    fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (Doubt.AMBIGUOUS,)))
+    group, whole = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
     size = np.bincount(group, minlength=n_fields)
     largest = np.lexsort((np.arange(n_fields), -size[group], whole))
     _, first = np.unique(whole[largest], return_index=True)
-    believed = np.isin(group, group[largest[first]][size[group[largest[first]]] > 1])
-    a, b = shifts.first[lost], shifts.second[lost]
-    other = np.concatenate([group[a[believed[b] & ~believed[a]]], group[b[believed[a] & ~believed[b]]]])
-    return group, np.where(believed, 0, np.bincount(other, minlength=n_fields)[group])
+    leading = group[largest[first]]
+    believed = np.isin(group, leading[size[leading] > 1])
+    n_lost, n_open = (_of_groups(shifts, some, group, believed) for some in (lost, open_))
+    return np.where(believed | (n_lost <= n_open), 0, n_lost)
+
+
+def _of_groups(
+    shifts: Shifts, some: NDArray[np.bool_], group: NDArray[np.intp], believed: NDArray[np.bool_]
+) -> NDArray[np.intp]:
+    """How many of some overlaps join each field's group with a believed one, int [n]."""
+    a, b = shifts.first[some], shifts.second[some]
+    outside = np.concatenate([a[believed[b] & ~believed[a]], b[believed[a] & ~believed[b]]])
+    return np.bincount(group[outside], minlength=len(group))[group]
 
 
 def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
