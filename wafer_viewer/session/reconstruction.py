@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,6 +17,7 @@ from wafer_viewer.session.library import Library
 from wafer_viewer.session.link import ChildGone
 from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.run import Run
 from wafer_viewer.session.state import FieldState, SurfaceInfo
 from wafer_viewer.session.stitching import bring_up_to_date, describe_mosaic
 from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
@@ -27,44 +26,6 @@ GROWING_PAUSES = 3.0
 """A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""
 RESTARTS = 3
 """How often the compute host is started anew after it died, in the life of a session."""
-
-
-@dataclass(slots=True)
-class Run:
-    """One reconstruction of the open dataset; more fields may join while a scan goes on.
-
-    complete: fields that have all their frames; live: those that a worker was set on while they were being taken, of
-    which made_live got their heights that way. restitch: the mosaic lacks heights that there are; grown: fields were
-    added to it before all were there, so their poses are still to be solved for together; grows_again_at: no sooner on
-    the clock is it added to again.
-    """
-
-    path: Path
-    result: str
-    recipe: Recipe
-    work: str
-    waiting: deque[int] = field(default_factory=deque[int])
-    busy: set[int] = field(default_factory=set[int])
-    total: int = 0
-    complete: set[int] = field(default_factory=set[int])
-    live: set[int] = field(default_factory=set[int])
-    made_live: set[int] = field(default_factory=set[int])
-    restitch: bool = False
-    grown: bool = False
-    stitching: bool = False
-    grows_again_at: float = 0.0
-    answered: bool = False
-    answer: Future[None] | None = None
-
-    @property
-    def settling(self) -> bool:
-        """Whether the first field is still to say what `auto` means for all: it goes alone."""
-        return self.recipe.heights_have_auto and not self.answered
-
-    @property
-    def idle(self) -> bool:
-        """Whether no field waits or is with a worker."""
-        return not self.waiting and not self.busy
 
 
 class Reconstruction:
@@ -126,14 +87,14 @@ class Reconstruction:
         run.live.add(number)
         run.busy.add(number)
         run.total += 1
-        done = self.compute.run(_live_work(run, number), reconstruct_live, run.path, number, run.result)
+        done = self.compute.run(run.live_work(number), reconstruct_live, run.path, number, run.result)
         done.add_done_callback(partial(self._later, self._live_done, run, number))
 
     def no_more_frames(self) -> None:
         """The scan is over: nobody need wait for frames."""
         if (run := self._run) is not None:
             for number in run.live & run.busy - run.complete:
-                self.compute.cancel(_live_work(run, number))
+                self.compute.cancel(run.live_work(number))
 
     def go_on(self) -> None:
         """Give fields to free workers; when none is left and no scan runs, stitch."""
@@ -147,7 +108,7 @@ class Reconstruction:
         if run.idle and not self._desk.now.scanning:
             self._finish(run)
         elif run.restitch and time.monotonic() >= run.grows_again_at:
-            self._stitch(run, _growing_work(run), final=False)
+            self._stitch(run, run.growing_work, final=False)
 
     def abandon(self) -> None:
         """Forget what is waiting; what workers have in hand is not shown any more."""
@@ -254,7 +215,7 @@ class Reconstruction:
         self._run = None
         if run.stitching:
             self.compute.cancel(run.work)
-            self.compute.cancel(_growing_work(run))
+            self.compute.cancel(run.growing_work)
         if run.answer is not None:
             run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
 
@@ -292,11 +253,3 @@ class Reconstruction:
         self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
         if mended:
             self.compute.start()
-
-
-def _growing_work(run: Run) -> str:
-    return f"{run.work}-growing"
-
-
-def _live_work(run: Run, number: int) -> str:
-    return f"{run.work}-live-{number}"
