@@ -18,6 +18,7 @@ import dask.config
 from distributed import Client, LocalCluster, Security
 
 from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.session.crew import Cluster
 
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
@@ -31,7 +32,13 @@ SETTINGS: dict[str, Any] = {
     "distributed.worker.preload": ["wafer_viewer.session.worker"],
     "distributed.comm.timeouts.connect": PATIENCE_S,
     "distributed.scheduler.allowed-failures": 3,
+    # dask closes a worker that was lost, 15 s later, also when it is back: it looks for it in a list that is empty now.
+    "distributed.deploy.lost-worker-timeout": "1 day",
     "distributed.admin.tick.limit": "1 hour",
+    # Nobody looks at dask's own statistics, and to take them costs the workers some percent of their time.
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.worker.profile.enabled": False,
+    "distributed.scheduler.active-memory-manager.start": False,
     # No pages of dask's own: they would be open to every program of this machine.
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
@@ -75,6 +82,7 @@ def _joined(scheduler: str) -> Generator[Client]:
     with client:
         with _where(scheduler):
             client.wait_for_workers(1, timeout=PATIENCE_S)
+        Cluster(client).require_same_program()
         yield client
 
 

@@ -19,8 +19,9 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
+from wafer_viewer import __version__
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.session.worker import Sight, attempt, attempt_if_fit, why_unfit, works_on
+from wafer_viewer.session.worker import Sight, attempt, attempt_if_fit, source_mark, why_other, why_unfit, works_on
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -127,12 +128,12 @@ class Cluster:
     def require_sight(self, dataset: Path) -> None:
         """See `Crew`. A worker that joins later and is unfit takes no tasks and says why on its own terminal."""
         wanted = Sight.of(dataset.absolute())
-        for why in self._told_by_all(why_unfit, wanted):
-            if isinstance(why, Exception):
-                raise ComputeError(f"A worker cannot say what it sees ({why}): install the same version there.")
-            if why:
-                raise ComputeError(why)
+        self._require_well(why_unfit, wanted)
         self._wanted = wanted
+
+    def require_same_program(self) -> None:
+        """Raises ComputeError naming a machine whose worker runs another version."""
+        self._require_well(why_other, __version__, source_mark())
 
     def each(self, task: Task, items: Sequence[Item], *, should_stop: ShouldStop = lambda: False) -> Generator[Done]:
         """See `Crew`. A task that fails in a way nobody foresaw is Done with a fault as well."""
@@ -177,6 +178,13 @@ class Cluster:
                 time.sleep(LOOK_EVERY_S)
         except (OSError, CancelledError, RuntimeError):  # the cluster is gone, and with it what it did
             return
+
+    def _require_well(self, why_not: Callable[..., str], *args: Any) -> None:
+        for why in self._told_by_all(why_not, *args):
+            if isinstance(why, Exception):
+                raise ComputeError(f"A worker cannot say whether it fits ({why}): install the same version there.")
+            if why:
+                raise ComputeError(why)
 
     def _told_by_all(self, ask: Task, *args: Any) -> list[Any]:
         """What every worker answers; its exception where it cannot."""

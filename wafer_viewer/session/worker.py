@@ -44,22 +44,37 @@ class Sight:
         record = ""
         with suppress(OSError):
             record = hashlib.sha256((dataset / RECORD).read_bytes()).hexdigest()
-        return cls(__version__, _sources(), dataset, record)
+        return cls(__version__, source_mark(), dataset, record)
 
 
 def why_unfit(wanted: Sight) -> str:
     """Why this machine cannot do the work of one that sees `wanted`, in a sentence; "" where it can."""
-    seen, host = Sight.of(wanted.dataset), socket.gethostname()
-    if (seen.version, seen.sources) != (wanted.version, wanted.sources):
-        return (
-            f"The worker on {host} runs wafer-viewer {seen.version} ({seen.sources}) and this machine {wanted.version} "
-            f"({wanted.sources}): install the same on both."
-        )
-    if not seen.record:
+    host = socket.gethostname()
+    if why := why_other(wanted.version, wanted.sources):
+        return why
+    if not (seen := Sight.of(wanted.dataset)).record:
         return f"The worker on {host} does not see {wanted.dataset}: mount the shared folder there under the same path."
     if seen.record != wanted.record:
         return f"The worker on {host} sees another dataset at {wanted.dataset}: mount the same folder on both machines."
     return ""
+
+
+def why_other(version: str, sources: str) -> str:
+    """Why this machine's program would not make the same surfaces, in a sentence; "" where it would."""
+    if (__version__, source_mark()) == (version, sources):
+        return ""
+    return (
+        f"The worker on {socket.gethostname()} runs wafer-viewer {__version__} ({source_mark()}) and this machine "
+        f"{version} ({sources}): install the same on both."
+    )
+
+
+@functools.cache
+def source_mark() -> str:
+    """Eight hex digits that change with any line of the program."""
+    package = Path(__file__).parent.parent
+    files = sorted(package.rglob("*.py"))
+    return f"{functools.reduce(lambda crc, file: zlib.crc32(file.read_bytes(), crc), files, 0):08x}"
 
 
 def attempt(task: Callable[..., Any], item: tuple[Any, ...]) -> Outcome:
@@ -134,11 +149,3 @@ def _step_aside(why: str) -> None:
     logging.getLogger("distributed.worker").error("%s It takes no more tasks.", why)
     worker.loop.add_callback(setattr, worker, "status", Status.paused)
     raise Reschedule
-
-
-@functools.cache
-def _sources() -> str:
-    """Eight hex digits that change with any line of the program."""
-    package = Path(__file__).parent.parent
-    files = sorted(package.rglob("*.py"))
-    return f"{functools.reduce(lambda crc, file: zlib.crc32(file.read_bytes(), crc), files, 0):08x}"
