@@ -24,7 +24,8 @@ DIRECT_FIELDS = 2000
 _CELL_FIELDS = 3.0
 """Side of the cell that becomes one coarse field, in typical distances between fields."""
 
-_MOST_STEPS = 400
+_MOST_STEPS = 200
+_MOST_AT_ONCE = 500_000
 _POWER_STEPS = 12
 _JACOBI = 4 / 3
 """Of smoothed aggregation: the damping over the largest eigenvalue."""
@@ -107,7 +108,17 @@ class Solver:
         if not self.levels:
             return self.coarsest(right)
         begun = np.zeros_like(right) if start is None else start
-        return _conjugate_gradients(self.system, self._cycle, right, (tolerance, enough), begun)
+        x, found = _conjugate_gradients(self.system, self._cycle, right, (tolerance, enough), begun)
+        return x if found else self._at_once(right)
+
+    def _at_once(self, right: Numbers) -> Numbers:
+        """By factorising all of it: long rows take many steps, but cost little that way."""
+        if len(right) > _MOST_AT_ONCE:
+            raise ComputeError(
+                f"The poses of so many fields ({len(right)} unknowns) were not found in {_MOST_STEPS} steps: stitch "
+                "fewer fields at a time."
+            )
+        return _factorised(self.system)(right)
 
     def _cycle(self, right: Numbers, at: int = 0) -> Numbers:
         """One symmetric V cycle: smooth, correct on the coarser level, smooth."""
@@ -162,20 +173,23 @@ def _coarsened(system: System, x_um: Numbers, y_um: Numbers) -> tuple[_Level, Nu
 
 
 def _cells(x_um: Numbers, y_um: Numbers) -> tuple[NDArray[np.intp], Numbers, Numbers]:
-    """The cell of each field, and the middle of the fields in each."""
+    """The cell of each field, and the middle of the fields in each; at most half as many cells as fields."""
     side = _CELL_FIELDS * _typical_distance(x_um, y_um)
-    cols, rows = ((a - a.min()) // side for a in (x_um, y_um))
-    _, cell, count = np.unique(rows * (cols.max() + 1) + cols, return_inverse=True, return_counts=True)
-    return cell, np.bincount(cell, x_um) / count, np.bincount(cell, y_um) / count
+    while True:
+        cols, rows = (np.floor((a - a.min()) / side) for a in (x_um, y_um))
+        _, cell, count = np.unique(rows * (cols.max() + 1) + cols, return_inverse=True, return_counts=True)
+        if len(count) <= len(x_um) / 2:
+            return cell, np.bincount(cell, x_um) / count, np.bincount(cell, y_um) / count
+        side *= 2
 
 
 def _typical_distance(x_um: Numbers, y_um: Numbers) -> float:
-    """Between a field and its nearest neighbour."""
+    """Between a field and its nearest neighbour elsewhere."""
     from scipy.spatial import KDTree
 
-    points = np.column_stack((x_um, y_um))
+    points = np.unique(np.column_stack((x_um, y_um)), axis=0)
     some = points[:: 1 + len(points) // 2000]
-    return float(np.median(KDTree(points).query(some, k=2)[0][:, 1])) or 1.0
+    return float(np.median(KDTree(points).query(some, k=2)[0][:, 1])) if len(points) > 1 else 1.0
 
 
 def _inverse_diagonal(matrix: Sparse) -> Sparse:
@@ -208,8 +222,8 @@ def _largest_eigenvalue(matrix: Sparse, inverse: Sparse) -> float:
 
 def _conjugate_gradients(
     system: System, precondition: Apply, right: Numbers, goals: tuple[float, Numbers | float], start: Numbers
-) -> Numbers:
-    """All right-hand sides at once, each with its own steps."""
+) -> tuple[Numbers, bool]:
+    """All right-hand sides at once, each with its own steps; and whether they got there."""
     x = start.copy()
     residual = right - system @ x
     ahead = precondition(residual)
@@ -217,7 +231,7 @@ def _conjugate_gradients(
     goal = np.maximum(goals[0] ** 2 * _dots(right, precondition(right)), goals[1])
     for _ in range(_MOST_STEPS):
         if np.all(energy <= goal):
-            return x
+            return x, True
         pushed = system @ direction
         step = _ratio(energy, _dots(direction, pushed))
         x += step * direction
@@ -225,10 +239,7 @@ def _conjugate_gradients(
         ahead = precondition(residual)
         energy, before = _dots(residual, ahead), energy
         direction = ahead + _ratio(energy, before) * direction
-    raise ComputeError(
-        f"The poses of {len(right)} unknowns were not found in {_MOST_STEPS} steps: look for fields far from all "
-        "others and leave them out."
-    )
+    return x, False
 
 
 def _dots(a: Numbers, b: Numbers) -> Numbers:

@@ -38,6 +38,9 @@ _ENOUGH_EACH, _ENOUGH = 1e-4, 1e-2
 
 _LEAST_REDUNDANCY = 0.1
 _PROBES = 4
+_FAR = 4.0
+"""A field that is further off, in standard deviations, does not tell how far fields are off as a rule."""
+
 _USUALLY = 4
 """The first guess of a prior counts like so many fields."""
 
@@ -148,7 +151,7 @@ def _with_priors_found(network: Network, at: Settled) -> Network:
     """Priors as wide as what was found and how unsure it is (expectation maximisation, Dempster 1977)."""
     if not network.auto or at.solver is None or at.echoes is None:
         return network
-    surprise = network.surprise(at.values, at.shared)
+    surprise = np.clip(network.surprise(at.values, at.shared), *_FAR * np.outer((-1, 1), network.prior_sigma))
     traces = np.einsum("nk,nk->k", _probes(network, at.solver), at.echoes).reshape(len(network.auto), -1).mean(axis=1)
     sigma = network.prior_sigma.copy()
     for group, trace in zip(network.auto, traces, strict=True):
