@@ -100,6 +100,15 @@ def test_what_repeats_is_ambiguous(sample):
     assert register_pair(*pair(lines, BESIDE, (1.5, 2.5))).doubt is Doubt.AMBIGUOUS
 
 
+@pytest.mark.parametrize("period_px", [8.6, 12.8, 21.0])
+def test_a_grating_is_never_believed_at_a_wrong_period(sample, period_px):
+    rows, cols = np.indices((460, 520)) * 2 * np.pi / period_px
+    grating = Sample(0.3 * sample.grey + 80 + 25 * (np.sin(rows) + np.sin(cols)), sample.z_um)
+    for seed, off in enumerate([(1.5, 2.5), (-6.3, 4.1), (9.2, -7.7), (-3.4, -11.0)]):
+        found = register_pair(*pair(grating, BESIDE, off, seed=seed))
+        assert found.doubt is Doubt.AMBIGUOUS or np.abs(error_px(found, off)).max() < 0.1
+
+
 @pytest.mark.parametrize("beside", [BESIDE, BELOW], ids=["beside", "below"])
 @pytest.mark.parametrize("noise_counts", [0.0, 2.0])
 def test_lines_in_one_direction_are_ambiguous(sample, beside, noise_counts):

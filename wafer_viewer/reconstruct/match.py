@@ -17,9 +17,12 @@ SURE_SIGMAS = 7.0
 LIKE, SURELY_LIKE = 0.7, 0.9
 """What goes on over many pixels has few that are independent: it may be alike by chance, which is ambiguous and not
 unlike; but not when it fits at one place only and as well as this."""
-NEARLY = 0.6
-"""Candidates have at least so much of the best one's significance."""
-CANDIDATES = 40
+NEARLY = 0.35
+"""Candidates have at least so much of the best one's significance: a fine pattern may lose half of it between the
+pixels of the search."""
+PATTERNED = 6
+"""What fits at more places may repeat more finely than the search looks: it is searched with pixels half as large."""
+CANDIDATES = 60
 CLEARLY, UNEXPLAINED = 0.8, 2.0
 """A rival has four fifths of the best correlation, and leaves no more than twice as much unexplained."""
 LEAST_AGREEING = 0.5
@@ -31,7 +34,7 @@ MOST_U_PX = 0.5
 LEAST_U_PX = 0.01
 """What the form of the pixels and the optics add, that no residual shows."""
 
-_FACTORS = (4, 2, 1)
+_FACTORS, _FINER = (4, 2, 1), 2
 _LEAST_SIDE = 12
 _AROUND = 11
 _LEAST_SHARE = 0.3
@@ -55,17 +58,27 @@ class Match:
 def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
     """Where the second field fits the first, within reach of the stage's word."""
     factor = _coarsest(first, second)
-    reach = int(np.ceil(reach_px / factor)) + 1
-    window = Window.of(first, second, reach * factor, factor)
+    window, reach = _window(first, second, reach_px, factor)
     if min(window.overlap) < _LEAST_SIDE / 2:
         return _nowhere(Doubt.BLANK)
     one, other = read(first, *window.first), read(second, *window.second)
-    lags, by_chance = _candidates(shrunk(one, factor), shrunk(other, factor), window, factor, reach)
+    lags, by_chance = _candidates(one, other, window, factor, reach)
+    if len(lags) > PATTERNED and factor > _FINER:
+        factor = _FINER
+        window, reach = _window(first, second, reach_px, factor)
+        one, other = read(first, *window.first), read(second, *window.second)
+        lags, by_chance = _candidates(one, other, window, factor, reach)
     if not lags:
         both_show = _shows(read(first, *window.common[0])) and _shows(read(second, *window.common[1]))
         return _nowhere(Doubt.UNLIKE if both_show else Doubt.BLANK)
     fits = _refined(one, other, lags, factor, _block_side(window))
     return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(Doubt.UNLIKE)
+
+
+def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[Window, int]:
+    """What may be common, and the reach in pixels of the search, with one to spare."""
+    reach = int(np.ceil(reach_px / factor)) + 1
+    return Window.of(first, second, reach * factor, factor), reach
 
 
 def _nowhere(doubt: Doubt) -> Match:
@@ -86,6 +99,7 @@ def _block_side(window: Window) -> int:
 
 def _candidates(one: Picture, other: Picture, window: Window, factor: int, reach: int) -> tuple[list[Lag], bool]:
     """Lags in full pixels at which the two look alike, the surest first, and whether that may be chance."""
+    one, other = shrunk(one, factor), shrunk(other, factor)
     knowns = one.known > 0, other.known > 0
     details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
     middle = window.lag[0] // factor, window.lag[1] // factor
