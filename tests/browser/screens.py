@@ -160,6 +160,9 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             for key, step in (("4-plan", "Plan"), ("5-surface", "Surface")):
                 page.locator("button", has_text=step).first.click()
                 take(page, folder / f"{key}.png", 4 * REST_S)
+            page.keyboard.press("o")
+            bring_into_sight(page, "Stitching")
+            take(page, folder / "5-surface-fields.png", 4 * REST_S)
             page.get_by_role("button", name="Measure this surface").click()
             take(page, folder / "6-profile.png", 4 * REST_S)
             page.locator("[data-pick=tool][data-k=step]").click()

@@ -48,6 +48,16 @@ def test_the_circle_of_an_uncertain_place_is_drawn_to_the_scale_of_the_arrows():
     assert rim[0, :-1, 0].mean(axis=0) == pytest.approx(fields.arrows()[4, 0, 1], abs=30)
 
 
+def test_where_places_are_less_sure_than_the_stage_is_wrong_the_circles_have_room():
+    sure_stage = dataclasses.replace(
+        POSES, x_um=POSES.stage_x_um + 0.1, y_um=POSES.stage_y_um, u_x_um=np.full(12, 0.55), u_y_um=np.full(12, 0.55)
+    )
+    fields = drawn(sure_stage)
+    radius_um = np.ptp(fields.circles()[0, ..., 0]) / 2
+    assert radius_um == pytest.approx(2 * 0.55 * fields.times)
+    assert radius_um <= 0.25 * HEIGHT_UM < 2.6 * radius_um
+
+
 def test_what_joins_fields_and_what_does_not():
     fields, shifts = drawn(), POSES.shifts
     at_left_out = POSES.left_out[shifts.first] | POSES.left_out[shifts.second]

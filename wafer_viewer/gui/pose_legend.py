@@ -16,7 +16,7 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import OpenDataset, Snapshot
 
-WIDTH_PX, ROW_PX, EDGES_PX = 480, 21, 15
+WIDTH_PX, ROW_PX, EDGES_PX = 580, 21, 15
 ABOVE_SCALE_PX = 62
 _SIGNS = {
     "field": '<rect x="3" y="2" width="22" height="10" stroke="{field}" stroke-width="1.8"/>',

@@ -15,8 +15,8 @@ from wafer_viewer.model.poses import Doubt, Poses
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LONG = 0.55
-"""Nine of ten arrows are shorter than this share of a field's shorter side."""
+_LONG, _WIDE = 0.55, 0.25
+"""Nine of ten arrows are shorter, and radii of circles smaller, than this share of a field's shorter side."""
 _MOST_TIMES = 1000.0
 _HEAD = 0.07
 _TURN = np.linspace(0, 2 * np.pi, 25)
@@ -44,10 +44,13 @@ class Fields:
         self.times = self._times()
 
     def _times(self) -> float:
-        """How many times too long arrows are drawn: 1, 2 or 5 times a power of ten, as there is room."""
-        dx, dy = self._moved(~self.poses.left_out)
-        long = float(np.percentile(np.hypot(dx, dy), 90)) if len(dx) else 0.0
-        return min(_MOST_TIMES, round_below(_LONG * self.unit_um / long)) if long > 0 else 1.0
+        """How many times too large arrows and circles are drawn: 1, 2 or 5 times a power of ten, as there is room."""
+        poses, there = self.poses, ~self.poses.left_out
+        moved, u_um = np.hypot(*self._moved(there)), 2 * np.maximum(poses.u_x_um, poses.u_y_um)[there]
+        u_um = u_um[np.isfinite(u_um)]
+        shares = [float(np.percentile(um, 90)) / room for um, room in ((moved, _LONG), (u_um, _WIDE)) if len(um)]
+        largest = max(shares, default=0.0)
+        return min(_MOST_TIMES, round_below(self.unit_um / largest)) if moved.any() and largest > 0 else 1.0
 
     def _moved(self, which: Mask) -> tuple[Floats, Floats]:
         poses = self.poses
