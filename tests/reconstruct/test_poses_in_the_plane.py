@@ -108,6 +108,18 @@ def test_a_field_that_hangs_on_one_overlap_is_not_dragged_far_from_the_stage():
     assert rms(off_px(found, true)[1:]) < 0.2
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_one_wrong_overlap_does_not_drag_half_of_the_fields_along_a_known_camera(seed):
+    fields = grid(4, 8)
+    shifts, _ = told(fields, seed)
+    across = np.flatnonzero((fields.pairs % 8 < 4).sum(axis=1) == 1)
+    misled = selected(only(shifts, across[:1], x_px=-38.0), ~np.isin(np.arange(52), across[1:]))
+    found = solved(fields, misled, camera=Camera())
+    assert np.sum(found.shifts.doubt == Doubt.DISAGREES) == 1
+    assert found.group[0] != found.group[7]
+    assert found.stage_error_um < 1.4 * STAGE_PX * PIXEL_UM
+
+
 def test_a_turned_camera_is_found_and_the_surface_lies_along_its_axes():
     shifts, true = told(WHOLE, 7, turn=1.2e-3, scale=-4e-3)
     found = solved(WHOLE, shifts)

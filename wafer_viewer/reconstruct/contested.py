@@ -30,14 +30,19 @@ _SLACK = 2.0
 """Neighbours of what is contested are not yet quite where they belong."""
 
 _MOST_TIES = 64
-_MOST_TOGETHER = 4.0
+_LEAST_DEGREES = 8
+_MOST_TOGETHER = 8.0
 """Errors of a stage are not as independent as averaging more of them would have it."""
 
 
 def verdicts(network: Network, values: Numbers, shared: Numbers, excess: float, believed: Flags) -> Numbers:
     """[e] 1 for contested overlaps that are to be believed, 0 for those that are not, NaN for all others."""
     surprise = network.surprise(values, shared)
-    cluster = _clusters(network, surprise, believed)
+    lone = np.zeros(len(believed), np.bool_)
+    lone[believed] = bridges(len(values), network.first[believed], network.second[believed])
+    core = groups(len(values), network.first[believed & ~lone], network.second[believed & ~lone])
+    sigma = _scatter(surprise, core, network.prior_sigma)
+    cluster = _clusters(network, lone, _suspect(network, surprise, core, sigma, believed)[core], believed)
     ties = np.flatnonzero((cluster[network.first] != cluster[network.second]) & network.tells.any(axis=1))
     decided = np.full(len(network.first), np.nan)
     if len(ties):
@@ -49,7 +54,7 @@ def verdicts(network: Network, values: Numbers, shared: Numbers, excess: float, 
         )
         size = np.bincount(cluster).astype(float)
         size[cluster[~network.ties.free]] = np.inf
-        decided[ties] = of.agree(_placed(of, size, _mean_of(surprise, cluster), network.prior_sigma))
+        decided[ties] = of.agree(_placed(of, size, _mean_of(surprise, cluster), sigma))
     return decided
 
 
@@ -97,23 +102,33 @@ class _Choice:
     surprise: Numbers
 
 
-def _clusters(network: Network, surprise: Numbers, believed: Flags) -> Whole32s:
+def _scatter(surprise: Numbers, core: Whole32s, sigma: Numbers) -> Numbers:
+    """[d] what the stage errs by inside of cores: no more than `sigma`, which a misplaced core makes too large."""
+    degrees = len(core) - len(np.unique(core))
+    if degrees < _LEAST_DEGREES:
+        return sigma
+    inside = surprise - _mean_of(surprise, core)[core]
+    return np.minimum(sigma, np.sqrt(np.sum(inside**2, axis=0) / degrees))
+
+
+def _suspect(network: Network, surprise: Numbers, core: Whole32s, sigma: Numbers, believed: Flags) -> Flags:
+    """Which cores have ties that were rejected, or lie where the stage says that they can hardly be."""
+    far = np.minimum(np.bincount(core), _MOST_TOGETHER) * _chi2(_mean_of(surprise, core), sigma) / 2
+    rejected = network.tells.any(axis=1) & ~believed
+    suspect = far > _ALONE
+    suspect[core[network.first[rejected]]] = suspect[core[network.second[rejected]]] = True
+    return suspect
+
+
+def _clusters(network: Network, lone: Flags, suspect: Flags, believed: Flags) -> Whole32s:
     """[n] fields that believed overlaps tie together, with contested ties cut; what is fixed is one cluster.
 
-    A tie is contested when it is the only one between its two sides, and one of these has ties that were rejected or
-    lies where the stage says it can hardly be.
+    A tie is contested when it is the only one between its two sides, [e], and one of these is suspect, [n].
     """
-    n, first, second = len(network.x_um), network.first, network.second
-    lone = np.zeros(len(first), np.bool_)
-    lone[believed] = bridges(n, first[believed], second[believed])
-    core = groups(n, first[believed & ~lone], second[believed & ~lone])
-    rejected = network.tells.any(axis=1) & ~believed
-    far = np.minimum(np.bincount(core), _MOST_TOGETHER) * _chi2(_mean_of(surprise, core), network.prior_sigma) / 2
-    suspect = far > _ALONE
-    suspect[core[first[rejected]]] = suspect[core[second[rejected]]] = True
-    kept = believed & ~(lone & (suspect[core[first]] | suspect[core[second]]))
+    first, second = network.first, network.second
+    kept = believed & ~(lone & (suspect[first] | suspect[second]))
     fixed = np.flatnonzero(~network.ties.free).astype(np.int32)
-    return groups(n, np.append(first[kept], fixed[:-1]), np.append(second[kept], fixed[1:]))
+    return groups(len(suspect), np.append(first[kept], fixed[:-1]), np.append(second[kept], fixed[1:]))
 
 
 def _placed(ties: _Ties, size: Numbers, surprise: Numbers, sigma: Numbers) -> Numbers:
