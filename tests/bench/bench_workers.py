@@ -10,7 +10,6 @@ counts, so that what else the machine does counts little. Kernels are compiled a
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 import tempfile
 import time
@@ -18,7 +17,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, pi
 from multiprocessing import get_context
 from multiprocessing.pool import Pool
 from pathlib import Path
@@ -36,7 +34,6 @@ from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 from wafer_viewer.session.crew import Crew, crew_for
-from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.session.tasks import reconstruct_field
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.writer import DatasetWriter
@@ -44,16 +41,7 @@ from wafer_viewer.store.writer import DatasetWriter
 ROWS, COLS, PIXEL_UM, OVERLAP = 1080, 1440, 0.46729, 0.12
 RESULT, RECIPE, WORKERS = "bench", Recipe(), 2
 SPEED_UP_GOAL, OVERHEAD_GOAL_MS, N_EMPTY = 0.9, 3.0, 2000
-WAFER_MM = 300.0
 Item = tuple[Path, int, str, Recipe, int]
-
-
-@dataclass(frozen=True, slots=True)
-class Spent:
-    """Seconds of the processor and bytes written, for one field."""
-
-    processor_s: float
-    surface_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +70,7 @@ def main() -> None:
         with crew_for(workers=WORKERS) as crew:
             first = next(crew.each(nothing, [(0,)]))
             show_start(time.perf_counter() - began, crew, first.fault is None)
-            spent = show_speed_up(crew, items, rounds=2 if quick else 3)
-            show_costs(path, spent, stitch_s(path, crew))
+            show_speed_up(crew, items, rounds=2 if quick else 3)
 
 
 def make_dataset(path: Path, n_fields: int, n_frames: int) -> None:
@@ -119,16 +106,18 @@ def show_start(start_s: float, crew: Crew, well: bool) -> None:
     show("A cluster of one's own, its scheduler in this process", header, rows)
 
 
-def show_speed_up(crew: Crew, items: list[Item], rounds: int) -> list[Spent]:
-    """The same fields by one process, by two bare ones and by two workers. What each field took a worker."""
-    n, spent = len(items), list[Spent]()
+def show_speed_up(crew: Crew, items: list[Item], rounds: int) -> None:
+    """The same fields by one process, by two bare ones and by two workers."""
+    n = len(items)
     drain(crew, warm, [()] * 2 * WORKERS)
     ways = {"one process": list[Took](), "two processes": list[Took](), "two workers": list[Took]()}
     with bare(1) as one, bare(WORKERS) as two:
         for _ in range(rounds):
-            ways["one process"].append(taken(lambda: one.starmap(timed, items[: n // 2], 1)).times(n / (n // 2)))
-            ways["two processes"].append(taken(lambda: two.starmap(timed, items, 1)))
-            ways["two workers"].append(taken(lambda: spent.extend(drain(crew, timed, items))))
+            ways["one process"].append(
+                taken(lambda: one.starmap(reconstruct_field, items[: n // 2], 1)).times(n / (n // 2))
+            )
+            ways["two processes"].append(taken(lambda: two.starmap(reconstruct_field, items, 1)))
+            ways["two workers"].append(taken(lambda: drain(crew, reconstruct_field, items)))
     least = {name: Took(min(t.clock_s for t in took), min(t.busy_s for t in took)) for name, took in ways.items()}
     alone, ours, theirs = least["one process"], least["two workers"], least["two processes"]
     share = theirs.clock_s / ours.clock_s
@@ -138,40 +127,6 @@ def show_speed_up(crew: Crew, items: list[Item], rounds: int) -> list[Spent]:
         for name, took in least.items()
     ]
     show(f"Heights of {n} fields", ("", "clock, s", "faster", "goal", "processors, all of it, s"), rows)
-    return spent
-
-
-def show_costs(path: Path, spent: list[Spent], stitch: tuple[float, int]) -> None:
-    """What a whole wafer takes, from what a field took."""
-    plan = Dataset.open(path).scan.plan
-    n_frames, seconds = plan.sweep.n_frames, min(one.processor_s for one in spent)
-    frame_bytes, surface_bytes = n_frames * ROWS * COLS, spent[0].surface_bytes
-    pitch_um2 = (1 - OVERLAP) ** 2 * ROWS * COLS * PIXEL_UM**2
-    n_wafer = ceil(pi / 4 * (1e3 * WAFER_MM) ** 2 / pitch_um2)
-    hours, tera = 1 / 3600, 1e-12
-    stitch_each_s = stitch[0] / stitch[1]
-    rows = [
-        ("fields", 1, n_wafer),
-        ("frames, bytes", f"{frame_bytes / 1e6:.0f} MB", f"{n_wafer * frame_bytes * tera:.1f} TB"),
-        ("surfaces, bytes", f"{surface_bytes / 1e6:.1f} MB", f"{n_wafer * surface_bytes * tera:.1f} TB"),
-        ("heights, time of a worker", f"{seconds:.2f} s", f"{n_wafer * seconds * hours:.0f} h"),
-        ("stitching, time of the cluster", f"{stitch_each_s:.2f} s", f"{n_wafer * stitch_each_s * hours:.0f} h"),
-    ]
-    title = f"A field of {n_frames} frames, and a {WAFER_MM:.0f} mm wafer of such fields at {OVERLAP:.0%} overlap"
-    show(title, ("", "a field", "the wafer"), rows)
-
-
-def stitch_s(path: Path, crew: Crew) -> tuple[float, int]:
-    """Seconds by the clock to stitch all fields anew, and their number."""
-    kept = Dataset.open(path).result(RESULT)
-    kept.save_recipe(RECIPE)
-    stitch = partial(bring_up_to_date, path, RESULT, RECIPE, crew=crew)
-    stitch()  # loads kernels
-    times: list[float] = []
-    for _ in range(2):
-        shutil.rmtree(kept.mosaic_path)
-        times.append(clock(stitch))
-    return min(times), len(Dataset.open(path).fields)
 
 
 def taken(work: Callable[[], object]) -> Took:
@@ -227,15 +182,6 @@ def nothing(number: int) -> int:
 def warm() -> None:
     """Load the kernels."""
     warm_up()
-
-
-def timed(path: Path, number: int, result: str, recipe: Recipe, threads: int) -> Spent:
-    """Heights of a field, and what they took."""
-    began = time.process_time()
-    reconstruct_field(path, number, result, recipe, threads)
-    seconds = time.process_time() - began
-    data = Dataset.open(path)
-    return Spent(seconds, (data.result(result).path / "surfaces" / f"{data.field(number).name}.npz").stat().st_size)
 
 
 if __name__ == "__main__":
