@@ -74,7 +74,10 @@ def scale(shelf: Shelf, request: PaintRequest) -> bytes:
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
-    """Shares run from 0 to 1, slopes and differences from 0, a deviation is symmetric; else 0.5 to 99.5 %, 0.2 apart."""
+    """Shares run from 0 to 1, slopes and differences from 0, a deviation is symmetric; else 0.5 to 99.5 %.
+
+    The ends are at least 0.2 apart.
+    """
     if quantity in ("confidence", "grey"):
         return 0.0, 1.0
     if quantity == "slope":
