@@ -61,12 +61,13 @@ class Sheets:
 
     data: Dataset
     kept: Result
+    stitching: Stitching
     fields: tuple[Field, ...]
     marks: NDArray[np.int64]
     faults: tuple[str, ...]
 
     @classmethod
-    def open(cls, dataset: Path, result: str) -> Sheets:
+    def open(cls, dataset: Path, result: str, stitching: Stitching) -> Sheets:
         """All surfaces there are now. Raises DatasetError when there is none."""
         data = Dataset.open(dataset)
         kept = data.result(result)
@@ -76,14 +77,15 @@ class Sheets:
                 " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
             )
         marks = np.array([kept.surface_mark(f) for f in readable], np.int64)
-        return cls(data, kept, tuple(readable), marks, tuple(faults))
+        return cls(data, kept, stitching, tuple(readable), marks, tuple(faults))
 
     @classmethod
-    def drawn(cls, dataset: Path, result: str, poses: Poses) -> Sheets:
+    def drawn(cls, dataset: Path, result: str, stitching: Stitching, poses: Poses) -> Sheets:
         """The surfaces that poses were found for."""
         data = Dataset.open(dataset)
         fields = {f.number: f for f in data.fields}
-        return cls(data, data.result(result), tuple(fields[n] for n in poses.numbers.tolist()), poses.marks, ())
+        listed = tuple(fields[number] for number in poses.numbers.tolist())
+        return cls(data, data.result(result), stitching, listed, poses.marks, ())
 
     @property
     def numbers(self) -> list[int]:
@@ -97,17 +99,19 @@ class Sheets:
 
     @cached_property
     def lattice(self) -> Lattice:
-        """That of all planned fields: it never moves, whichever of them are there."""
-        return planned_lattice([FieldOutline.of(self.data, f) for f in self.data.fields])
+        """That of all planned fields: it never moves, whichever of them are there; with room where they may move."""
+        outlines = [FieldOutline.of(self.data, f) for f in self.data.fields]
+        stays = len(outlines) == 1 or self.stitching.poses == "stage"
+        return planned_lattice(outlines, 0) if stays else planned_lattice(outlines)
 
-    def known(self, stitching: Stitching) -> Known:
+    def known(self) -> Known:
         """What the mosaic on disk shows of these surfaces; nothing when it was made otherwise or was broken off."""
         poses = self.kept.poses() if self.kept.has_mosaic and not self.kept.broken_off else None
         if poses is not None:
             header = ZarrMosaic.open(self.kept.mosaic_path).header
             there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
-            if there != wanted or header.provenance.recipe.stitching != stitching:
+            if there != wanted or header.provenance.recipe.stitching != self.stitching:
                 poses = None
         return Known.of(poses, np.array(self.numbers, np.int32), self.marks)
 

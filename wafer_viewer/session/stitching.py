@@ -53,10 +53,10 @@ def bring_up_to_date(
     from wafer_viewer.reconstruct.growing import held_still
     from wafer_viewer.session.sheets import Sheets
 
-    sheets = Sheets.open(dataset.absolute(), result)
+    sheets = Sheets.open(dataset.absolute(), result, recipe.stitching)
     hands = _Hands(sheets, crew or Here(), progress, should_stop)
     hands.crew.require_sight(sheets.data.path)
-    known = sheets.known(recipe.stitching)
+    known = sheets.known()
     outline = sheets.outlines[0]
     found = _find_poses(sheets, recipe, known, final, hands)
     poses, moved = held_still(found, known, outline.pixel_um, outline.corner_um)
@@ -203,7 +203,7 @@ def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int
     from wafer_viewer.store.poses import read_poses
 
     poses = read_poses(drawing)
-    return Sheets.drawn(dataset, result, poses).source(poses, Provenance(recipe=recipe))
+    return Sheets.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
 
 
 # ------------------------------------------------------------------------------------------------ saying how it looks
@@ -214,9 +214,11 @@ def describe_mosaic(
 ) -> SurfaceInfo:
     """A worker's task: say how a mosaic looks that was stitched elsewhere."""
     from wafer_viewer.session.sheets import Sheets
+    from wafer_viewer.store.dataset import Dataset
 
-    sheets = Sheets.open(dataset, result)
-    return _described(sheets, sheets.kept.poses(), sheets.kept.recipe())
+    recipe = Dataset.open(dataset).result(result).recipe()
+    sheets = Sheets.open(dataset, result, recipe.stitching)
+    return _described(sheets, sheets.kept.poses(), recipe)
 
 
 def _summary(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
-from wafer_viewer.numerics.pyramid import Layers, halve
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic_facts import FACTS, Facts, facts_array, keep_facts, kept_facts
@@ -42,6 +41,9 @@ from wafer_viewer.store.mosaic_layout import (
 from wafer_viewer.store.patches import Patch, Window, patches
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.shard import ShardedArray, codecs
+
+if TYPE_CHECKING:
+    from wafer_viewer.numerics.pyramid import Layers
 
 __all__ = [
     "Patch",
@@ -130,6 +132,8 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
 
     Doing it again makes the same. Raises DatasetError when the place cannot be written to.
     """
+    from wafer_viewer.numerics.pyramid import halve
+
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left
     whole: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}

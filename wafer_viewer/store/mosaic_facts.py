@@ -9,16 +9,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.numerics.codes import count_codes
-from wafer_viewer.numerics.pyramid import Layers
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.files import replacing
+
+if TYPE_CHECKING:
+    from wafer_viewer.numerics.pyramid import Layers
 
 FACTS = "facts"
 SAMPLES = 400_000
@@ -62,6 +63,8 @@ def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
 
 def _blocks_of(layers: Layers, step: int) -> Blocks:
     """The facts of a window of level 0 that begins with a block, block by block."""
+    from wafer_viewer.numerics.codes import count_codes
+
     size = 2 * mosaic_layout.CHUNK
     rows, cols = layers["z_um"].shape
     blocks = np.empty((-(-rows // size), -(-cols // size)), _record(step))
