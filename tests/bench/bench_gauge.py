@@ -58,7 +58,7 @@ def measure(folder: Path, seed: int) -> None:
         session.start_scan(f"gauge-{seed}").result()
         session.wait_until(lambda s: not s.scanning, PATIENCE_S)
         scanned_s = time.perf_counter() - began
-        done = session.wait_until(lambda s: s.surface is not None or bool(s.faults), PATIENCE_S)
+        done = session.wait_until(lambda s: s.surface_is_whole or bool(s.faults), PATIENCE_S)
         if done.surface is None:
             raise SystemExit(f"The scan failed: {done.faults}")
         surface_s = time.perf_counter() - began

@@ -79,7 +79,7 @@ def take_tour(folder: Path, *, wait_for_kernels: bool) -> Tour:
             session.start_scan().result()
             session.wait_until(lambda s: not s.scanning, PATIENCE_S)
             scan_s = time.perf_counter() - pressed
-            done = session.wait_until(lambda s: s.surface is not None or bool(s.faults), PATIENCE_S)
+            done = session.wait_until(lambda s: s.surface_is_whole or bool(s.faults), PATIENCE_S)
             surface_s = time.perf_counter() - pressed
         if done.surface is None:
             raise SystemExit(f"The tour failed: {done.faults}")

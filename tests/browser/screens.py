@@ -155,7 +155,7 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             page.locator("[data-pick=tour]").click()
             session.wait_until(lambda now: now.scan is not None and now.scan.frames_done > 250, 120)
             take(page, folder / "2-acquire.png")
-            session.wait_until(lambda now: now.surface is not None, 240)
+            session.wait_until(lambda now: now.surface_is_whole, 240)
             take(page, folder / "3-done.png")
             for key, step in (("4-plan", "Plan"), ("5-surface", "Surface")):
                 page.locator("button", has_text=step).first.click()

@@ -56,8 +56,4 @@ def child():
 @pytest.fixture(scope="session")
 def surfaced():
     """Whether a scan is over, stitched and nothing is at work any more."""
-
-    def done(snapshot):
-        return not snapshot.scanning and snapshot.surface is not None and not snapshot.works
-
-    return done
+    return lambda snapshot: snapshot.surface_is_whole

@@ -233,6 +233,11 @@ class Snapshot:
         return self.rig.state in ("scanning", "paused", "stopping")
 
     @property
+    def surface_is_whole(self) -> bool:
+        """Whether the stitched surface shows all there is: no scan runs and nothing is at work any more."""
+        return self.surface is not None and not self.scanning and not self.works
+
+    @property
     def simulated(self) -> bool:
         """Whether SIMULATED has to stand on the page: the rig in use or the dataset shown is simulated."""
         return self.rig.simulated if self.dataset is None else self.dataset.simulated
