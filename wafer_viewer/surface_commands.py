@@ -24,6 +24,9 @@ from wafer_viewer.command_output import print_json, print_surface, progress, war
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 
+OF_THE_PAGE = ("stamp", "changed")
+"""What a browser needs to know of a surface, and nobody else."""
+
 
 def reconstruct(
     src: Sources,
@@ -86,7 +89,7 @@ def stitch(
         info = make_surface(dataset, recipe, result, again=again, tell=tell, warn=warn, hire=hire)
     if poses is not None:
         write_poses_of(dataset, result, poses)
-    print_json({name: value for name, value in msgspec.to_builtins(info).items() if name != "stamp"})
+    print_json({name: value for name, value in msgspec.to_builtins(info).items() if name not in OF_THE_PAGE})
 
 
 def measure_step(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from wafer_viewer.store.dataset import Dataset
+
 pytestmark = pytest.mark.slow
 
 
@@ -30,3 +32,14 @@ def test_the_surface_grows_during_a_scan_and_is_whole_afterwards(session, job, s
     poses = session.poses()
     assert poses.numbers.tolist() == list(range(1, 10))
     assert session.mosaic().window(level=1).overlap_um is not None
+
+
+def test_a_stitching_that_was_broken_off_is_made_good_when_the_dataset_is_opened(session, surfaced, patience_s):
+    path = session.snapshot.dataset.path
+    session.close_dataset().result()
+    kept = Dataset.open(path).result()
+    kept.begin_drawing(kept.poses())  # as a viewer leaves it that is killed while it draws
+    session.open_dataset(path).result()
+    session.wait_until(lambda s: surfaced(s) and not kept.broken_off, patience_s)
+    assert kept.shows_all(session.snapshot.dataset.fields)
+    assert session.snapshot.surface.n_fields == 9

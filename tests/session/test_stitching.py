@@ -70,8 +70,10 @@ def test_fields_that_come_are_placed_beside_the_others_and_solved_for_together_a
         if before is not None:  # the others stayed where they were
             np.testing.assert_array_equal(kept.poses().x_um[:place], before.x_um)
     assert _off_px(kept.poses(), made) < 0.5
+    assert not kept.shows_all(made.fields)
     bring_up_to_date(dataset, RESULT, REGISTERED)
     grown = kept.poses()
+    assert kept.shows_all(made.fields)
 
     at_once = make_dataset(tmp_path / "at_once.wafer", made)
     add_surfaces(at_once, made, range(len(made.fields)))
@@ -111,6 +113,7 @@ def test_what_was_broken_off_is_made_anew(dataset, made):
     for file in kept.mosaic_path.rglob("z_um/0/c/*/*"):
         file.unlink()
     assert kept.broken_off
+    assert not kept.shows_all(made.fields)
     bring_up_to_date(dataset, RESULT, REGISTERED)
     assert not kept.broken_off
     _assert_same(whole, kept.mosaic().window())

@@ -133,7 +133,8 @@ class Poses:
     by z_um + tilt_x (x - x_um) + tilt_y (y - y_um) + form.sag_um(x - x_um, y - y_um). u_x_um, u_y_um, u_z_um: standard
     uncertainties of the pose (of z at the field's centre). group: fields joined by believed overlaps have one number;
     left_out: fields that fit none of their neighbours and are not in the mosaic. stage_error_um, z_error_um: standard
-    deviation of the stage's errors in the plane and along z, as found.
+    deviation of the stage's errors in the plane and along z, as found. final: all fields were solved for together, not
+    some of them placed beside others as these lay.
     """
 
     numbers: NDArray[np.int32]
@@ -155,6 +156,7 @@ class Poses:
     form: Form = Form()
     stage_error_um: float = 0.0
     z_error_um: float = 0.0
+    final: bool = True
     notes: tuple[str, ...] = ()
 
 

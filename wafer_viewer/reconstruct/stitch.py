@@ -175,6 +175,7 @@ class _Task:
             form=positions.camera.in_form(levels.form),
             stage_error_um=positions.stage_error_um,
             z_error_um=levels.z_error_um,
+            final=self.fixed is None,
             notes=positions.notes + levels.notes,
         )
 

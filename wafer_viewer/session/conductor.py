@@ -184,7 +184,7 @@ class Conductor:
         """Fields without heights, a surface not stitched, numbers not known: as far as the dataset may be written."""
         shown, result = self.library.shown, self.library.result
         taken = [n for n, s in shown.states.items() if s is FieldState.TAKEN]
-        if shown.read_only is None and (taken or (shown.stamps and not result.has_mosaic)):
+        if shown.read_only is None and (taken or (shown.stamps and not result.shows_all(shown.fields))):
             recipe = result.recipe() if shown.stamps else shown.job.recipe
             self.reconstruction.begin(recipe, result.name, taken, restitch=True)
         elif result.has_mosaic and self.desk.now.surface is None:

@@ -78,4 +78,4 @@ def _built(kind: type[Any], arrays: Any, prefix: str, **known: Any) -> Any:
 def _value(array: Any, declared: str) -> Any:
     if declared.startswith("tuple"):
         return tuple(array.tolist())
-    return float(array) if declared == "float" else array
+    return array.item() if declared in ("float", "bool") else array

@@ -113,6 +113,11 @@ class Result:
         with writing(self.path / POSES):
             (self.path / DRAWING).replace(self.path / POSES)
 
+    def shows_all(self, fields: Iterable[Field]) -> bool:
+        """Whether the mosaic shows every surface that there is, all of them placed together."""
+        poses = self.poses() if self.has_mosaic and not self.broken_off else None
+        return poses is not None and poses.final and set(poses.numbers.tolist()) == self.surfaces_done(fields)
+
     @property
     def broken_off(self) -> bool:
         """Whether a drawing of the mosaic was begun and not ended: all of it is to be made anew."""
