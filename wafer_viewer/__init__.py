@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.evidence import FocusCurve
     from wafer_viewer.model.findings import Length, Profile, ProfileCurve, StepHeight
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+    from wafer_viewer.model.poses import Poses
     from wafer_viewer.model.recipe import Recipe
     from wafer_viewer.model.region import Region
     from wafer_viewer.model.sample import Sample
@@ -48,6 +49,7 @@ _HOMES = {
     "Length": "model.findings",
     "Mosaic": "model.surface",
     "Origin": "model.surface",
+    "Poses": "model.poses",
     "Profile": "model.findings",
     "ProfileCurve": "model.findings",
     "Quality": "measure.quality",
@@ -85,6 +87,7 @@ __all__ = [
     "Length",
     "Mosaic",
     "Origin",
+    "Poses",
     "Profile",
     "ProfileCurve",
     "Quality",
