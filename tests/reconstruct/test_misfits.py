@@ -134,3 +134,10 @@ def test_turning_keeps_the_centre(heights):
         np.reshape(heights[0].bounds_um, (2, 2)).mean(0), np.reshape(held.bounds_um, (2, 2)).mean(0), strict=True
     ):
         assert one == pytest.approx(other)
+
+
+def test_of_two_halves_that_do_not_fit_neither_is_left_out():
+    none, unlike = Doubt.NONE, Doubt.UNLIKE
+    halves = told([(0, 1, none), (2, 3, none), (0, 2, unlike), (1, 3, unlike)])
+    assert suspects(4, halves).size == 0
+    assert loose(4, halves).tolist() == [2, 3]

@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
 from wafer_viewer.model.poses import Doubt, SaidBy
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.reconstruct.register import PairShift, register, register_pair
 
 SHAPE = (200, 240)
@@ -144,3 +145,26 @@ def test_many_pairs_at_once(sample):
     assert shifts.believed.all()
     assert (shifts.first.tolist(), shifts.second.tolist()) == ([0, 0], [1, 2])
     assert len(register(heights, np.zeros((0, 2), np.int32)).x_um) == 0
+
+
+def test_where_nothing_was_ever_sharp_pictures_may_differ():
+    """Two blocks with a gap between them: what is shown of the gap is noise, and says nothing against either field."""
+    noise = np.random.default_rng(5)
+    pair = [_of_noise(noise, x0_um) for x0_um in (0.0, 270.0)]
+    assert register_pair(*pair).doubt is Doubt.BLANK
+
+
+def _of_noise(noise: np.random.Generator, x0_um: float) -> HeightMap:
+    shape = (270, 360)
+    grey = ndimage.gaussian_filter(noise.normal(size=shape), 2.0)
+    nothing = np.full(shape, np.nan, np.float32)
+    return HeightMap(
+        z_um=nothing,
+        z_raw_um=nothing,
+        confidence=np.zeros(shape, np.float32),
+        all_in_focus=(128 + 200 * grey).clip(0, 255).astype(np.uint8),
+        origin=np.full(shape, Origin.NO_TEXTURE, np.uint8),
+        pixel_um=1.0,
+        x0_um=x0_um,
+        y0_um=0.0,
+    )

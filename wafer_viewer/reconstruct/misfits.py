@@ -15,6 +15,9 @@ from wafer_viewer.reconstruct.register import REACH_PX, register_pair
 LEAST_NEIGHBOURS = 2
 """One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
 
+FEWER = 2
+"""Of two groups of fields that are nearly as large neither is thrown away for the other's sake."""
+
 _LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
 _FITS = (Doubt.NONE, Doubt.DISAGREES)
 _EVERY = 16
@@ -38,8 +41,8 @@ def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """The fields to leave out, by their place in the list: they show enough, but fit nowhere where others fit.
 
     Fields that fit each other hang together. Of all that are compared with each other, the largest such group is
-    believed; another one is left out when at least two of its overlaps with that group, and more than are ambiguous,
-    should fit and none does.
+    believed; another one, at most half as large, is left out when at least two of its overlaps with that group, and
+    more than are ambiguous, should fit and none does.
     """
     lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
@@ -77,9 +80,13 @@ def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]
     if fits[how] * 2 >= max(1, len(neighbours)):
         return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
     return (
-        f"Field {number} fits none of its {len(neighbours)} neighbours and was left out: it belongs to another sample "
-        "or lies elsewhere; scan it again."
+        f"Field {number} fits {_none_of(len(neighbours))} and was left out: it belongs to another sample or lies "
+        "elsewhere; scan it again."
     )
+
+
+def _none_of(n_neighbours: int) -> str:
+    return "not its one neighbour" if n_neighbours == 1 else f"none of its {n_neighbours} neighbours"
 
 
 def turned(height: HeightMap, turn: Turn) -> HeightMap:
@@ -118,6 +125,8 @@ def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
     leading = group[largest[first]]
     believed = np.isin(group, leading[size[leading] > 1])
     n_lost, n_open = (_of_groups(shifts, some, group, believed) for some in (lost, open_))
+    nearly_as_large = FEWER * size[group] > size[leading][whole]
+    n_lost = np.where(nearly_as_large, np.minimum(n_lost, LEAST_NEIGHBOURS - 1), n_lost)
     return np.where(believed | (n_lost <= n_open), 0, n_lost)
 
 

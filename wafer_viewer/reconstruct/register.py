@@ -17,11 +17,13 @@ from wafer_viewer.model.poses import Doubt, SaidBy, Shifts
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.match import Match, match
 from wafer_viewer.reconstruct.parts import on_threads
-from wafer_viewer.reconstruct.strips import height_of, picture_of
+from wafer_viewer.reconstruct.strips import Window, height_of, picture_of
 
 REACH_PX, WIDE_REACH_PX, WIDE_FRACTION = 40.0, 120.0, 0.125
 """Without a reach of its own a neighbour is looked for within 40 px of the stage's word, four deviations of a good
 stage; where the two show enough but do not fit there, within 120 px or an eighth of the shorter side of a field."""
+LEAST_MEASURED = 0.1
+"""Where hardly a height was found nothing was ever sharp: pictures are noise there, and may well differ."""
 _LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
 
 
@@ -83,12 +85,21 @@ def register_pair(first: HeightMap, second: HeightMap, reach_px: float | None = 
 def _within(first: HeightMap, second: HeightMap, reach_px: float) -> PairShift:
     """By the pictures, by the heights where those are blank, or by the stage."""
     seen = match(first, second, reach_px, picture_of)
+    if seen.doubt in _LOST and _measured_share(first, second) < LEAST_MEASURED:
+        return _by_stage(Doubt.BLANK)
     if seen.doubt is not Doubt.BLANK:
         return _told(seen, first.pixel_um, SaidBy.PICTURE)
     felt = match(first, second, reach_px, height_of)
     if felt.doubt is Doubt.NONE:
         return _told(felt, first.pixel_um, SaidBy.HEIGHT)
     return _by_stage(Doubt.BLANK)
+
+
+def _measured_share(first: HeightMap, second: HeightMap) -> float:
+    """How much of an overlap has heights, in the field that has fewer of them there."""
+    common = Window.of(first, second, 0, 1).common
+    shares = (np.isfinite(h.z_raw_um[part]).mean() for h, part in zip((first, second), common, strict=True))
+    return min(map(float, shares))
 
 
 def _told(found: Match, pixel_um: float, by: SaidBy) -> PairShift:
