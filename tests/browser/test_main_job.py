@@ -11,7 +11,18 @@ import tifffile
 from playwright.sync_api import Page, expect
 from scipy import ndimage
 
-from tests.browser.steps import eventually, go_to, notes, press, put, set_numbers, text_field, title_is, type_into
+from tests.browser.steps import (
+    eventually,
+    go_to,
+    notes,
+    numbers,
+    press,
+    put,
+    set_numbers,
+    text_field,
+    title_is,
+    type_into,
+)
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
@@ -63,6 +74,8 @@ def test_plan_scan_surface_profile_and_step_height(page: Page, session: Session)
 def plan_two_fields(page: Page, session: Session) -> None:
     press(page, "Plan a scan")
     eventually(lambda: session.snapshot.draft.job is not None, "there is a plan")
+    rows = session.snapshot.draft.job.grid.rows
+    expect(numbers(page, "Columns, rows").nth(1)).to_have_value(f"{rows}")  # as a person waits for it
     set_numbers(page, "Columns, rows", 2, 1)
     set_numbers(page, "Centre, µm", 800, 560)
     set_numbers(page, "From, to, µm", -6, 53)
