@@ -13,6 +13,7 @@ from tests.gui.stage_props import Browser
 from tests.gui.test_scene import settled, until
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import DatasetError
 
 VIEW = View(step="surface")
 
@@ -181,7 +182,7 @@ def test_poses_that_cannot_be_read_are_told_once_and_the_surface_stands(
     browser: Browser, whole: StitchedSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail() -> None:
-        raise OSError("poses.npz is torn")
+        raise DatasetError("poses.npz is torn")
 
     monkeypatch.setattr(whole, "poses", fail)
     told: list[Exception] = []

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wafer_viewer.gui.latest import Latest
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.session.paint_request import Source
 
@@ -48,7 +49,7 @@ class PoseBook:
     def _look_up(self, source: Source) -> None:
         try:
             self._known = Known(source, self._read())
-        except Exception as fault:  # noqa: BLE001 - the guard of this thread: told, and the page goes on without poses
+        except WaferViewerError as fault:  # told, and the page goes on without poses
             self._known = Known(source, None)
             self._failed(fault)
         for listener in self._listeners:
