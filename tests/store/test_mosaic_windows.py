@@ -15,9 +15,27 @@ from tests.store.samples import Source, assert_same_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import Origin, Provenance
-from wafer_viewer.store.mosaic import ZarrMosaic, patches, rewrite_header, write_mosaic, write_windows
+from wafer_viewer.store.mosaic import Patch, ZarrMosaic, patches, rewrite_header, write_mosaic, write_patch
 
 pytestmark = pytest.mark.usefixtures("small_shards")
+
+
+def write_windows(path, source, windows):
+    """Make windows again, as a stitching job does with many hands."""
+    for patch in patches(source.shape, windows):
+        write_patch(path, source, patch)
+    rewrite_header(path, source)
+
+
+def needs(patch: Patch, other: Patch) -> bool:
+    """Whether another patch has to be there first."""
+    return (
+        other.level == patch.level - 1
+        and 2 * patch.top < other.bottom
+        and other.top < 2 * patch.bottom
+        and 2 * patch.left < other.right
+        and other.left < 2 * patch.right
+    )
 
 
 WINDOWS = [
@@ -66,9 +84,9 @@ def test_what_lies_beside_a_window_is_neither_read_nor_written(stored, tmp_path,
 
 def test_patches_know_what_they_need(surface):
     work = patches(surface.shape)
-    assert all(not p.needs(q) for p in work for q in work if q.level >= p.level)
+    assert all(not needs(p, q) for p in work for q in work if q.level >= p.level)
     above = next(p for p in work if p.level == 2)
-    assert [q.level for q in work if above.needs(q)] == [1] * 4
+    assert [q.level for q in work if needs(above, q)] == [1] * 4
     assert [p.level for p in patches(surface.shape, [])] == []
 
 

@@ -28,7 +28,8 @@ from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.result import Result
 
-OPEN_SURFACES = 64
+OPEN_SURFACES = 1024
+"""Mapped, not read: a mosaic that grows asks for all of them each time."""
 SAME_PIXEL_FRACTION = 1e-6
 Window = tuple[slice, slice]
 

@@ -38,7 +38,7 @@ from wafer_viewer.store.mosaic_layout import (
     multiscale,
     shards_of,
 )
-from wafer_viewer.store.patches import Patch, Window, patches
+from wafer_viewer.store.patches import Patch, patches
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.shard import ShardedArray, codecs
 
@@ -53,7 +53,6 @@ __all__ = [
     "rewrite_header",
     "write_mosaic",
     "write_patch",
-    "write_windows",
 ]
 
 
@@ -72,22 +71,6 @@ def write_mosaic(
         lay_out(beside, source)
         _write(beside, source, patches(source.shape), progress, should_stop, threads)
     return ZarrMosaic.open(path)
-
-
-def write_windows(
-    path: Path,
-    source: Mosaic,
-    windows: Sequence[Window],
-    progress: Progress | None = None,
-    should_stop: ShouldStop | None = None,
-    threads: int = 1,
-) -> None:
-    """Make windows (rows and columns of level 0) of a mosaic again, on all levels; what lies beside them is not read.
-
-    Raises DatasetError when the place cannot be written to or the work is stopped: then some of them are new.
-    """
-    _write(path, source, patches(source.shape, windows), progress, should_stop, threads)
-    rewrite_header(path, source)
 
 
 def lay_out(path: Path, source: Mosaic) -> MosaicHeader:

@@ -45,16 +45,6 @@ class Patch:
             for cols in cut(2 * self.left, ends[1], mosaic_layout.SHARD)
         ]
 
-    def needs(self, other: Patch) -> bool:
-        """Whether another patch has to be there first."""
-        return (
-            other.level == self.level - 1
-            and 2 * self.top < other.bottom
-            and other.top < 2 * self.bottom
-            and 2 * self.left < other.right
-            and other.left < 2 * self.right
-        )
-
 
 def patches(shape: tuple[int, int], windows: Iterable[Window] | None = None) -> list[Patch]:
     """The patches that make some windows (of pixels of level 0; all without) of a mosaic of a shape.
