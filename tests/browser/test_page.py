@@ -81,6 +81,21 @@ def test_a_plan_is_edited_priced_and_started(serve: Serve):
     eventually(lambda: "start_scan" in verbs(session), "the scan was started")
 
 
+def test_typing_on_and_on_loses_nothing_of_what_was_typed_first(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    set_numbers(page, "Columns, rows", 2, 1)
+    lot = text_field(page, "Lot")
+    lot.fill("")
+    for letter in "A lot with a long name":
+        lot.press_sequentially(letter)
+        session.change()  # the rig tells where it stands meanwhile
+        page.wait_for_timeout(120)
+    eventually(lambda: session.snapshot.draft.job.sample.lot == "A lot with a long name", "the lot was taken over")
+    grid = session.snapshot.draft.job.grid
+    assert (grid.cols, grid.rows) == (2, 1)
+
+
 def test_a_plan_that_cannot_be_says_why_and_leaves_the_last_good_one(serve: Serve):
     session = fake.FakeSession(fake.planned())
     page = serve(session)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import threading
+from concurrent.futures import Future
 from typing import Any
 
 import viser
@@ -11,6 +11,7 @@ from wafer_viewer.draw.numbers import size
 from wafer_viewer.gui import html
 from wafer_viewer.gui import plan_words as words
 from wafer_viewer.gui.dialogs import load_plan_dialog
+from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
@@ -20,9 +21,6 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Draft, Snapshot
 
-COMMIT_S = 0.25
-"""An edit goes to the session when nothing was typed for so long: one number typed is one step of undo."""
-
 
 class PlanPanel:
     """Sample, field grid, focus sweep, strategy, price, start."""
@@ -31,7 +29,7 @@ class PlanPanel:
         self._page = page
         self._problem: str | None = None
         self._shown_job: Any = None
-        self._timer: threading.Timer | None = None
+        self._edits = Edits(self._commit, guarded(page, "The plan stays"))
         self._typed_range_um: tuple[float, float] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -49,7 +47,7 @@ class PlanPanel:
         draft = snapshot.draft
         if draft.job is not self._shown_job:
             self._shown_job, self._problem = draft.job, None
-        if self._problem is None:
+        if self._problem is None and not self._edits.under_way:
             self._show_form(form_of(draft.job))
         self._show_words(snapshot, draft)
         self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
@@ -132,7 +130,7 @@ class PlanPanel:
             self._depth = Cell(gui)
 
     def _field(self, handle: Any) -> Field[Any]:
-        return Field(handle, lambda _: self._edited(), self._page, "The plan stays")
+        return Field(handle, lambda _: self._edits.made(), self._page, "The plan stays")
 
     def _on(self, name: str, verb: Any) -> Any:
         return guarded(self._page, name)(lambda _: verb())
@@ -171,16 +169,9 @@ class PlanPanel:
 
     def _typed(self, event: Any) -> None:
         self._typed_range_um = event.target.value
-        self._edited()
+        self._edits.made()
 
-    def _edited(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        self._timer = threading.Timer(COMMIT_S, guarded(self._page, "The plan stays")(self._commit))
-        self._timer.daemon = True
-        self._timer.start()
-
-    def _commit(self) -> None:
+    def _commit(self) -> Future[Any] | None:
         page, snapshot = self._page, self._page.session.snapshot
         try:
             form = with_typed_range(self._read_form(), snapshot.draft.job, self._typed_range_um)
@@ -188,12 +179,14 @@ class PlanPanel:
         except PlanError as fault:
             self._problem = str(fault)
             page.redraw()
-            return
+            return None
         self._problem = None
         if job == snapshot.draft.job:
             page.redraw()
-        else:
-            page.ask("The plan stays", page.session.edit_job(job))
+            return None
+        answer = page.session.edit_job(job)
+        page.ask("The plan stays", answer)
+        return answer
 
     def _choose_strategy(self, name: str) -> None:
         job = self._page.session.snapshot.draft.job
