@@ -9,9 +9,10 @@ import viser
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.colour_legend import ColourLegend
-from wafer_viewer.gui.commands import Command, add_commands, looking
+from wafer_viewer.gui.commands import add_commands, looking
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.header import Header, possible
+from wafer_viewer.gui.keys import commands_of
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
@@ -25,7 +26,7 @@ from wafer_viewer.gui.profile_dock import ProfileDock
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
-from wafer_viewer.gui.view import Step, View
+from wafer_viewer.gui.view import View
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
 from wafer_viewer.gui.why_panel import WhyPanel
@@ -126,7 +127,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("tool", measure.use)
     page.on_pick("look", look)
     _listen_to_scene(page, scene, read_out, why)
-    add_commands(page, [*looking(look), *_commands(page, plan, acquire, surface, measure, why)])
+    add_commands(page, [*looking(look), *commands_of(page, plan, acquire, surface, measure, why)])
     page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)
@@ -148,52 +149,3 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     scene.on_pick(picked)
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
-
-
-def _commands(
-    page: Page, plan: PlanPanel, acquire: AcquirePanel, surface: SurfacePanel, measure: MeasurePanel, why: WhyPanel
-) -> list[Command]:
-    session = page.session
-
-    def scan_or_pause() -> None:
-        if session.snapshot.scanning:
-            acquire.pause_or_resume()
-        elif plan.why_not(session.snapshot) is None:
-            plan.start()
-
-    def undo() -> None:
-        verb = session.undo_findings if page.view.step == "measure" else session.undo
-        page.ask("Nothing was undone", verb())
-
-    def leave() -> None:
-        """What was opened last is left first."""
-        if page.view.explains:
-            why.close()
-        else:
-            page.change(tool="none", selected=None)
-
-    steps: list[Step] = ["plan", "acquire", "surface", "measure"]
-    icon = viser.Icon
-    return [
-        Command("Scan, pause, go on", "G", scan_or_pause, icon.PLAYER_PLAY),
-        Command("Profile", "L", lambda: measure.use("profile"), icon.LINE),
-        Command("Step height", "K", lambda: measure.use("step"), icon.STAIRS_UP),
-        Command("Why this height?", "C", why.toggle, icon.ZOOM_QUESTION),
-        Command("Leave the tool", "escape", leave, icon.X),
-        Command("Hillshade", "H", surface.toggle_hillshade, icon.SUN),
-        Command("All-in-focus", "U", surface.toggle_all_in_focus, icon.FOCUS_2),
-        Command("Fields and overlaps", "O", surface.toggle_fields, icon.GRID_DOTS),
-        Command("Undo", "Z", undo, icon.ARROW_BACK_UP, "cmd/ctrl"),
-        Command(
-            "Redo", "Z", lambda: page.ask("Nothing was redone", session.redo()), icon.ARROW_FORWARD_UP, "cmd/ctrl+shift"
-        ),
-        Command("Light or dark page", None, lambda: page.change(dark=not page.view.dark), icon.MOON),
-        *(
-            Command(
-                f"Go to {step.capitalize()}",
-                None,
-                lambda s=step: possible(s, session.snapshot) and page.change(step=s, why=None),
-            )
-            for step in steps
-        ),
-    ]

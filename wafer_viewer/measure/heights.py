@@ -82,9 +82,11 @@ def reported(value_um: float, provenance: Provenance, calibration_valid: bool) -
 
 
 def require_area(region: Region, what: str) -> None:
-    """Raise MeasureError for a line, which has no area to measure."""
-    if region.kind == "line":
-        raise MeasureError(f"The {what} region is a line and has no area: draw a rectangle, a circle or a polygon.")
+    """Raise MeasureError for a line or a point, which have no area to measure."""
+    if region.kind in ("line", "point"):
+        raise MeasureError(
+            f"The {what} region is a {region.kind} and has no area: draw a rectangle, a circle or a polygon."
+        )
 
 
 def _area_um2(region: Region) -> float:

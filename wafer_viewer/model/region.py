@@ -18,14 +18,21 @@ class Point(Spec, frozen=True, kw_only=True, array_like=True):
     y_um: float
 
 
-_POINTS = {"rectangle": (2, 2), "circle": (1, 1), "polygon": (3, 10_000), "line": (2, 2)}
+RegionKind = Literal["rectangle", "circle", "polygon", "line", "point"]
+_POINTS: dict[RegionKind, tuple[int, int]] = {
+    "rectangle": (2, 2),
+    "circle": (1, 1),
+    "polygon": (3, 10_000),
+    "line": (2, 2),
+    "point": (1, 1),
+}
 
 
 class Region(Spec, frozen=True, kw_only=True):
-    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners) or line (two ends)."""
+    """A rectangle (two opposite corners), circle (centre, radius), polygon (corners), line (two ends) or a point."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
-    kind: Literal["rectangle", "circle", "polygon", "line"]
+    kind: RegionKind
     points: tuple[Point, ...]
     radius_um: NonNegative = 0.0
     width_um: Annotated[float, Within(0)] = 0.0
@@ -62,6 +69,11 @@ class Region(Spec, frozen=True, kw_only=True):
         ends = (Point(x_um=x0_um, y_um=y0_um), Point(x_um=x1_um, y_um=y1_um))
         return cls(kind="line", points=ends, width_um=width_um)
 
+    @classmethod
+    def point(cls, x_um: float, y_um: float) -> Region:
+        """A single place."""
+        return cls(kind="point", points=(Point(x_um=x_um, y_um=y_um),))
+
     @property
     def bounds_um(self) -> tuple[float, float, float, float]:
         """(x low, y low, x high, y high) of the smallest upright rectangle round the region."""
@@ -70,9 +82,9 @@ class Region(Spec, frozen=True, kw_only=True):
         return min(xs) - pad, min(ys) - pad, max(xs) + pad, max(ys) + pad
 
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which of the points (arrays that broadcast together) lie inside; a line contains none."""
+        """Which of the points (arrays that broadcast together) lie inside; a line or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
-        if self.kind == "line":
+        if self.kind in ("line", "point"):
             return np.zeros(x.shape, bool)
         if self.kind == "circle":
             center = self.points[0]

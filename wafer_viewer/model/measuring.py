@@ -1,0 +1,50 @@
+"""The tools for measuring on a surface: what each is called and which places on the surface it asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from wafer_viewer.model.region import RegionKind
+
+ToolName = Literal["profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture"]
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceAsked:
+    """One place that a tool asks for: its name on the page and the kind of region it is."""
+
+    name: str
+    kind: RegionKind
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuringTool:
+    """A tool: its title, what the operator does with it, the places it is measured at."""
+
+    title: str
+    how: str
+    places: tuple[PlaceAsked, ...]
+
+
+def _rectangles(*names: str) -> tuple[PlaceAsked, ...]:
+    return tuple(PlaceAsked(name, "rectangle") for name in names)
+
+
+TOOLS: dict[ToolName, MeasuringTool] = {
+    "profile": MeasuringTool("Profile", "Drag the two handles over the surface.", (PlaceAsked("line", "line"),)),
+    "point": MeasuringTool("Point", "Drag the point, or click where to measure.", (PlaceAsked("point", "point"),)),
+    "distance": MeasuringTool(
+        "Distance", "Drag both points over the surface.", (PlaceAsked("from", "point"), PlaceAsked("to", "point"))
+    ),
+    "step": MeasuringTool(
+        "Step height", "Drag the upper and the lower region over the surface.", _rectangles("upper", "lower")
+    ),
+    "angle": MeasuringTool("Angle", "Drag a region onto each of the two faces.", _rectangles("first", "second")),
+    "radius": MeasuringTool("Radius", "Drag the circle round the bump or the pit.", (PlaceAsked("bump", "circle"),)),
+    "volume": MeasuringTool(
+        "Area and volume", "Drag the region over what stands out of its surroundings.", _rectangles("region")
+    ),
+    "flatness": MeasuringTool("Flatness", "Drag the region over the face.", _rectangles("face")),
+    "texture": MeasuringTool("Texture", "Drag the region over the face.", _rectangles("face")),
+}
