@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 
 Step = Literal["plan", "acquire", "surface", "measure"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
-Tool = Literal["none", "profile", "step"]
+Tool = Literal["none"] | ToolName
 Below = Literal["none", "profile", "why"]
 
 
@@ -21,6 +23,8 @@ class View:
     show: 0 is the stitched surface, a running number is that field. range_um None: the surface's own 0.5 - 99.5 %.
     frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
     fields: whether fields and overlaps are drawn over the stitched surface.
+    places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
+    first ones. levelling: what heights are read from.
     why: the place, stage um, whose height is being explained.
     """
 
@@ -39,8 +43,10 @@ class View:
     dark: bool = False
     tool: Tool = "none"
     profile: Region | None = None
+    places: tuple[Region, ...] = ()
     upper: Region | None = None
     lower: Region | None = None
+    levelling: Levelling = Levelling()
     selected: int | None = None
     why: tuple[float, float] | None = None
 
