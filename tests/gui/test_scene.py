@@ -297,7 +297,7 @@ def drag(browser: Browser, part: str, x_um: float, y_um: float) -> None:
 
 def test_a_profile_begins_on_the_surface_and_follows_its_handles(browser: Browser, scene: SceneView) -> None:
     lines: list[Region] = []
-    scene.on_profile(lines.append)
+    scene.on_lines(lambda told, line: lines.append(told[line]))
     scene.draw(SNAPSHOT, View(step="measure", tool="profile", exaggeration=1.0))
     until(lambda: lines)
     settled(scene)
@@ -305,7 +305,7 @@ def test_a_profile_begins_on_the_surface_and_follows_its_handles(browser: Browse
     assert -GRID.width_um / 2 <= x0 < 0 < x1 <= GRID.width_um / 2
     scene.look_from("top")
     settled(scene)
-    drag(browser, "profile/1/ball", 200.0, -100.0)
+    drag(browser, "profile/0/1/ball", 200.0, -100.0)
     until(lambda: len(lines) > 1)
     assert (lines[-1].points[1].x_um, lines[-1].points[1].y_um) == pytest.approx((200.0, -100.0), abs=3.0)
     assert lines[-1].points[0] == lines[0].points[0]
@@ -340,21 +340,21 @@ def test_a_region_moves_whole_by_its_middle_and_stays_on_the_surface(browser: Br
 
 def test_a_view_that_only_echoes_a_drag_does_not_move_the_handles_back(browser: Browser, scene: SceneView) -> None:
     lines: list[Region] = []
-    scene.on_profile(lines.append)
+    scene.on_lines(lambda told, line: lines.append(told[line]))
     view = View(step="measure", tool="profile", exaggeration=1.0)
     scene.draw(SNAPSHOT, view)
     until(lambda: lines)
     settled(scene)
-    drag(browser, "profile/0/ball", -150.0, 50.0)
+    drag(browser, "profile/0/0/ball", -150.0, 50.0)
     until(lambda: len(lines) > 1)
-    scene.draw(SNAPSHOT, dataclasses.replace(view, profile=lines[0]))
+    scene.draw(SNAPSHOT, dataclasses.replace(view, lines=(lines[0],)))
     settled(scene)
-    drag(browser, "profile/1/ball", 150.0, 50.0)
+    drag(browser, "profile/0/1/ball", 150.0, 50.0)
     until(lambda: len(lines) > 2)
     assert lines[-1].points[0] == lines[1].points[0]
-    scene.draw(SNAPSHOT, dataclasses.replace(view, profile=Region.line(-10, -20, 30, 40)))
+    scene.draw(SNAPSHOT, dataclasses.replace(view, lines=(Region.line(-10, -20, 30, 40),)))
     settled(scene)
-    drag(browser, "profile/1/ball", 100.0, 50.0)
+    drag(browser, "profile/0/1/ball", 100.0, 50.0)
     until(lambda: len(lines) > 3)
     assert (lines[-1].points[0].x_um, lines[-1].points[0].y_um) == (-10, -20)
 

@@ -139,7 +139,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     clicks = Latest("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"
-    scene.on_profile(guarded(page, failed)(lambda line: page.change(profile=line, selected=None)))
+    scene.on_lines(guarded(page, failed)(lambda lines, line: page.change(lines=lines, line=line, selected=None)))
     scene.on_regions(guarded(page, failed)(lambda upper, lower: page.change(upper=upper, lower=lower, selected=None)))
 
     def picked(x_um: float, y_um: float) -> None:

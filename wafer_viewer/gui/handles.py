@@ -96,31 +96,6 @@ class Sign:
         self._node.remove()
 
 
-class ProfileTool:
-    """A line with a handle at each end, draped over the surface."""
-
-    def __init__(self, scene: viser.SceneApi, colour: Rgb, dragged: Dragged) -> None:
-        self.ends: list[Place] = [(0.0, 0.0), (0.0, 0.0)]
-        self._line = CasedLine(scene, "profile", colour, 3.4)
-        self._knobs = [Knob(scene, f"profile/{k}", colour, 8.5, dragged) for k in (0, 1)]
-
-    def drag(self, name: str, to: Place) -> None:
-        """Move one end."""
-        self.ends[int(name[-1])] = to
-
-    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
-        """Lie on the surface as it is drawn now."""
-        points, measured = land.draped(self.ends[0], self.ends[1], 1.5 * mm_per_pixel)
-        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
-        for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
-            knob.place(at + np.array([0, 0, 5 * mm_per_pixel], np.float32), mm_per_pixel, towards)
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        for part in (self._line, *self._knobs):
-            part.remove()
-
-
 class PlaceMark:
     """A point on the surface that stays where it is put."""
 

@@ -62,7 +62,7 @@ class MeasurePanel:
         self._tool.show(view.tool)
         set_prop(self._name, "visible", chosen is None and finding is not None)
         set_prop(self._width.handle, "visible", view.tool == "profile" and chosen is None)
-        self._width.show(view.profile.width_um if view.profile else 0.0)
+        self._width.show(line.width_um if (line := view.active_line) else 0.0)
         if finding is None:
             waits = html.micro(self.answer.problem) or "The answer comes as soon as the handles lie on the surface."
             self._answer.show(html.empty(waits))
@@ -105,13 +105,13 @@ class MeasurePanel:
 
     def _widen(self, event: Any) -> None:
         """Average over a strip of that width across the line."""
-        line = self._page.view.profile
-        if line is not None:
-            self._page.change(profile=replace(line, width_um=float(event.target.value)))
+        view, width_um = self._page.view, float(event.target.value)
+        widened = (replace(line, width_um=width_um) if k == view.line else line for k, line in enumerate(view.lines))
+        self._page.change(lines=tuple(widened))
 
     def _measure_if_moved(self, snapshot: Snapshot, view: View) -> None:
         stamp = snapshot.surface.stamp if snapshot.surface else None
-        places = {"none": (), "profile": (view.profile,), "step": (view.upper, view.lower)}[view.tool]
+        places = {"none": (), "profile": (view.active_line,), "step": (view.upper, view.lower)}[view.tool]
         asked = (view.tool, places, view.show, stamp)
         if asked == self._asked:
             return
@@ -130,8 +130,8 @@ class MeasurePanel:
 
     def _measured(self, view: View) -> Answer:
         session = self._page.session
-        if view.tool == "profile" and view.profile is not None:
-            profile, curve = session.profile(view.profile, view.show)
+        if view.tool == "profile" and (line := view.active_line) is not None:
+            profile, curve = session.profile(line, view.show)
             return Answer(profile, curve)
         if view.upper is not None and view.lower is not None:
             return Answer(session.step_height(view.upper, view.lower, view.show))

@@ -54,7 +54,7 @@ class ResultList:
             return
         match next((f for f in page.session.snapshot.findings if f.number == number), None):
             case Profile() as profile:
-                page.change(selected=number, tool="profile", profile=profile.line)
+                page.change(selected=number, tool="profile", lines=(profile.line,), line=0)
             case StepHeight() as step:
                 page.change(selected=number, tool="step", upper=step.upper, lower=step.lower)
             case _:

@@ -99,9 +99,9 @@ class SceneView:
         """Call back with the stage x, y in um of a click on the surface."""
         self._tools.on_pick(callback)
 
-    def on_profile(self, callback: Callable[[Region], None]) -> None:
+    def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
         """Call back with the profile's line while its handles are dragged, and when one is first laid."""
-        self._tools.on_profile(callback)
+        self._tools.on_lines(callback)
 
     def on_regions(self, callback: Callable[[Region, Region], None]) -> None:
         """Call back with the upper and the lower region while they are dragged, and when they are first laid."""

@@ -1,4 +1,4 @@
-"""The tools on the surface: picking a point, the profile's handles, the two regions of a step."""
+"""The tools on the surface: picking a point, the lines of profiles, the two regions of a step."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ import viser
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.handles import PlaceMark, ProfileTool, RegionTool
+from wafer_viewer.gui.handles import PlaceMark, RegionTool
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.lie_of_land import Land, Place
+from wafer_viewer.gui.line_tools import LineTools
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.region import Region
@@ -26,17 +27,16 @@ class Tools:
     def __init__(self, client: viser.ClientHandle, eye: Eye) -> None:
         self._client, self._eye = client, eye
         self._land: Land | None = None
-        self._profile: ProfileTool | None = None
+        self._lines = LineTools(client.scene, self._dragged, lambda lines, line: self._lined(lines, line))
         self._regions: dict[str, RegionTool] = {}
         self._mark: PlaceMark | None = None
         self._lock = threading.RLock()
         self._drags, self._clicks = Latest("drag"), Latest("pick")
         self._told: deque[Region] = deque(maxlen=64)
-        self._width_um = 0.0
         # Whether the view named them when it was last seen: one that names none any more asks for new ones.
-        self._had_profile = self._had_regions = False
+        self._had_regions = False
         self._picked: Callable[[float, float], None] | None = None
-        self._profiled: Callable[[Region], None] = lambda line: None
+        self._lined: Callable[[tuple[Region, ...], int], None] = lambda lines, line: None
         self._stepped: Callable[[Region, Region], None] = lambda upper, lower: None
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
@@ -45,9 +45,9 @@ class Tools:
             self._client.scene.on_click()(self._clicked)
         self._picked = callback
 
-    def on_profile(self, callback: Callable[[Region], None]) -> None:
-        """Call back with the line."""
-        self._profiled = callback
+    def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
+        """Call back with the profiles' lines and the number of the one that was moved."""
+        self._lined = callback
 
     def on_regions(self, callback: Callable[[Region, Region], None]) -> None:
         """Call back with upper and lower region."""
@@ -64,11 +64,13 @@ class Tools:
         with self._lock:
             self._land = land
             tool = view.tool if view.step == "measure" and land is not None else "none"
-            self._take_away("profile" if tool != "profile" else "step")
+            if tool != "profile":
+                self._lines.remove()
             if tool != "step":
-                self._take_away("step")
+                self._take_regions_away()
             if land is not None and tool == "profile":
-                self._show_profile(view, land)
+                self._lines.show(view, land, self._looked_at())
+                self._redraw()
             elif land is not None and tool == "step":
                 self._show_regions(view, land)
             self._show_mark(view, land)
@@ -78,19 +80,6 @@ class Tools:
         self._drags.ask(self._redraw)
 
     # ---------------------------------------------------------------- profile and regions
-
-    def _show_profile(self, view: View, land: Land) -> None:
-        new = self._profile is None
-        if self._profile is None:
-            self._profile = ProfileTool(self._client.scene, colours(view.dark).profile, self._dragged)
-        self._width_um = view.profile.width_um if view.profile is not None else self._width_um
-        if view.profile is not None and self._is_theirs(view.profile, new):
-            self._profile.ends = [(p.x_um, p.y_um) for p in view.profile.points]
-        elif view.profile is None and (new or self._had_profile):
-            self._profile.ends = list(land.first_line(self._looked_at()))
-            self._tell_profile()
-        self._had_profile = view.profile is not None
-        self._redraw()
 
     def _show_regions(self, view: View, land: Land) -> None:
         new = not self._regions
@@ -132,18 +121,14 @@ class Tools:
             self._regions[name].high = land.clamped((x + side / 2, y + side / 2))
         self._tell_regions()
 
-    def _take_away(self, tool: str) -> None:
-        if tool == "profile" and self._profile is not None:
-            self._profile.remove()
-            self._profile = None
-        if tool == "step":
-            for region in self._regions.values():
-                region.remove()
-            self._regions = {}
+    def _take_regions_away(self) -> None:
+        for region in self._regions.values():
+            region.remove()
+        self._regions = {}
 
     def _redraw(self) -> None:
         with self._lock:
-            drawn = [t for t in (self._profile, *self._regions.values(), self._mark) if t is not None]
+            drawn = [t for t in (self._lines, *self._regions.values(), self._mark) if t is not None]
             if self._land is None or not drawn:
                 return
             pixel_mm, towards = self._eye.um_per_pixel() * 1e-3, self._eye.pose.direction
@@ -163,9 +148,8 @@ class Tools:
             if self._land is None:
                 return
             place = self._land.hit(origin, direction) or self._level_place(origin, direction)
-            if name.startswith("profile") and self._profile is not None:
-                self._profile.drag(name, place)
-                self._tell_profile()
+            if name.startswith("profile"):
+                self._lines.drag(name, place)
             elif (tool := self._regions.get(name.split("/")[0])) is not None:
                 tool.drag(name, place, self._land)
                 self._tell_regions()
@@ -191,13 +175,6 @@ class Tools:
     def _looked_at(self) -> Place:
         x, y, _ = self._eye.pose.look_at * 1e3
         return float(x), float(y)
-
-    def _tell_profile(self) -> None:
-        if self._profile is not None:
-            (xa, ya), (xb, yb) = self._profile.ends
-            line = Region.line(xa, ya, xb, yb, self._width_um)
-            self._told.append(line)
-            self._profiled(line)
 
     def _tell_regions(self) -> None:
         upper, lower = (Region.rectangle(*self._regions[n].low, *self._regions[n].high) for n in ("upper", "lower"))

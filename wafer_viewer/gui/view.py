@@ -25,6 +25,7 @@ class View:
     fields: whether fields and overlaps are drawn over the stitched surface.
     places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
     first ones. levelling: what heights are read from.
+    lines: those of the profiles, at most four; line: the active one, whose numbers are shown.
     why: the place, stage um, whose height is being explained.
     """
 
@@ -42,7 +43,8 @@ class View:
     fields: bool = False
     dark: bool = False
     tool: Tool = "none"
-    profile: Region | None = None
+    lines: tuple[Region, ...] = ()
+    line: int = 0
     places: tuple[Region, ...] = ()
     upper: Region | None = None
     lower: Region | None = None
@@ -54,6 +56,11 @@ class View:
     def shows_fields(self) -> bool:
         """Whether the page shows how the fields were placed."""
         return self.fields and self.step == "surface" and self.show == 0
+
+    @property
+    def active_line(self) -> Region | None:
+        """The line whose numbers are shown; None where there is none yet."""
+        return self.lines[min(self.line, len(self.lines) - 1)] if self.lines else None
 
     @property
     def explains(self) -> bool:

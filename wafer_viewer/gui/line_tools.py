@@ -1,0 +1,120 @@
+"""The lines of profiles in the scene: up to four, each in its colour with its letter, two handles at its ends."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import rgb
+from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
+from wafer_viewer.gui.lie_of_land import Land, Place
+from wafer_viewer.gui.measure_words import PROFILE_COLOURS
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.region import Region
+
+LETTERS = "ABCD"
+Told = Callable[[tuple[Region, ...], int], None]
+"""Called with all lines and the number of the active one."""
+
+
+class LineTool:
+    """One line, draped over the surface, with a handle at each end and its letter beside the first."""
+
+    def __init__(self, scene: viser.SceneApi, place: int, line: Region, dragged: Dragged) -> None:
+        colour = rgb(PROFILE_COLOURS[place][1:])
+        self.line = line
+        self._line = CasedLine(scene, f"profile/{place}", colour, 3.4)
+        self._knobs = [Knob(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
+        self._sign = Sign(scene, f"profile/{place}/sign", LETTERS[place], colour)
+
+    def drag(self, end: int, to: Place) -> None:
+        """Move one end."""
+        places = [(p.x_um, p.y_um) for p in self.line.points]
+        places[end] = to
+        self.line = Region.line(*places[0], *places[1], self.line.width_um)
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Lie on the surface as it is drawn now."""
+        first, last = ((p.x_um, p.y_um) for p in self.line.points)
+        points, measured = land.draped(first, last, 1.5 * mm_per_pixel)
+        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
+        up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
+        for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
+            knob.place(at + up, mm_per_pixel, towards)
+        x, y, z = (float(v) for v in points[0] + up)
+        self._sign.place((x - 15 * mm_per_pixel, y, z), 26 * mm_per_pixel)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._line, *self._knobs, self._sign):
+            part.remove()
+
+
+class LineTools:
+    """All lines. What a view asks for is laid, unless it is only an echo of what was told from here."""
+
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told) -> None:
+        self._scene, self._dragged, self._tell = scene, dragged, told
+        self._tools: list[LineTool] = []
+        self._seen: tuple[Region, ...] = ()
+        self._echoes: deque[tuple[Region, ...]] = deque(maxlen=64)
+
+    def show(self, view: View, land: Land, near: Place) -> None:
+        """Have the lines of a view; one that has none gets a first one near a place."""
+        if view.lines:
+            if not self._is_echo(view.lines):
+                self._lay(view.lines)
+        elif self._seen or not self._tools:
+            self._seen = ()
+            first, last = land.first_line(near)
+            self._lay((Region.line(*first, *last),))
+            self._told(0)
+
+    def drag(self, name: str, to: Place) -> None:
+        """Move the end of the handle of that name, ``profile/LINE/END``."""
+        _, place, end = name.split("/")[:3]
+        if int(place) < len(self._tools):
+            self._tools[int(place)].drag(int(end), to)
+            self._told(int(place))
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Lie on the surface as it is drawn now, all of them."""
+        for tool in self._tools:
+            tool.draw(land, mm_per_pixel, towards)
+
+    def remove(self) -> None:
+        """Take them all out of the scene."""
+        for tool in self._tools:
+            tool.remove()
+        self._tools, self._seen = [], ()
+        self._echoes.clear()
+
+    def _lay(self, lines: tuple[Region, ...]) -> None:
+        for tool in self._tools[len(lines) :]:
+            tool.remove()
+        del self._tools[len(lines) :]
+        for tool, line in zip(self._tools, lines, strict=False):
+            tool.line = line
+        for place in range(len(self._tools), len(lines)):
+            self._tools.append(LineTool(self._scene, place, lines[place], self._dragged))
+
+    def _told(self, active: int) -> None:
+        lines = tuple(tool.line for tool in self._tools)
+        self._echoes.append(lines)
+        self._tell(lines, active)
+
+    def _is_echo(self, lines: tuple[Region, ...]) -> bool:
+        """Whether a view's lines were seen before, or told from here: then those told before them are past too."""
+        if lines == self._seen:
+            return True
+        self._seen = lines
+        if lines not in self._echoes:
+            self._echoes.clear()
+            return False
+        while self._echoes.popleft() != lines:
+            pass
+        return True
