@@ -12,7 +12,8 @@ from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import add_commands, looking
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.header import Header, possible
-from wafer_viewer.gui.keys import commands_of
+from wafer_viewer.gui.keys import Parts, commands_of
+from wafer_viewer.gui.keys_sheet import add_keys_sheet
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
@@ -127,7 +128,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("tool", measure.use)
     page.on_pick("look", look)
     _listen_to_scene(page, scene, read_out, why)
-    add_commands(page, [*looking(look), *commands_of(page, plan, acquire, surface, measure, why)])
+    commands = [*looking(look), *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    add_commands(page, [*commands, add_keys_sheet(page, commands)])
     page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)

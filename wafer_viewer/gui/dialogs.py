@@ -42,6 +42,14 @@ class Dialog:
             away = button(self.page.gui, "Cancel", None, lambda _: self.close())
             do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
             in_a_row(self.page.gui, [away, do], 38, filled=do)
+            Cell(self.page.gui, _on_key("wv-away", away) + _on_key("wv-do", do), padded=False)
+
+    def way_out(self, name: str) -> None:
+        """The one button of a sheet that only tells."""
+        with self.modal:
+            away = button(self.page.gui, name, None, lambda _: self.close())
+            in_a_row(self.page.gui, [away], 36)
+            Cell(self.page.gui, _on_key("wv-away", away), padded=False)
 
     def close(self) -> None:
         """Leave the question."""
@@ -55,6 +63,11 @@ class Dialog:
             problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
             return
         self.close()
+
+
+def _on_key(marker: str, handle: Any) -> str:
+    """Tells the script of keys which button Escape and Enter press."""
+    return f'<span hidden class="{marker}" data-button="{handle._impl.uuid}"></span>'
 
 
 def open_dialog(page: Page) -> None:

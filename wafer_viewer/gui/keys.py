@@ -2,64 +2,224 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
 import viser
 
+from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command
-from wafer_viewer.gui.header import possible
+from wafer_viewer.gui.dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog, stop_dialog
+from wafer_viewer.gui.header import TITLES, possible
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
-from wafer_viewer.gui.surface_panel import SurfacePanel
-from wafer_viewer.gui.view import Step
+from wafer_viewer.gui.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
+from wafer_viewer.gui.view import Step, Tool
 from wafer_viewer.gui.why_panel import WhyPanel
+from wafer_viewer.model.measuring import TOOLS, ToolName
+
+ICON = viser.Icon
+STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M"}
+"""Each with shift."""
+TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
+    "profile": ("L", None),
+    "point": ("X", None),
+    "distance": ("M", None),
+    "step": ("K", None),
+    "angle": ("B", None),
+    "radius": ("R", None),
+    "volume": ("V", None),
+    "flatness": ("F", "shift"),
+    "texture": ("T", "shift"),
+}
+TOOL_ICONS: dict[Tool, Any] = {"profile": ICON.LINE, "step": ICON.STAIRS_UP}
+EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
 
 
-def commands_of(
-    page: Page, plan: PlanPanel, acquire: AcquirePanel, surface: SurfacePanel, measure: MeasurePanel, why: WhyPanel
-) -> list[Command]:
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The panels whose verbs have keys."""
+
+    plan: PlanPanel
+    acquire: AcquirePanel
+    surface: SurfacePanel
+    measure: MeasurePanel
+    why: WhyPanel
+
+
+def commands_of(page: Page, parts: Parts) -> list[Command]:
     """Every verb of the page with its key."""
+    return [
+        *_going(page),
+        *_planning(page, parts),
+        *_acquiring(page, parts),
+        *_looking_at_surface(page, parts),
+        *_measuring(page, parts),
+        *_of_the_page(page, parts),
+    ]
+
+
+def _going(page: Page) -> list[Command]:
+    def go(step: Step) -> None:
+        if possible(step, page.session.snapshot):
+            page.change(step=step, why=None)
+
+    return [
+        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to")
+        for step, key in STEP_KEYS.items()
+    ]
+
+
+def _planning(page: Page, parts: Parts) -> list[Command]:
     session = page.session
+    ask = _asking(page)
 
     def scan_or_pause() -> None:
         if session.snapshot.scanning:
-            acquire.pause_or_resume()
-        elif plan.why_not(session.snapshot) is None:
-            plan.start()
+            parts.acquire.pause_or_resume()
+        elif parts.plan.why_not(session.snapshot) is None:
+            parts.plan.start()
+
+    def saved(path: Any) -> None:
+        page.say("Plan saved", str(path))
+
+    return [
+        Command("Scan, pause, go on", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan"),
+        Command(
+            "Cover the sample", "C", ask("The grid stays", session.cover_sample), ICON.ARROWS_MAXIMIZE, "shift", "Plan"
+        ),
+        Command(
+            "Move the grid to the stage",
+            None,
+            ask("The grid stays", session.centre_on_stage),
+            ICON.CROSSHAIR,
+            group="Plan",
+        ),
+        Command(
+            "Save plan",
+            "S",
+            ask("The plan was not saved", session.save_plan, saved),
+            ICON.DEVICE_FLOPPY,
+            "cmd/ctrl",
+            "Plan",
+        ),
+        Command("Load plan…", None, lambda: load_plan_dialog(page), ICON.FOLDER_OPEN, group="Plan"),
+        Command("Open a dataset…", "O", lambda: open_dialog(page), ICON.FOLDER_OPEN, "cmd/ctrl", "Plan"),
+        Command("Import images…", "I", lambda: import_dialog(page), ICON.PHOTO_PLUS, "shift", "Plan"),
+        Command("Close the dataset", None, ask("The dataset stays open", session.close_dataset), ICON.X, group="Plan"),
+    ]
+
+
+def _acquiring(page: Page, parts: Parts) -> list[Command]:
+    def stop() -> None:
+        if page.session.snapshot.scanning:
+            stop_dialog(page)
+
+    go_on = _asking(page)("The scan did not go on", page.session.continue_scan)
+    return [
+        Command("Stop the scan…", "escape", stop, ICON.PLAYER_STOP, "shift", "Acquire"),
+        Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire"),
+    ]
+
+
+def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
+    surface = parts.surface
+
+    def exaggerate(by: float) -> None:
+        page.change(exaggeration=min(max(1.0, page.view.exaggeration + by), MOST_EXAGGERATED))
+
+    def set_to(**choices: Any) -> Callable[[], None]:
+        return lambda: page.change(**choices)
+
+    return [
+        Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
+        Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
+        Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
+        Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface"),
+        Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
+        Command(
+            "Lower z", "pagedown", lambda: exaggerate(-EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"
+        ),
+        Command("Colours from 0.5 to 99.5 %", "J", set_to(range_um=None), ICON.CHART_HISTOGRAM, group="Surface"),
+        Command("Export the surface…", "E", lambda: export_dialog(page), ICON.DOWNLOAD, "shift", "Surface"),
+        *(
+            Command(f"Draw as {name.lower()}", None, set_to(look=look), ICON.CUBE, group="Surface")
+            for look, name in LOOKS
+        ),
+        *(
+            Command(
+                f"Colour by {name.lower()}", None, set_to(colour_by=by, range_um=None), ICON.PALETTE, group="Surface"
+            )
+            for name, by in COLOUR_BY.items()
+        ),
+        *(
+            Command(f"Colours {name}", None, set_to(colours=key), ICON.PALETTE, group="Surface")
+            for key, name in COLOUR_MAPS.items()
+        ),
+    ]
+
+
+def _measuring(page: Page, parts: Parts) -> list[Command]:
+    session = page.session
+
+    def rename() -> None:
+        from wafer_viewer.gui.dialogs import rename_dialog
+
+        chosen = next((f for f in session.snapshot.findings if f.number == page.view.selected), None)
+        if chosen is not None:
+            rename_dialog(page, chosen.number, chosen.name)
+
+    def delete() -> None:
+        if page.view.step == "measure" and page.view.selected is not None:
+            deleted = session.delete(page.view.selected)
+            page.ask("The result stays", deleted, lambda _: page.change(selected=None))
+
+    tools = [
+        Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), TOOL_ICONS.get(tool), held, "Measure")
+        for tool, (key, held) in TOOL_KEYS.items()
+    ]
+    return [
+        *tools,
+        Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
+        Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
+    ]
+
+
+def _of_the_page(page: Page, parts: Parts) -> list[Command]:
+    session = page.session
 
     def undo() -> None:
         verb = session.undo_findings if page.view.step == "measure" else session.undo
         page.ask("Nothing was undone", verb())
 
+    def redo() -> None:
+        page.ask("Nothing was redone", session.redo())
+
     def leave() -> None:
         """What was opened last is left first."""
         if page.view.explains:
-            why.close()
+            parts.why.close()
         else:
             page.change(tool="none", selected=None)
 
-    steps: list[Step] = ["plan", "acquire", "surface", "measure"]
-    icon = viser.Icon
     return [
-        Command("Scan, pause, go on", "G", scan_or_pause, icon.PLAYER_PLAY),
-        Command("Profile", "L", lambda: measure.use("profile"), icon.LINE),
-        Command("Step height", "K", lambda: measure.use("step"), icon.STAIRS_UP),
-        Command("Why this height?", "C", why.toggle, icon.ZOOM_QUESTION),
-        Command("Leave the tool", "escape", leave, icon.X),
-        Command("Hillshade", "H", surface.toggle_hillshade, icon.SUN),
-        Command("All-in-focus", "U", surface.toggle_all_in_focus, icon.FOCUS_2),
-        Command("Fields and overlaps", "O", surface.toggle_fields, icon.GRID_DOTS),
-        Command("Undo", "Z", undo, icon.ARROW_BACK_UP, "cmd/ctrl"),
-        Command(
-            "Redo", "Z", lambda: page.ask("Nothing was redone", session.redo()), icon.ARROW_FORWARD_UP, "cmd/ctrl+shift"
-        ),
-        Command("Light or dark page", None, lambda: page.change(dark=not page.view.dark), icon.MOON),
-        *(
-            Command(
-                f"Go to {step.capitalize()}",
-                None,
-                lambda s=step: possible(s, session.snapshot) and page.change(step=s, why=None),
-            )
-            for step in steps
-        ),
+        Command("Leave the tool", "escape", leave, ICON.X, group="Page"),
+        Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page"),
+        Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page"),
+        Command("Light or dark page", "D", lambda: page.change(dark=not page.view.dark), ICON.MOON, "shift", "Page"),
     ]
+
+
+def _asking(page: Page) -> Callable[..., Callable[[], None]]:
+    """Makes verbs of the session into what a key does: the operator hears of a failure, named by what stopped."""
+
+    def ask(
+        name: str, verb: Callable[[], Future[Any]], then: Callable[[Any], None] | None = None
+    ) -> Callable[[], None]:
+        return lambda: page.ask(name, verb(), then)
+
+    return ask

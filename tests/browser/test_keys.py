@@ -1,0 +1,78 @@
+"""Keys: whatever has the focus, in dialogs, in the palette, and the sheet that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser import fake_session as fake
+from tests.browser.steps import eventually, go_to, press, text_field, title_is, type_into
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    # The page may still be drawing when the browser of a test goes.
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
+Serve = Callable[[fake.FakeSession], Page]
+
+
+def verbs(session: fake.FakeSession) -> list[str]:
+    return [name for name, _, _ in session.asked]
+
+
+def test_a_key_works_while_a_ticked_checkbox_has_the_focus(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    go_to(page, "Surface")
+    page.get_by_label("One frame").click()
+    expect(page.get_by_label("One frame")).to_be_focused()
+    page.keyboard.press("k")
+    title_is(page, "Step height")
+
+
+def test_letters_go_into_a_field_until_it_is_left(serve: Serve):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    lot = text_field(page, "Lot")
+    lot.fill("")
+    lot.press_sequentially("Gm", delay=120)
+    expect(lot).to_have_value("Gm")
+    assert "start_scan" not in verbs(session)
+    page.keyboard.press("Escape")
+    expect(lot).not_to_be_focused()
+    page.keyboard.press("g")
+    eventually(lambda: "start_scan" in verbs(session), "the scan was started")
+
+
+def test_enter_answers_a_dialog_escape_leaves_it_and_no_key_reaches_behind_it(serve: Serve, tmp_path):
+    session = fake.FakeSession(fake.planned())
+    page = serve(session)
+    press(page, "Open…")
+    page.get_by_role("button", name="Cancel").focus()
+    page.keyboard.press("g")
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    assert verbs(session) == []
+    page.keyboard.press("Control+o")
+    type_into(page, "Path", str(tmp_path))
+    text_field(page, "Path").press("Enter")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    eventually(lambda: "open_dataset" in verbs(session), "the dataset was opened")
+
+
+def test_the_palette_has_a_verb_without_a_key_and_the_sheet_lists_the_keys(serve: Serve):
+    page = serve(fake.FakeSession(fake.measured()))
+    page.keyboard.press("Shift+S")
+    title_is(page, "Surface")
+    page.keyboard.press("Control+k")
+    page.get_by_placeholder("Search commands...").fill("colour by slope")
+    page.keyboard.press("Enter")
+    expect(page.locator(".mantine-Select-input, input").filter(visible=True).nth(1)).to_be_visible()
+    expect(page.get_by_label("Colour by")).to_have_value("Slope")
+    page.keyboard.press("F1")
+    expect(page.get_by_role("dialog")).to_contain_text("Step height")
+    expect(page.get_by_role("dialog")).to_contain_text("Ctrl + Shift + Z")
+    page.keyboard.press("Escape")
+    expect(page.get_by_role("dialog")).to_have_count(0)

@@ -1,0 +1,61 @@
+"""The sheet that lists all keys, made from the same table as the keys; and the script that lets them through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import get_args
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.commands import Command, Group
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.page import Page
+
+BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
+    "Page": (
+        ("Every verb by its name", "Ctrl + K"),
+        ("This list", "F1 or ?"),
+        ("Next, previous field or button", "Tab"),
+        ("Leave a field that is typed into", "Enter or Esc"),
+    ),
+    "Look": (("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
+}
+"""Keys that no command of ours stands for."""
+
+
+def sheet_html(commands: Sequence[Command]) -> str:
+    """All keys, under the heads of their groups."""
+    groups = [(group, _rows(group, commands)) for group in get_args(Group)]
+    return f'<div class="wv-sheet">{"".join(_group(group, rows) for group, rows in groups if rows)}</div>'
+
+
+def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
+    """Put the script of keys on the page, and return the verb that shows the sheet."""
+
+    def show() -> None:
+        dialog = Dialog(page, "Keys", "Every verb is in the command palette too: Ctrl + K.")
+        with dialog.modal:
+            Cell(page.gui, sheet_html(commands))
+        dialog.way_out("Close")
+
+    page.on_pick("keys", lambda _: show())
+    page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
+    page.gui.add_html(f'<div hidden><span class="wv-keys-sheet" {html.pick("keys")}></span></div>')
+    return Command("Keys", None, show, group="Page")
+
+
+def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
+    named = [(c.name, c.spoken_key) for c in commands if c.group == group and c.key]
+    return [*named, *BESIDE_THE_TABLE.get(group, ())]
+
+
+def _group(group: Group, rows: list[tuple[str, str]]) -> str:
+    lines = "".join(f"<div>{html.safe(name)}<kbd>{html.safe(key)}</kbd></div>" for name, key in rows)
+    return f"<section><b>{html.safe(group)}</b>{lines}</section>"
+
+
+@cache
+def _script() -> str:
+    return (Path(__file__).parent / "keyboard.js").read_text()
