@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from wafer_viewer.model.alignment import Alignment, Marks
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.sample import Feature, Sample
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
@@ -238,7 +239,8 @@ class ScanPlan(Spec, frozen=True, kw_only=True):
 class Job(Spec, frozen=True, kw_only=True):
     """What an engineer prepares once and an operator runs: the file ``PLAN.toml``.
 
-    Either `grid` or `fields` says where; `strategy` is a name of the planner's table or ``auto``.
+    Either `grid` or `fields` says where, in wafer um where `marks` are given to align by, else in stage um; `strategy`
+    is a name of the planner's table or ``auto``. `alignment` is of the one wafer that is on the stage.
     """
 
     product: str = ""
@@ -252,6 +254,8 @@ class Job(Spec, frozen=True, kw_only=True):
     light_fraction: Annotated[float, Within(0, 1)] = 1.0
     strategy: str = "auto"
     recipe: Recipe = Recipe()
+    marks: Marks | None = None
+    alignment: Alignment | None = None
     features: tuple[Feature, ...] = ()
     defect_sensitivity: Positive = 5.0
     released: bool = False
@@ -264,7 +268,17 @@ class Job(Spec, frozen=True, kw_only=True):
             self.refuse("exposures_us", "at least one exposure time")
         if self.released and self.recipe.has_auto:
             self.refuse("released", "false as long as the recipe holds an 'auto'")
+        if self.released and self.strategy == "auto":
+            self.refuse("released", "false as long as the strategy is 'auto'")
+        if self.alignment is not None and self.marks is None:
+            self.refuse("alignment", "left out where there are no marks to align by")
 
     def all_fields(self) -> tuple[Field, ...]:
-        """The fields, from the grid or as listed."""
-        return self.fields if self.grid is None else self.grid.fields(self.z_start_um)
+        """The fields on the stage, from the grid or as listed: where they lie once the wafer is aligned."""
+        fields = self.fields if self.grid is None else self.grid.fields(self.z_start_um)
+        return fields if self.alignment is None else tuple(_on_stage(field, self.alignment) for field in fields)
+
+
+def _on_stage(field: Field, alignment: Alignment) -> Field:
+    x_um, y_um = alignment.to_stage(field.x_um, field.y_um)
+    return msgspec.structs.replace(field, x_um=x_um, y_um=y_um)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
+from wafer_viewer.model.alignment import Notch
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import NonNegative, Spec, Within
+
+DecisionRule = Literal["guard_band", "simple_acceptance"]
 
 
 class Sample(Spec, frozen=True, kw_only=True):
@@ -16,43 +19,36 @@ class Sample(Spec, frozen=True, kw_only=True):
     wafer_id: str = ""
     product: str = ""
     slot: Annotated[int, Within(0, 99)] = 0
-    notch: Literal["down", "left", "up", "right", "none"] = "none"
+    notch: Notch = "none"
     mount: str = ""
     operator: str = ""
     width_um: NonNegative = 0.0
     height_um: NonNegative = 0.0
 
 
-class Alignment(Spec, frozen=True, kw_only=True):
-    """Stage to wafer coordinates: a turn about the stage's origin, then a shift; with the residual of its fit."""
-
-    rotation_rad: float = 0.0
-    shift_x_um: float = 0.0
-    shift_y_um: float = 0.0
-    residual_um: NonNegative = 0.0
-
-    def to_wafer(self, x_um: float, y_um: float) -> tuple[float, float]:
-        """Wafer coordinates of a stage position."""
-        c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
-        return c * x_um - s * y_um + self.shift_x_um, s * x_um + c * y_um + self.shift_y_um
-
-    def to_stage(self, x_um: float, y_um: float) -> tuple[float, float]:
-        """Stage coordinates of a place on the wafer."""
-        c, s = math.cos(self.rotation_rad), math.sin(self.rotation_rad)
-        dx, dy = x_um - self.shift_x_um, y_um - self.shift_y_um
-        return c * dx + s * dy, -s * dx + c * dy
-
-
 class Feature(Spec, frozen=True, kw_only=True):
-    """A height to be measured on every sample of a product, with its limits and how a verdict is reached."""
+    """A step height to be measured on every sample of a product, with its limits and how a verdict is reached.
+
+    upper, lower: where, in wafer um where the job has marks to align by, else in stage um; without them the feature is
+    not measured by itself.
+    """
 
     name: str
     nominal_um: float
     lower_limit_um: float
     upper_limit_um: float
-    decision_rule: Literal["guard_band", "simple_acceptance"] = "guard_band"
+    decision_rule: DecisionRule = "guard_band"
+    upper: Region | None = None
+    lower: Region | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.upper_limit_um <= self.lower_limit_um:
             self.refuse("upper_limit_um", f"over the lower limit {self.lower_limit_um:g} um")
+        if (self.upper is None) != (self.lower is None):
+            self.refuse("lower" if self.lower is None else "upper", "a region, as the other one is")
+
+    @property
+    def has_place(self) -> bool:
+        """Whether it is known where to measure it."""
+        return self.upper is not None

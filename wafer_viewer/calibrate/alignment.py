@@ -1,0 +1,52 @@
+"""How a wafer lies on the stage, from the places where its marks were found: a turn and a shift by least squares."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.alignment import Alignment, Marks, Notch
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.spec import replace
+
+MOST_TURN_DEG = 5.0
+"""A wafer lies on its mount within this of where its notch points; more is a notch told wrong, or another die's corner."""
+
+
+def fit_alignment(marks: Marks, seen_um: Sequence[tuple[float, float]], notch: Notch) -> Alignment:
+    """The turn and shift from stage to wafer that bring every mark nearest to its place (least squares; Kabsch 1976).
+
+    seen_um: (x, y) on the stage of each mark, in the order of `marks`. Scale is not fitted: what the stage's scale and
+    the marks disagree on is in the residual. Raises PlanError when a mark was not seen, two are in one place, or the
+    wafer is turned by more than 5 degrees from where its notch points.
+    """
+    if len(seen_um) != len(marks.places):
+        raise PlanError(f"{len(seen_um)} of {len(marks.places)} corners are marked: mark the others too.")
+    stage = np.array(seen_um, float)
+    wafer = np.array([(m.x_um, m.y_um) for m in marks.places], float)
+    turned = Alignment(rotation_rad=_rotation(stage, wafer, notch))
+    shift = np.mean(wafer - _through(turned, stage), axis=0)
+    fit = replace(turned, shift_x_um=float(shift[0]), shift_y_um=float(shift[1]), n_marks=len(stage))
+    return replace(fit, residual_um=float(np.hypot(*(_through(fit, stage) - wafer).T).max()))
+
+
+def _rotation(stage: NDArray[np.float64], wafer: NDArray[np.float64], notch: Notch) -> float:
+    """The angle that turns the marks as seen into those of the wafer, each about their middle."""
+    (u, v), (p, q) = (stage - stage.mean(axis=0)).T, (wafer - wafer.mean(axis=0)).T
+    if not (np.hypot(u, v).max() > 0 and np.hypot(p, q).max() > 0):
+        raise PlanError("All corners are marked in one place: mark corners of dies that lie far apart.")
+    found = math.atan2(float(np.sum(u * q - v * p)), float(np.sum(u * p + v * q)))
+    off_deg = math.degrees(math.remainder(found - Alignment.by_notch(notch).rotation_rad, math.tau))
+    if abs(off_deg) > MOST_TURN_DEG:
+        raise PlanError(
+            f"The corners say that the wafer is turned by {off_deg:.1f} degrees from where its notch points "
+            f"('{notch}'), and {MOST_TURN_DEG:g} are allowed: mark the corners named, or put the wafer in straight."
+        )
+    return found
+
+
+def _through(alignment: Alignment, stage: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.array([alignment.to_wafer(x, y) for x, y in stage])
