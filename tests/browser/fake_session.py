@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.browser.fake_control import fake_control
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
@@ -49,6 +50,7 @@ class FakeSession:
         self.asked: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
         self.fails_with: Exception | None = None
         self._listeners: list[Callable[[Snapshot], None]] = []
+        self.control = fake_control(self)
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         self._listeners.append(listener)

@@ -22,6 +22,7 @@ from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.conductor import Conductor
+from wafer_viewer.session.control import Control
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.messages import Move
 from wafer_viewer.session.questions import Questions, ReadOut
@@ -43,6 +44,7 @@ class Session:
         self._rooms = rooms = Conductor(Path(data_folder), rig or RigConfig(), scheduler)
         self._desk, self._do = rooms.desk, rooms.desk.do
         self._questions = Questions(rooms.library, lambda: self.snapshot)
+        self.control = Control(rooms.desk)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
         self._desk.note(rooms.start)

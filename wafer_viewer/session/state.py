@@ -14,6 +14,7 @@ from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
+from wafer_viewer.session.hands import Hands
 
 
 class FieldState(Enum):
@@ -226,6 +227,9 @@ class Snapshot:
     findings: tuple[AnyFinding, ...] = ()
     findings_undo: bool = False
     compute_ready: bool = False
+    hands: Hands = Hands()
+    reopening: bool = False
+    """Whether what was open when the program ended is still being opened again."""
 
     @property
     def scanning(self) -> bool:

@@ -1,0 +1,203 @@
+"""Several browsers at one session: one holds the controls, and nobody is locked out."""
+
+from __future__ import annotations
+
+import pytest
+
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.control import ANSWER_S, GRACE_S, Control
+from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.seat import FREE, seat
+from wafer_viewer.session.session import Session
+from wafer_viewer.session.state import Snapshot
+
+
+class Hourglass:
+    """Time that a test turns on by hand."""
+
+    def __init__(self):
+        self.waiting = []
+
+    def later(self, wait_s, then):
+        entry = (wait_s, then)
+        self.waiting.append(entry)
+        return lambda: self.waiting.remove(entry) if entry in self.waiting else None
+
+    def pass_by(self, wait_s):
+        due = [entry for entry in self.waiting if entry[0] <= wait_s]
+        self.waiting = [entry for entry in self.waiting if entry[0] > wait_s]
+        for _, then in due:
+            then()
+
+
+@pytest.fixture
+def desk():
+    made = Desk(Snapshot())
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def glass():
+    return Hourglass()
+
+
+@pytest.fixture
+def control(desk, glass):
+    made = Control(desk, glass.later)
+    made.arrive("a", "Anna").result()
+    made.arrive("b").result()
+    return made
+
+
+@pytest.fixture
+def hands(desk):
+    def now():
+        desk.do(lambda: None).result()
+        return desk.snapshot.hands
+
+    return now
+
+
+def test_the_first_comer_holds_the_controls_and_the_others_are_told_who_does(control, hands):
+    assert hands().holds("a")
+    assert [b.name for b in hands().browsers] == ["Anna", "Browser 2"]
+    assert hands().why_not("a") is None
+    assert hands().why_not("b") == "Anna holds the controls."
+
+
+def test_who_asks_gets_the_controls_when_the_holder_hands_them_over(control, hands):
+    control.ask("b").result()
+    assert (hands().asking, hands().answer_s) == ("b", ANSWER_S)
+    control.hand_over("a", "b").result()
+    assert hands().holds("b")
+    assert hands().asking is None
+
+
+def test_who_asks_is_turned_down_by_a_holder_who_keeps_them(control, hands, glass):
+    control.ask("b").result()
+    control.keep("a").result()
+    assert (hands().holder, hands().asking, hands().kept_from) == ("a", None, "b")
+    glass.pass_by(ANSWER_S)
+    assert hands().holds("a")
+
+
+def test_the_controls_pass_when_the_holder_does_not_answer(control, hands, glass):
+    control.ask("b").result()
+    glass.pass_by(ANSWER_S - 1)
+    assert hands().holds("a")
+    glass.pass_by(ANSWER_S)
+    assert hands().holds("b")
+
+
+def test_two_who_ask_are_heard_one_after_the_other(control, hands):
+    control.arrive("c", "Cleo").result()
+    control.ask("b").result()
+    with pytest.raises(WaferViewerError, match="Browser 2 asks for the controls already"):
+        control.ask("c").result()
+    assert hands().asking == "b"
+
+
+def test_a_reload_keeps_the_controls_and_one_who_stays_away_frees_them(control, hands, glass):
+    control.leave("a").result()
+    assert hands().holds("a")
+    assert not hands().browser("a").present
+    control.arrive("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holds("a")
+    assert hands().name_of("a") == "Anna"
+    control.leave("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holds("b")
+    assert [b.key for b in hands().browsers] == ["b"]
+
+
+def test_of_two_windows_of_a_browser_one_may_be_closed(control, hands, glass):
+    control.arrive("a").result()
+    control.leave("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holds("a")
+
+
+def test_nobody_is_handed_the_controls_unasked_where_several_watch(control, hands, glass):
+    control.arrive("c", "Cleo").result()
+    control.leave("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holder is None
+    assert hands().why_not("c") == "Nobody holds the controls."
+    control.ask("c").result()
+    assert hands().holds("c")
+
+
+def test_when_the_holder_goes_the_one_who_asked_has_them(control, hands, glass):
+    control.arrive("c", "Cleo").result()
+    control.ask("c").result()
+    control.leave("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holds("c")
+
+
+def test_one_who_asked_and_went_gets_nothing(control, hands, glass):
+    control.ask("b").result()
+    control.leave("b").result()
+    glass.pass_by(GRACE_S)
+    assert (hands().holder, hands().asking) == ("a", None)
+    glass.pass_by(ANSWER_S)
+    assert hands().holds("a")
+
+
+def test_only_the_holder_passes_them_on(control, hands):
+    with pytest.raises(WaferViewerError, match="Anna holds the controls. Ask for them first"):
+        control.hand_over("b", "b").result()
+    with pytest.raises(WaferViewerError, match="has gone"):
+        control.hand_over("a", "z").result()
+    assert hands().holds("a")
+
+
+def test_a_name_can_be_changed_and_not_emptied(control, hands):
+    control.rename("b", "  Ben  \n Weiss ").result()
+    control.rename("b", "   ").result()
+    assert hands().name_of("b") == "Ben Weiss"
+
+
+class Told:
+    """Stands for a session: remembers what was asked of it."""
+
+    def __init__(self, snapshot):
+        self.snapshot, self.asked = snapshot, []
+
+    def __getattr__(self, name):
+        return lambda *args: self.asked.append(name)
+
+
+def test_a_watcher_is_refused_what_changes_anything_and_may_look_and_stop(control, desk, hands):
+    hands()
+    told = Told(desk.snapshot)
+    watcher, holder = seat(told, lambda: "b"), seat(told, lambda: "a")
+    for verb in ("start_scan", "move_to", "edit_job", "open_dataset", "keep", "cancel"):
+        with pytest.raises(WaferViewerError, match="^Anna holds the controls. Ask for them first"):
+            getattr(watcher, verb)().result()
+    assert told.asked == []
+    watcher.profile(None)
+    watcher.stop_scan()
+    holder.start_scan()
+    assert told.asked == ["profile", "stop_scan", "start_scan"]
+
+
+def test_one_who_has_not_come_in_yet_may_look_only(control, desk, hands):
+    hands()
+    with pytest.raises(WaferViewerError, match="holds the controls"):
+        seat(Told(desk.snapshot), lambda: "").start_scan().result()
+
+
+def test_a_group_of_verbs_is_refused_one_by_one(control, desk, hands):
+    hands()
+    told = Told(desk.snapshot)
+    told.group = Control(desk)  # any group of the session's own
+    with pytest.raises(WaferViewerError, match="holds the controls"):
+        seat(told, lambda: "b").group.ask("b").result()
+
+
+def test_what_is_free_is_there():
+    known = set(dir(Session)) | {"control", "measure", "datum"}
+    assert {name for name in FREE if "." not in name} <= known
