@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -10,10 +11,11 @@ import numpy as np
 from wafer_viewer.measure.heights import Floats, Layer, heights, layer_of, level_note, reported
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic, pixel_window
 
-MAX_SAMPLES = 4096
+MAX_SAMPLES = 8192
 """A line with more pixels is read at a coarser level of the pyramid."""
 _PIECE = 256
 """Samples read at a time: a slanted line never needs the whole rectangle round it."""
@@ -29,18 +31,20 @@ def profile(
     layer: Layer | None = None,
     level: int | None = None,
     name: str = "",
+    datum: Datum | None = None,
 ) -> tuple[Profile, ProfileCurve]:
     """The section along a line and its numbers: Pt, the highest over the lowest point, and the rise from end to end.
 
     The line's width_um is averaged over. layer: heights to measure on, as the surface's recipe says when left out;
-    level: of the pyramid, the finest with at most 4096 samples when left out.
+    level: of the pyramid, the finest with at most 8192 samples when left out; datum: what heights are read from, the
+    stage's zero when left out.
     Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
     """
     length_um = _length_um(line)
     at_level = _level_for(surface, length_um) if level is None else level
     pixel_window(surface, line, at_level)
     measured_on = layer_of(surface.provenance.recipe, layer)
-    curve = sampled(surface, line, measured_on, at_level)
+    curve = _over(datum, sampled(surface, line, measured_on, at_level))
     known = np.flatnonzero(np.isfinite(curve.z_um))
     if len(known) < 2:
         raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
@@ -67,13 +71,19 @@ def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileC
     pixel_um = surface.pixel_um * 2**level
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
     length_um = _length_um(line)
-    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um) + 1))
+    # A line from pixel centre to pixel centre has them all and no more, whatever the last digit of its length.
+    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-6) + 1))
     x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
     across = _offsets_um(line.width_um, pixel_um)
     x_all = x_um[:, None] - across * (yb - ya) / length_um
     y_all = y_um[:, None] + across * (xb - xa) / length_um
     pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(share))]
     return ProfileCurve(distance_um=share * length_um, z_um=np.concatenate(pieces), x_um=x_um, y_um=y_um)
+
+
+def _over(datum: Datum | None, curve: ProfileCurve) -> ProfileCurve:
+    """The same points, their heights over what counts as zero."""
+    return curve if datum is None else dataclasses.replace(curve, z_um=curve.z_um - datum.at(curve.x_um, curve.y_um))
 
 
 def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:
