@@ -20,6 +20,7 @@ from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.messages import RigReady, SampleSeen, Scan, ScanEnded, Taken
+from wafer_viewer.session.notebook import NotebookKeeper
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.reconstruction import Reconstruction
 from wafer_viewer.session.record_book import RecordBook
@@ -39,6 +40,7 @@ class Conductor:
         self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
         self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
         self.book = RecordBook(desk, self.library)
+        self.notebook = NotebookKeeper(desk, self.library)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
         self._scan_over: Future[None] = Future()
@@ -62,7 +64,7 @@ class Conductor:
         self.rig.require_idle("open another dataset")
         self.reconstruction.abandon()
         self.library.open(path)
-        self.book.open()
+        self._open_books()
         self._make_what_is_missing()
         self.library.refresh()
         return path
@@ -72,7 +74,7 @@ class Conductor:
         self.rig.require_idle("close its dataset")
         self.reconstruction.abandon()
         self.library.close()
-        self.book.open()
+        self._open_books()
 
     def start_scan(self, name: str | None) -> Future[Path]:
         """Take the plan into a new dataset."""
@@ -110,7 +112,7 @@ class Conductor:
             raise DatasetError(f"{shown.name} has no field with all its frames yet: scan first.")
         self.reconstruction.abandon()
         self.library.show_result(result)
-        self.book.open()
+        self._open_books()
         answer: Future[None] = Future()
         self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
         return answer
@@ -119,6 +121,11 @@ class Conductor:
         """Have a worker say why a pixel has its height."""
         asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
         return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
+
+    def _open_books(self) -> None:
+        """What was measured on the surface being looked at, and what was noted down about it."""
+        self.book.open()
+        self.notebook.open()
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
@@ -144,7 +151,7 @@ class Conductor:
     def _scan_begun(self, path: Path) -> Path:
         """The rig's process holds the dataset and takes frames: open it beside, and wait for fields."""
         self.library.open(path, taking=True)
-        self.book.open()
+        self._open_books()
         shown = self.library.shown
         taken = [n for n, state in shown.states.items() if state is FieldState.TAKEN]
         self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)

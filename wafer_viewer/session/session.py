@@ -25,6 +25,8 @@ from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.messages import Move
+from wafer_viewer.session.notebook import NotebookVerbs
+from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.questions import Questions, ReadOut
 from wafer_viewer.session.state import LatestFrame, Snapshot
 
@@ -45,6 +47,8 @@ class Session:
         self._desk, self._do = rooms.desk, rooms.desk.do
         self._questions = Questions(rooms.library, lambda: self.snapshot)
         self.control = Control(rooms.desk)
+        self.notebook = NotebookVerbs(self._do, rooms.notebook)
+        self.papers = Papers(self._do, rooms.library)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
         self._desk.note(rooms.start)

@@ -15,6 +15,7 @@ from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
 from wafer_viewer.session.hands import Hands
+from wafer_viewer.session.notebook_state import NotebookState
 
 
 class FieldState(Enum):
@@ -228,6 +229,7 @@ class Snapshot:
     findings_undo: bool = False
     compute_ready: bool = False
     hands: Hands = Hands()
+    notebook: NotebookState = NotebookState()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
 
