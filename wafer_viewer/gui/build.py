@@ -24,6 +24,7 @@ from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_legend import PoseLegend
 from wafer_viewer.gui.profile_dock import ProfileDock
+from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
@@ -128,7 +129,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("tool", measure.use)
     page.on_pick("look", look)
     _listen_to_scene(page, scene, read_out, why)
-    commands = [*looking(look), *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    views = SavedViews(page, scene)
+    commands = [*looking(look), *views.commands(), *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     add_commands(page, [*commands, add_keys_sheet(page, commands)])
     page.on_close(measure.close)
     page.on_close(scene.close)

@@ -29,7 +29,7 @@ class ColourLegend:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the legend up to date."""
-        scale = self._page.scale if view.step in ("surface", "measure") else None
+        scale = self._page.scale if view.on_surface else None
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
         bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""

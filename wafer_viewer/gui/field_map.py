@@ -22,7 +22,7 @@ def field_map(snapshot: Snapshot, view: View) -> str:
         states,
         outline_um=outline,
         dies_um=overview.dies_um if overview else (),
-        selected=view.show if view.step in ("surface", "measure") and view.show else None,
+        selected=view.show if view.on_surface and view.show > 0 else None,
         onclick=html.pick_script("field"),
     )
     return drawing + _legend(states) + _hint(snapshot, view)
@@ -56,7 +56,7 @@ def _swatch(ink: Ink) -> str:
 
 
 def _hint(snapshot: Snapshot, view: View) -> str:
-    if view.step in ("surface", "measure"):
+    if view.on_surface:
         text = "Click a field to see it alone, again for all." if view.show else "Click a field to see it alone."
     elif snapshot.scanning:
         return ""

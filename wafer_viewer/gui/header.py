@@ -12,10 +12,16 @@ from wafer_viewer.gui.html import icon, pick, safe
 from wafer_viewer.gui.kit import Cell, Gui, button, set_prop
 from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_STEP_PX, NARROW_WINDOW_PX, STEP_PX, by_id
 from wafer_viewer.gui.view import Step, View
+from wafer_viewer.model.notebook import key_of_result
 from wafer_viewer.session.state import RigStatus, Snapshot
 
 STEPS: tuple[Step, ...] = get_args(Step)
-TITLES: dict[Step, str] = {"plan": "Plan", "acquire": "Acquire", "surface": "Surface", "measure": "Measure"}
+TITLES: dict[Step, str] = {
+    **{"plan": "Plan", "acquire": "Acquire", "surface": "Surface"},
+    **{"measure": "Measure", "review": "Review", "report": "Report"},
+}
+SHOWN_AT_NEED: tuple[Step, ...] = ("review", "report")
+"""Steps that the header leaves out as long as they have no contents."""
 _MARK = (
     '<svg width="34" height="34" viewBox="0 0 34 34" aria-hidden="true"><g fill="none" stroke="var(--accent)">'
     '<circle cx="17" cy="17" r="15.5" stroke-width="2"/>'
@@ -43,8 +49,10 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
             return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
         case "surface":
             return data is not None and (data.finished or bool(data.stamps))
-        case "measure":
+        case "measure" | "report":
             return snapshot.surface is not None
+        case "review":
+            return snapshot.surface is not None and bool(snapshot.findings)
 
 
 def done(step: Step, snapshot: Snapshot) -> bool:
@@ -56,9 +64,18 @@ def done(step: Step, snapshot: Snapshot) -> bool:
             "plan": True,
             "acquire": data.finished and not snapshot.scanning,
             "surface": bool(snapshot.findings),
-            "measure": False,
+            "measure": bool(snapshot.notebook.book.judgements),
+            "review": all_judged(snapshot),
+            "report": False,
         }[step]
     )
+
+
+def all_judged(snapshot: Snapshot) -> bool:
+    """Whether every result was accepted or rejected."""
+    book = snapshot.notebook.book
+    verdicts = [book.judgement(key_of_result(f.number)).verdict for f in snapshot.findings]
+    return bool(verdicts) and "open" not in verdicts
 
 
 class Header:
@@ -77,6 +94,7 @@ class Header:
         self._style.show(self._step_style(view.step))
         for step, handle in self._steps.items():
             set_prop(handle, "disabled", not possible(step, snapshot))
+            set_prop(handle, "visible", possible(step, snapshot) or step not in SHOWN_AT_NEED)
             set_prop(handle, "icon", viser.Icon.CHECK if done(step, snapshot) and step != view.step else None)
 
     def _step_style(self, current: Step) -> str:

@@ -23,7 +23,7 @@ from wafer_viewer.gui.why_panel import WhyPanel
 from wafer_viewer.model.measuring import TOOLS, ToolName
 
 ICON = viser.Icon
-STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M"}
+STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M", "review": "R", "report": "O"}
 """Each with shift."""
 TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "profile": ("L", None),

@@ -13,6 +13,7 @@ from wafer_viewer.gui.field_map import field_map
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.results import ResultList
+from wafer_viewer.gui.saved_views import views_html
 from wafer_viewer.gui.style import LEFT_PX
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot, Work
@@ -27,6 +28,7 @@ class LeftPanel:
         with panel.add_tab("Sample"):
             self._map = Cell(page.gui)
             self._works = Cell(page.gui)
+            self._views = Cell(page.gui)
             self._build_datasets()
             self._results = ResultList(page)
         panel.dock_left()
@@ -39,6 +41,7 @@ class LeftPanel:
         """Bring the panel up to date."""
         self._map.show(html.head("Map", first=True) + field_map(snapshot, view))
         self._works.show(_works(snapshot, view))
+        self._views.show(views_html(snapshot, view))
         set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
         opened = snapshot.dataset.path if snapshot.dataset else None
         self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))
@@ -64,7 +67,7 @@ class LeftPanel:
     def _go_to_field(self, key: str) -> None:
         """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all."""
         page, number = self._page, int(key)
-        if page.view.step in ("surface", "measure"):
+        if page.view.on_surface:
             page.change(show=0 if page.view.show == number else number, frame_k=None, slice_z_um=None)
             return
         plan = page.session.snapshot.draft.plan

@@ -102,7 +102,7 @@ class ReadOutBox:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Show what was read last, as long as the surface is the same."""
-        on_surface = view.step in ("surface", "measure") and self._of == _surface(snapshot, view)
+        on_surface = view.on_surface and self._of == _surface(snapshot, view)
         y_px = -(EDGE_PX + room_px(view))
         ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
         shown = f"{self._text}{'' if view.explains else ask}" if on_surface else ""

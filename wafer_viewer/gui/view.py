@@ -9,7 +9,7 @@ from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 
-Step = Literal["plan", "acquire", "surface", "measure"]
+Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
 Tool = Literal["none"] | ToolName
@@ -53,6 +53,11 @@ class View:
     why: tuple[float, float] | None = None
 
     @property
+    def on_surface(self) -> bool:
+        """Whether the step is one in which the surface is looked at."""
+        return self.step not in ("plan", "acquire")
+
+    @property
     def shows_fields(self) -> bool:
         """Whether the page shows how the fields were placed."""
         return self.fields and self.step == "surface" and self.show == 0
@@ -65,7 +70,7 @@ class View:
     @property
     def explains(self) -> bool:
         """Whether the page says why a pixel has its height."""
-        return self.why is not None and self.step in ("surface", "measure")
+        return self.why is not None and self.on_surface
 
     @property
     def below(self) -> Below:

@@ -76,7 +76,7 @@ class WhyPanel:
             self.close()
         elif self._clicked is not None and self._clicked[1] == surface_of(page.session.snapshot, page.view):
             page.change(why=self._clicked[0])
-        elif page.view.step in ("surface", "measure"):
+        elif page.view.on_surface:
             page.say(TITLE, "Click a place on the surface first.")
 
     def close(self) -> None:

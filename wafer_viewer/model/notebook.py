@@ -43,6 +43,11 @@ class Judgement(Spec, frozen=True, kw_only=True):
     note: str = ""
 
 
+def key_of_result(number: int) -> str:
+    """The key under which the result of a number is judged."""
+    return f"result {number}"
+
+
 class Notebook(Spec, frozen=True, kw_only=True):
     """The file ``notebook.json`` of one reconstruction."""
 
