@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 
 MOST_TURN_DEG = 5.0
-"""A wafer lies on its mount within this of where its notch points; more is a notch told wrong, or another die's corner."""
+"""A wafer lies on its mount within this of where its notch points; more is a notch told wrong, or another corner."""
 
 
 def fit_alignment(marks: Marks, seen_um: Sequence[tuple[float, float]], notch: Notch) -> Alignment:

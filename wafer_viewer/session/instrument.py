@@ -122,7 +122,14 @@ class Instrument:
 
     def _ready(self, event: RigReady) -> None:
         state = "scanning" if self._desk.now.scanning else "ready"
-        status = RigStatus(event.name, event.simulated, state, limits=event.limits, calibration=event.calibration)
+        status = RigStatus(
+            event.name,
+            event.simulated,
+            state,
+            limits=event.limits,
+            calibration=event.calibration,
+            setup=event.setup,
+        )
         self._desk.change(rig=status)
         self._at(At(event.position))
         self._reports.ready(event)

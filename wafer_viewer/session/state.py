@@ -7,7 +7,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal
 
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.limits import RigLimits
@@ -16,6 +16,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
 from wafer_viewer.session.hands import Hands
 from wafer_viewer.session.notebook_state import NotebookState
+from wafer_viewer.session.operating import Operating
 
 
 class FieldState(Enum):
@@ -47,6 +48,7 @@ class RigStatus:
     z_um: float = 0.0
     limits: RigLimits | None = None
     calibration: Calibration | None = None
+    setup: OpticalSetup | None = None
     message: str = ""
 
 
@@ -60,6 +62,8 @@ class Draft:
     can_undo: bool = False
     can_redo: bool = False
     free_bytes: int | None = None
+    seen_um: tuple[tuple[float, float] | None, ...] = ()
+    """Where each corner to align by was marked on the stage, in the order of the job's marks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +231,7 @@ class Snapshot:
     surface: SurfaceInfo | None = None
     findings: tuple[AnyFinding, ...] = ()
     findings_undo: bool = False
+    operating: Operating = Operating()
     compute_ready: bool = False
     hands: Hands = Hands()
     notebook: NotebookState = NotebookState()

@@ -1,0 +1,28 @@
+"""What the operator of released jobs sees beside the plan: the jobs to choose from, and the verdict on the wafer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.verdict import WaferVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class JobEntry:
+    """One line of the list of released jobs."""
+
+    path: Path
+    product: str
+    revision: str
+    n_fields: int
+    n_features: int
+
+
+@dataclass(frozen=True, slots=True)
+class Operating:
+    """judging: whether the open dataset's features are being measured for their verdict."""
+
+    jobs: tuple[JobEntry, ...] = ()
+    verdict: WaferVerdict | None = None
+    judging: bool = False
