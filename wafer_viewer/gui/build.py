@@ -23,6 +23,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_legend import PoseLegend
+from wafer_viewer.gui.print_picture import PrintPicture
 from wafer_viewer.gui.profile_dock import ProfileDock
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
@@ -130,7 +131,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("look", look)
     _listen_to_scene(page, scene, read_out, why)
     views = SavedViews(page, scene)
-    commands = [*looking(look), *views.commands(), *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    looks = [*looking(look), *views.commands(), *PrintPicture(page, scene).commands()]
+    commands = [*looks, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     add_commands(page, [*commands, add_keys_sheet(page, commands)])
     page.on_close(measure.close)
     page.on_close(scene.close)

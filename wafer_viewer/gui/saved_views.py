@@ -118,7 +118,9 @@ def views_html(snapshot: Snapshot, view: View) -> str:
     listed = html.table([], rows) if rows else ""
     undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if state.can_undo else ""
     save = f'<span class="wv-link" title="Key Shift + V" {html.pick("view-save")}>Save view…</span>'
-    foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{undo}</div>'
+    told = "3000 px wide, with scale and colours · Key P"
+    picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
+    foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{picture}{undo}</div>'
     return html.head("Views") + listed + foot
 
 
@@ -141,4 +143,5 @@ def _row(kept: SavedView) -> str:
 
 def _act(what: str, kept: SavedView, word: str, sign: Any) -> str:
     label = html.safe(f"{word} {kept.name}")
-    return f'<span class="wv-act" title="{label}" aria-label="{label}" {html.pick(what, kept.number)}>{html.icon(sign, 14)}</span>'
+    told = f'title="{label}" aria-label="{label}"'
+    return f'<span class="wv-act" {told} {html.pick(what, kept.number)}>{html.icon(sign, 14)}</span>'
