@@ -1,0 +1,103 @@
+"""The frame that profiles are drawn in: its ends, its ticks, and the curves thinned to what it can show. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.ticks import round_step, tick_digits, ticks
+from wafer_viewer.model.sections import Section
+
+Floats = NDArray[np.float64]
+Ends = tuple[float, float]
+MOST_POINTS = 1500
+"""More than a plot on the page has pixels."""
+_LEAST_SPAN_UM = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ProfileFrame:
+    """What a plot shows: from where to where along the lines, and between which heights, um."""
+
+    x_um: Ends
+    z_um: Ends
+
+    def across(self, x_um: Floats) -> Floats:
+        """Where distances lie, 0 at the left and 1 at the right end."""
+        return (x_um - self.x_um[0]) / (self.x_um[1] - self.x_um[0])
+
+    def down(self, z_um: Floats) -> Floats:
+        """Where heights lie, 0 at the top and 1 at the foot."""
+        return (self.z_um[1] - z_um) / (self.z_um[1] - self.z_um[0])
+
+    def x_ticks(self, most: int) -> list[float]:
+        """Round distances."""
+        return ticks(*self.x_um, most)
+
+    def z_ticks(self, most: int) -> list[float]:
+        """Round heights."""
+        return ticks(*self.z_um, most)
+
+    def holding(self, z_um: Ends) -> ProfileFrame:
+        """The same with other heights."""
+        return replace(self, z_um=z_um)
+
+
+def frame_of(sections: Sequence[Section], span_um: Ends | None = None) -> ProfileFrame:
+    """The frame that holds all curves, or a span of them, with heights that end on round numbers."""
+    longest = max((float(s.curve.distance_um[-1]) for s in sections), default=1.0)
+    low, high = (max(0.0, span_um[0]), min(longest, span_um[1])) if span_um is not None else (0.0, longest)
+    if not high - low > _LEAST_SPAN_UM:
+        low, high = 0.0, longest
+    seen = [s.curve.z_um[(s.curve.distance_um >= low) & (s.curve.distance_um <= high)] for s in sections]
+    return ProfileFrame((low, high), round_ends(np.concatenate([*seen, np.empty(0)])))
+
+
+def round_ends(z_um: Floats) -> Ends:
+    """Round heights round these, that stay where they are while the heights change a little."""
+    good = z_um[np.isfinite(z_um)]
+    if good.size == 0:
+        return -1.0, 1.0
+    low, high = float(good.min()), float(good.max())
+    step = round_step(max((high - low) / 4, 0.05))
+    return float(step * np.floor(low / step - 0.15)), float(step * np.ceil(high / step + 0.15))
+
+
+def digits(values: list[float]) -> int:
+    """Decimals of ticks."""
+    return tick_digits(values)
+
+
+def runs(section: Section, frame: ProfileFrame, most: int = MOST_POINTS) -> list[tuple[Floats, Floats]]:
+    """The measured pieces of a curve within a frame, as shares (across, down) of it; gaps lie between them.
+
+    A curve with more than `most` points keeps every peak, valley and gap that the frame can show.
+    """
+    curve = section.curve
+    first, last = np.searchsorted(curve.distance_um, frame.x_um)
+    part = slice(max(0, int(first) - 1), int(last) + 1)
+    x, z = thinned(curve.distance_um[part], curve.z_um[part], most)
+    good = np.flatnonzero(np.isfinite(z))
+    pieces = np.split(good, np.flatnonzero(np.diff(good) > 1) + 1) if good.size else []
+    return [(frame.across(x[piece]), frame.down(z[piece])) for piece in pieces]
+
+
+def thinned(x: Floats, z: Floats, most: int) -> tuple[Floats, Floats]:
+    """A curve with at most `most` points that keeps every peak and valley, and every gap as wide as a stretch of it.
+
+    Each stretch is shown by its lowest and its highest point; one without a measured point stays a gap (NaN).
+    """
+    if len(z) <= most:
+        return x, z
+    length = -(-len(z) // (most // 2))
+    padded = np.pad(z, (0, -len(z) % length), constant_values=np.nan).reshape(-1, length)
+    known = np.isfinite(padded)
+    picked = np.sort(
+        [np.where(known, padded, np.inf).argmin(axis=1), np.where(known, padded, -np.inf).argmax(axis=1)], 0
+    )
+    index = np.minimum(picked.T + length * np.arange(len(padded))[:, None], len(z) - 1).ravel()
+    kept = np.where(np.repeat(known.any(axis=1), 2), z[index], np.nan)
+    return x[index], kept

@@ -1,0 +1,84 @@
+"""Profiles as HTML: all curves in the colours of their lines over one axis of distance, with two cursors.
+
+Colours of the axes are the page's custom properties, so one drawing serves light and dark. Lines lie in a stretched
+SVG and words beside it in shares of its sides, so the drawing is as wide as its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import PROFILE_COLOURS
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.profile_frame import ProfileFrame, digits, runs
+from wafer_viewer.model.sections import Section
+
+LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 58, 14, 8, 40
+_SIDE = 8000
+"""Sides of the drawing in its own units: tenths of a pixel on a wide screen."""
+_DASHES = 'stroke-dasharray="5 3"'
+
+
+def profile_plot_html(
+    sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float], height_px: int, over: str = ""
+) -> str:
+    """The plot at `height_px`; `over` is HTML that lies on the area of the curves."""
+    place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
+    curves = "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
+    drawn = f"{_grid(frame)}<g>{curves}</g>{''.join(_cursor(frame, at) for at in cursors_um)}"
+    return (
+        f'<div class="wv-plot wv-profiles" style="height:{height_px}px"><div style="position:absolute;{place}">'
+        f'<svg viewBox="0 0 {_SIDE} {_SIDE}" preserveAspectRatio="none" role="img" aria-label="Profiles">{drawn}</svg>'
+        f'{_words(frame)}{over}</div><span class="wv-plot-y">z, µm</span>'
+        '<span class="wv-plot-x">Distance along the profile, µm</span></div>'
+    )
+
+
+def _curve(section: Section, frame: ProfileFrame) -> str:
+    second = section.asked.is_second
+    d = "".join(f"M{_points(x, down)}" for x, down in runs(section, frame))
+    colour = PROFILE_COLOURS[section.asked.place]
+    # In its line's colour drawn towards that of text: it is seen over a noisy curve, on light and on dark.
+    colour = f"color-mix(in srgb, {colour} 45%, var(--ink))" if second else colour
+    more = _DASHES if second else ""
+    return (
+        f'<path class="wv-curve" data-curve="{section.asked.letter}{"+" if second else ""}" d="{d}" '
+        f'stroke="{colour}" stroke-width="{1.4 if second else 1.8}" stroke-linecap="round" {more}/>'
+    )
+
+
+def _points(x: NDArray[np.float64], down: NDArray[np.float64]) -> str:
+    """Pairs in the drawing's units; a point alone is drawn as a dot."""
+    pairs = np.clip(np.rint(np.column_stack([x, down]) * _SIDE), -_SIDE, 2 * _SIDE).astype(int)
+    text = " ".join(map(str, pairs.ravel().tolist()))
+    return text if len(pairs) > 1 else f"{text}h1"
+
+
+def _grid(frame: ProfileFrame) -> str:
+    up = "".join(f"M{x:.0f} 0V{_SIDE}" for x in _SIDE * frame.across(np.array(frame.x_ticks(11))))
+    along = "".join(f"M0 {z:.0f}H{_SIDE}" for z in _SIDE * frame.down(np.array(frame.z_ticks(5))))
+    return f'<path d="{up}{along}" stroke="var(--line)" stroke-width="1"/>'
+
+
+def _cursor(frame: ProfileFrame, at_um: float) -> str:
+    across = float(frame.across(np.array(at_um)))
+    if not 0 <= across <= 1:
+        return ""
+    upright = f"M{_SIDE * across:.0f} 0V{_SIDE}"
+    return f'<path class="wv-cursor" d="{upright}" stroke="var(--ink)" stroke-width="1.2" {_DASHES}/>'
+
+
+def _words(frame: ProfileFrame) -> str:
+    xs, zs = frame.x_ticks(11), frame.z_ticks(5)
+    below = "".join(
+        f'<i class="x" style="left:{100 * at:.2f}%">{number(x, digits(xs))}</i>'
+        for x, at in zip(xs, frame.across(np.array(xs)).tolist(), strict=True)
+    )
+    beside = "".join(
+        f'<i class="y" style="top:{100 * at:.2f}%">{number(z, digits(zs))}</i>'
+        for z, at in zip(zs, frame.down(np.array(zs)).tolist(), strict=True)
+    )
+    return below + beside

@@ -1,0 +1,67 @@
+"""Sections to be drawn and written: which line of which surface is asked for, and what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.cuts import LETTERS
+from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.region import Region
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSurface:
+    """A stitched surface beside the one being looked at: a result of this or of another dataset."""
+
+    path: Path
+    result: str
+
+    @property
+    def title(self) -> str:
+        """What it is called: the dataset, and the result where it is not the usual one."""
+        return self.path.stem if self.result == "default" else f"{self.path.stem} · {self.result}"
+
+
+@dataclass(frozen=True, slots=True)
+class SectionAsked:
+    """One curve: a line, of what surface, read from what zero.
+
+    place: the line's, 0 is A; show: 0 the stitched surface, else a field; cleaned: the other of raw and cleaned heights
+    than those that are measured on; of: another surface instead.
+    """
+
+    place: int
+    line: Region
+    show: int = 0
+    levelling: Levelling = Levelling()
+    cleaned: bool = False
+    of: OtherSurface | None = None
+
+    @property
+    def letter(self) -> str:
+        """The line's name."""
+        return LETTERS[self.place]
+
+    @property
+    def is_second(self) -> bool:
+        """Whether it is laid over the line's own curve, to be compared with it."""
+        return self.cleaned or self.of is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A curve with its numbers. source: the dataset and the part of it, as a reader would name them."""
+
+    asked: SectionAsked
+    profile: Profile
+    curve: ProfileCurve
+    source: str
+
+    @property
+    def title(self) -> str:
+        """What tells it from the others: ``A``, ``A filled``, ``A coupon-08``."""
+        if self.asked.of is not None:
+            return f"{self.asked.letter} {self.asked.of.title}"
+        return f"{self.asked.letter} {self.profile.surface}" if self.asked.cleaned else self.asked.letter

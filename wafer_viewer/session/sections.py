@@ -1,0 +1,100 @@
+"""Sections of the open dataset and of those beside it: curves for the page, files for a spreadsheet and for print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from wafer_viewer import __version__
+from wafer_viewer.measure.heights import Layer
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.questions import Questions
+from wafer_viewer.session.state import Snapshot
+
+
+class Sections:
+    """Questions, from any thread. All raise WaferViewerError when there is no answer."""
+
+    def __init__(self, questions: Questions, snapshot: Callable[[], Snapshot]) -> None:
+        self._questions, self._snapshot = questions, snapshot
+
+    def section(self, asked: SectionAsked) -> Section:
+        """A section along a line of the surface on show, or of another one."""
+        if asked.of is not None:
+            return _of_other(asked, asked.of)
+        shown = self._snapshot().dataset
+        calibrated = shown is not None and shown.calibration_problem is None
+        name = shown.name if shown is not None else ""
+        source = name if asked.show == 0 else f"{name}, field {asked.show}"
+        return cut(asked, self._questions.surface_source(asked.show), calibrated, source)
+
+    def others(self) -> tuple[OtherSurface, ...]:
+        """The stitched surfaces of the data folder, without the one being looked at."""
+        now = self._snapshot()
+        shown = now.dataset.path if now.dataset is not None else None
+        found = (
+            OtherSurface(entry.path, mosaic.parent.name)
+            for entry in now.datasets
+            for mosaic in sorted(entry.path.glob("results/*/mosaic.zarr"))
+        )
+        looked_at = (shown, now.surface.result if now.surface is not None else "")
+        return tuple(other for other in found if (other.path, other.result) != looked_at)
+
+    def file(self, sections: Sequence[Section], ending: str) -> bytes:
+        """The sections as a file of that ending, ``.csv`` or ``.png``."""
+        return file_of(sections, ending)
+
+
+def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str, datum: Datum | None = None) -> Section:
+    """A section of a surface. Raises MeasureError when nothing was measured along the line."""
+    from wafer_viewer.measure.profile import profile
+
+    layer = _other_layer(surface) if asked.cleaned else None
+    found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer, datum=datum)
+    return Section(asked, found, curve, source)
+
+
+def file_of(sections: Sequence[Section], ending: str) -> bytes:
+    """Sections as a file. Raises DatasetError for another ending than ``.csv`` and ``.png``."""
+    match ending.lower():
+        case ".csv":
+            from wafer_viewer.store.profile_csv import profiles_csv
+
+            return profiles_csv(sections, __version__).encode()
+        case ".png":
+            from wafer_viewer.draw.profile_picture import profile_png
+
+            return profile_png(sections)
+        case _:
+            raise DatasetError(
+                f"A profile cannot be written as {ending or 'a file without an ending'}: use .csv or .png."
+            )
+
+
+def write_sections(sections: Sequence[Section], path: Path) -> None:
+    """Write sections to a file, whole or not at all; its ending picks the format."""
+    from wafer_viewer.store.files import replacing
+
+    content = file_of(sections, path.suffix)
+    with replacing(path) as beside:
+        beside.write_bytes(content)
+
+
+def _of_other(asked: SectionAsked, other: OtherSurface) -> Section:
+    from wafer_viewer.session.library import today
+    from wafer_viewer.store.dataset import Dataset
+
+    dataset = Dataset.open(other.path)
+    calibrated = dataset.calibration_problem(today()) is None
+    try:
+        return cut(asked, dataset.result(other.result).mosaic(), calibrated, other.title)
+    except MeasureError as fault:
+        raise MeasureError(f"{other.title} has no heights along line {asked.letter}. {fault}") from fault
+
+
+def _other_layer(surface: Mosaic) -> Layer:
+    """Of raw and cleaned heights those that are not measured on."""
+    return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"
