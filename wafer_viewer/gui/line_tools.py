@@ -9,14 +9,14 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import rgb
+from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
 from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
+from wafer_viewer.gui.landmarks import first_line
 from wafer_viewer.gui.lie_of_land import Land, Place
-from wafer_viewer.gui.measure_words import PROFILE_COLOURS
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.region import Region
 
-LETTERS = "ABCD"
 Told = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
@@ -70,7 +70,7 @@ class LineTools:
                 self._lay(view.lines)
         elif self._seen or not self._tools:
             self._seen = ()
-            first, last = land.first_line(near)
+            first, last = first_line(land, near)
             self._lay((Region.line(*first, *last),))
             self._told(0)
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
+from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number, share, value_and_u, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.findings import AnyFinding, Defect, Flatness, GaugeCheck, Length, Profile, StepHeight
 
-PROFILE_COLOURS = ("#E8590C", "#7B2CBF", "#0B7285", "#C2255C")
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
 NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}

@@ -14,7 +14,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.bottom import BottomPanel
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.measure_panel import MeasurePanel
-from wafer_viewer.gui.measure_words import PROFILE_COLOURS, averaging
+from wafer_viewer.draw.colours import PROFILE_COLOURS
+from wafer_viewer.gui.measure_words import averaging
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import PROFILE_PX, palette
 from wafer_viewer.gui.view import View
