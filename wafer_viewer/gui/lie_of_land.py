@@ -1,6 +1,8 @@
-"""The coarse heights of the surface on show: what a click hits, how a line lies on it, where its plateaus are."""
+"""The coarse heights of the surface on show: what a click hits, how a line lies on it, what of it is in sight."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,13 @@ from wafer_viewer.session.paint_request import Relief
 Floats = NDArray[np.float64]
 Place = tuple[float, float]
 """Stage x, y in um."""
+Box = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
+LEAST_IN_SIGHT_PX = 40
+"""Fewer coarse heights across than this show too little to find a place in."""
 
 _RAY_STEPS = 1500
 _HALVINGS = 14
-_PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
-"""Sides of the squares that plateaus are looked for with, largest first, as shares of the shorter side."""
 
 
 class Land:
@@ -35,6 +39,40 @@ class Land:
         """(x low, y low, x high, y high)."""
         r = self._relief
         return r.x0_um, r.y0_um - (r.rows - 1) * r.pixel_um, r.x0_um + (r.cols - 1) * r.pixel_um, r.y0_um
+
+    @property
+    def pixel_um(self) -> float:
+        """From one coarse height to the next."""
+        return self._relief.pixel_um
+
+    @property
+    def heights(self) -> Floats:
+        """The coarse heights [row, col] in um, gaps at their nearest neighbour's."""
+        return self._z_um.astype(float)
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Which of them are measured."""
+        return self._there
+
+    def place(self, row: Any, col: Any) -> tuple[Any, Any]:
+        """x, y in um of coarse pixels: of numbers, numbers; of arrays, arrays."""
+        return self._relief.x0_um + col * self.pixel_um, self._relief.y0_um - row * self.pixel_um
+
+    def within(self, box: Box) -> Land:
+        """What of the surface lies in a box (um); all of it where that is next to nothing."""
+        r, (x0, y0, x1, y1) = self._relief, box
+        left, right = (round((x - r.x0_um) / r.pixel_um) for x in (x0, x1))
+        top, foot = (round((r.y0_um - y) / r.pixel_um) for y in (y1, y0))
+        rows, cols = slice(max(0, top), max(0, foot + 1)), slice(max(0, left), max(0, right + 1))
+        z, there = self._z_um[rows, cols], self._there[rows, cols]
+        if min(z.shape) < LEAST_IN_SIGHT_PX or not there.any():
+            return self
+        at = self.place(rows.start, cols.start)
+        part = Relief(
+            *z.shape, r.pixel_um, *at, np.ascontiguousarray(z).tobytes(), np.ascontiguousarray(there).tobytes()
+        )
+        return Land(part, self.on_show, self._holes)
 
     def clamped(self, place: Place) -> Place:
         """The place, or the nearest on the surface; to a hundredth of a micrometre."""
@@ -56,6 +94,16 @@ class Land:
         col = np.clip(np.round((np.asarray(x_um) - r.x0_um) / r.pixel_um), 0, r.cols - 1).astype(int)
         row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
         return self._there[row, col]
+
+    def nearest_measured(self, place: Place) -> Place:
+        """The place, or the nearest that has a height."""
+        x, y = self.clamped(place)
+        if self.measured(np.array([x]), np.array([y]))[0] or not self._there.any():
+            return x, y
+        row, col = np.nonzero(self._there)
+        xs, ys = self.place(row.astype(float), col.astype(float))
+        best = int(np.argmin(np.hypot(xs - x, ys - y)))
+        return self.clamped((float(xs[best]), float(ys[best])))
 
     def seen_um(self, x_um: Floats, y_um: Floats) -> Floats:
         """What is seen at places: the surface, or the ground through a hole in it."""
@@ -121,82 +169,8 @@ class Land:
         x0, y0, x1, y1 = (v * 1e-3 for v in self.bounds_um)
         return (x_mm >= x0) & (x_mm <= x1) & (y_mm >= y0) & (y_mm <= y1)
 
-    # ---------------------------------------------------------------- where to begin
-
-    def first_line(self, near: Place) -> tuple[Place, Place]:
-        """A profile to begin with: along x, near the middle of what is looked at, where it shows most."""
-        x0, y0, x1, y1 = self.bounds_um
-        x, y = self._inner(near)
-        half = 0.32 * (x1 - x0)
-        x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
-        t = np.linspace(x - half, x + half, 200)
-        rows = y + np.linspace(0, 0.3, 13)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
-        best = max(rows.ravel().tolist(), key=lambda row: self._worth(t, row))
-        return self.clamped((x - half, best)), self.clamped((x + half, best))
-
-    def _worth(self, x_um: Floats, y_um: float) -> float:
-        """How much a row shows: its measured share, more where it climbs; rows that differ by little are alike."""
-        y = np.full_like(x_um, y_um)
-        there = self.measured(x_um, y)
-        if not there.any():
-            return 0.0
-        climb = float(np.ptp(self.z_um(x_um, y)[there])) / max(
-            self.on_show.facts.high_um - self.on_show.facts.low_um, 1e-9
-        )
-        return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
-
-    def first_plateaus(self, near: Place) -> tuple[Place, Place, float]:
-        """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both."""
-        short = min(self._relief.rows, self._relief.cols)
-        for share in _PATCH_SHARES:
-            side = max(4, round(short * share))
-            found = self._plateaus(near, side)
-            if found is not None:
-                return *found, side * self._relief.pixel_um
-        x, y = self._inner(near)
-        side_um = short * _PATCH_SHARES[-1] * self._relief.pixel_um
-        return (x, y + 2 * side_um), (x, y - 2 * side_um), side_um
-
-    def _plateaus(self, near: Place, side: int) -> tuple[Place, Place] | None:
-        """The flat patch on the upper level that is nearest, and the nearest to it on the lower; None: no such two."""
-        places, levels, spreads = self._patches(side)
-        span = self.on_show.facts.high_um - self.on_show.facts.low_um
-        flat = spreads <= 0.04 * span
-        if np.count_nonzero(flat) < 2:
-            return None
-        places, levels = places[flat], levels[flat]
-        if np.ptp(levels) < 0.25 * span:
-            return None
-        upper = _nearest(places[levels >= levels.max() - 0.12 * np.ptp(levels)], self._inner(near))
-        return upper, _nearest(places[levels <= levels.min() + 0.12 * np.ptp(levels)], upper)
-
-    def _patches(self, side: int) -> tuple[Floats, Floats, Floats]:
-        """Middles (um), mean heights and spreads of the square patches, half a side apart, measured all over."""
-        r, step = self._relief, max(1, side // 2)
-        z = self._z_um.astype(float) - self.on_show.z0_um
-        n, total, squares = (_box_sums(layer, side, step) for layer in (self._there.astype(float), z, z * z))
-        row, col = np.nonzero(n > 0.98 * side * side)
-        mean = total[row, col] / side**2
-        spread = np.sqrt(np.maximum(squares[row, col] / side**2 - mean**2, 0))
-        x = r.x0_um + (col * step + (side - 1) / 2) * r.pixel_um
-        y = r.y0_um - (row * step + (side - 1) / 2) * r.pixel_um
-        return np.stack([x, y], axis=1).astype(float), mean, spread.astype(float)
-
-    def _inner(self, near: Place) -> Place:
+    def inner(self, near: Place) -> Place:
         """The place, drawn into the inner half of the surface."""
         x0, y0, x1, y1 = self.bounds_um
         x = min(max(near[0], x0 + 0.25 * (x1 - x0)), x1 - 0.25 * (x1 - x0))
         return x, min(max(near[1], y0 + 0.25 * (y1 - y0)), y1 - 0.25 * (y1 - y0))
-
-
-def _nearest(places: Floats, to: Place) -> Place:
-    away = np.hypot(places[:, 0] - to[0], places[:, 1] - to[1])
-    x, y = places[int(np.argmin(away))]
-    return float(x), float(y)
-
-
-def _box_sums(layer: Floats, side: int, step: int) -> Floats:
-    """Sums over the squares of `side` pixels that begin every `step` pixels."""
-    sums = np.pad(layer, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
-    boxes = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
-    return boxes[::step, ::step]
