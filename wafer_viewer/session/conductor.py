@@ -18,10 +18,13 @@ from wafer_viewer.session.drafting import Drafting, suggested_name
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.instrument import Instrument, Reports
-from wafer_viewer.session.library import ENDING, Library, free_name
+from wafer_viewer.session.jobs import JobKeeper
+from wafer_viewer.session.judging import Judge
+from wafer_viewer.session.library import ENDING, Library, free_name, today
 from wafer_viewer.session.messages import RigReady, SampleSeen, Scan, ScanEnded, Taken
 from wafer_viewer.session.notebook import NotebookKeeper
 from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.preflight import look_round, require_go
 from wafer_viewer.session.reconstruction import Reconstruction
 from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.state import FieldState, RigStatus, Snapshot
@@ -41,6 +44,8 @@ class Conductor:
         self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
         self.book = RecordBook(desk, self.library)
         self.notebook = NotebookKeeper(desk, self.library)
+        self.jobs = JobKeeper(desk, self.drafting, self._folder)
+        self.judge = Judge(desk, self.library, self.notices)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
         self._scan_over: Future[None] = Future()
@@ -51,10 +56,12 @@ class Conductor:
         self.rig.start()
         self.drafting.price()
         self.library.refresh()
+        self.jobs.refresh()
 
     def close(self) -> None:
         """Put the rig at rest and end all processes."""
         self.desk.close()
+        self.judge.close()
         self.rig.close()
         self.reconstruction.compute.close()
         self.library.let_go()
@@ -84,6 +91,7 @@ class Conductor:
         job, plan = self.drafting.ready()
         path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
         require_space(self._folder, plan.bytes_on_disk, path.stem)
+        require_go(look_round(self.desk.now, self.rig.latest_frame, today()))
         return self._begin(Scan(path, plan, job))
 
     def continue_scan(self) -> Future[Path]:

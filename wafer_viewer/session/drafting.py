@@ -10,9 +10,12 @@ from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
+from wafer_viewer.session.marking import Seen
+from wafer_viewer.session.releases import blank, released, require_as_released, write_released
 from wafer_viewer.session.state import Draft
 
 PLAN_ENDING = ".toml"
@@ -26,12 +29,82 @@ class Drafting:
     def __init__(self, desk: Desk, folder: Path) -> None:
         self._desk, self._folder = desk, folder
         self._jobs: History[Job | None] = History(None)
+        self._seen = Seen()
+        self._confirmed = True
         self.tour: Job | None = None
 
     def edit(self, job: Job | None) -> None:
-        """Another job; None clears it."""
+        """Another job; None clears it. Raises PlanError where it changes what was released."""
+        before = self._jobs.value
+        require_as_released(before, job)
+        if job is not None and before is not None and before.alignment == job.alignment and _another(before, job):
+            job = replace(job, alignment=None)
+        self._put(job)
+
+    def reopen(self, job: Job | None) -> None:
+        """The plan that was there when the program ended: whoever scans it has to look at the sample first."""
+        self._jobs.restart(job)
+        self._confirmed = job is None
+        self.price()
+
+    def confirm(self) -> None:
+        """A person looked: the sample on the stage is the one that is named."""
+        self._confirmed = True
+        self.price()
+
+    def mark(self, n: int, x_um: float, y_um: float) -> None:
+        """The n-th corner (from 0) was seen at a place on the stage; with the last of them the wafer is aligned.
+
+        Raises PlanError when there are no corners to mark, and when they make no alignment.
+        """
+        from wafer_viewer.calibrate.alignment import fit_alignment
+
+        job = self._jobs.value
+        if job is None or job.marks is None:
+            raise PlanError("The plan names no corners to align by: name them first.")
+        self._seen = self._seen.with_place(job, n, (x_um, y_um))
+        self._put(replace(job, alignment=None))
+        seen_um = [place for place in self._seen.places_um(job) if place is not None]
+        if len(seen_um) == len(job.marks.places):
+            found = fit_alignment(job.marks, seen_um, job.sample.notch)
+            self._put(replace(job, alignment=found))
+
+    def unmark(self) -> None:
+        """Forget where corners were marked."""
+        self._seen = Seen()
+        if (job := self._jobs.value) is not None:
+            self._put(replace(job, alignment=None))
+
+    def next_wafer(self) -> None:
+        """The same job for another wafer; what was of the last one cannot come back by an undo."""
+        self._seen, self._confirmed = Seen(), True
+        self._jobs.restart(blank(self._job()))
+        self.price()
+
+    def copy(self) -> None:
+        """A released job as a plan that can be changed, to become another revision."""
+        self._put(replace(self._job(), released=False, revision="", alignment=None))
+
+    def release(self, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Path:
+        """Write the job as a released one and take it up; settled: the recipe of the surface being looked at."""
+        job, plan = self.ready()
+        if settled is None:
+            raise PlanError(
+                "There is no surface whose recipe could be released: scan a good sample with this plan first."
+            )
+        ready = released(job, plan, settled, errors_um)
+        path = write_released(self._folder, ready)
+        self._take_up(ready)
+        return path
+
+    def _put(self, job: Job | None) -> None:
         self._jobs.put(job)
         self.price()
+
+    def _take_up(self, job: Job) -> None:
+        """A job from a file: a released one is of no wafer yet."""
+        self._seen, self._confirmed = Seen(), True
+        self._put(blank(job) if job.released else job)
 
     def undo(self) -> None:
         """Back to the job before."""
@@ -47,9 +120,9 @@ class Drafting:
         """Plan the job anew: after an edit, and when the rig answers."""
         job, limits = self._jobs.value, self._desk.now.rig.limits
         plan, problem = _plan(job, limits)
-        self._desk.change(
-            draft=Draft(job, plan, problem, self._jobs.can_undo, self._jobs.can_redo, free_bytes(self._folder))
-        )
+        seen_um = self._seen.places_um(job) if job is not None else ()
+        can = self._jobs.can_undo, self._jobs.can_redo
+        self._desk.change(draft=Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed))
 
     def cover_sample(self) -> None:
         """As many fields as cover the sample, round its middle."""
@@ -79,11 +152,11 @@ class Drafting:
             raise PlanError(
                 "The tour needs a virtual rig that answers: wait until it has started, or serve without --rig."
             )
-        self.edit(self.tour)
+        self._take_up(self.tour)
 
     def load(self, path: Path) -> None:
         """Read a job from PLAN.toml."""
-        self.edit(read_job(path))
+        self._take_up(read_job(path))
 
     def save(self, path: Path | None) -> Path:
         """Write the job to PLAN.toml: beside the datasets when no path is given."""
@@ -116,6 +189,11 @@ class Drafting:
         if limits is None:
             raise PlanError(RIG_STARTS)
         return one_field(limits)
+
+
+def _another(before: Job, after: Job) -> bool:
+    """Whether another wafer is meant, which lies otherwise on the stage."""
+    return (before.sample.lot, before.sample.wafer_id) != (after.sample.lot, after.sample.wafer_id)
 
 
 def first_job(limits: RigLimits) -> Job:

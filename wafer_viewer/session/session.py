@@ -23,6 +23,7 @@ from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
+from wafer_viewer.session.jobs import JobVerbs
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.messages import Move
 from wafer_viewer.session.notebook import NotebookVerbs
@@ -48,6 +49,7 @@ class Session:
         self._questions = Questions(rooms.library, lambda: self.snapshot)
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
+        self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.papers = Papers(self._do, rooms.library)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()

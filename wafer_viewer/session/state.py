@@ -50,6 +50,8 @@ class RigStatus:
     calibration: Calibration | None = None
     setup: OpticalSetup | None = None
     message: str = ""
+    homed: bool | None = None
+    """Whether every axis knows where it is; None as long as the rig has not said."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,8 @@ class Draft:
     free_bytes: int | None = None
     seen_um: tuple[tuple[float, float] | None, ...] = ()
     """Where each corner to align by was marked on the stage, in the order of the job's marks."""
+    confirmed: bool = True
+    """False after a plan was opened again, until a person said that the sample on the stage is the one it names."""
 
 
 @dataclass(frozen=True, slots=True)
