@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from wafer_viewer.measure.tiles import Residuals, scatter_um
-from wafer_viewer.model.findings import Contribution
+from wafer_viewer.model.quantities import Contribution
 from wafer_viewer.model.surface import Provenance
 
 ARGMAX_INTERPOLATION = 1 / math.sqrt(6)
@@ -31,10 +31,15 @@ def step_budget(
     scatter = scatter_um(upper, lower)
     if scatter is None or provenance.calibration is None:
         return None
-    per_step = ARGMAX_INTERPOLATION if provenance.recipe.peak == "argmax" else INTERPOLATION
     return (
         Contribution(name="z scale", u_um=provenance.calibration.u_z_scale * abs(height_um)),
         Contribution(name="noise and form of the faces", u_um=scatter),
         Contribution(name="relative tilt of the faces", u_um=abs(disagreement_um) / math.sqrt(12)),
-        Contribution(name="interpolation between frames", u_um=per_step * provenance.z_step_um),
+        Contribution(name="interpolation between frames", u_um=interpolation_um(provenance)),
     )
+
+
+def interpolation_um(provenance: Provenance) -> float:
+    """Standard uncertainty of a difference of two heights, for peaks are found between frames."""
+    per_step = ARGMAX_INTERPOLATION if provenance.recipe.peak == "argmax" else INTERPOLATION
+    return per_step * provenance.z_step_um

@@ -8,50 +8,21 @@ result, so what other definitions give is noted with it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.measure.budget import NOT_IN_BUDGET, step_budget
-from wafer_viewer.measure.heights import (
-    Floats,
-    Layer,
-    Points,
-    layer_of,
-    level_for,
-    level_note,
-    points_in,
-    reported,
-    require_area,
-)
-from wafer_viewer.measure.level import Plane, fit_plane, plane_design, robust_fit
+from wafer_viewer.measure.budget import step_budget
+from wafer_viewer.measure.faces import Face, enough_points, face_of
+from wafer_viewer.measure.heights import Layer, Points, level_for, require_area
+from wafer_viewer.measure.level import plane_design, robust_fit
+from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Length, StepHeight
+from wafer_viewer.model.findings import StepHeight
+from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import Mosaic
 
-MIN_POINTS = 200
-"""Fewer say too little of their own scatter."""
 DEFINITION = "Offset between the regions over one plane fitted to both: z = a x + b y + c + h [upper]."
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Face:
-    """One of the two regions: its points that were not rejected, the plane through them, and their distance from it."""
-
-    points: Points
-    plane: Plane
-    residuals_um: Floats
-
-    @property
-    def mean_um(self) -> float:
-        """Mean height."""
-        return float(self.points.z_um.mean())
-
-    @property
-    def sq_um(self) -> float:
-        """Root mean square distance from its own plane."""
-        return float(np.sqrt(np.mean(self.residuals_um**2)))
 
 
 def step_height(
@@ -71,19 +42,19 @@ def step_height(
     """
     require_area(upper, "upper")
     require_area(lower, "lower")
-    measured_on, level = layer_of(surface.provenance.recipe, layer), level_for(surface, upper, lower)
-    above, below = (_points(surface, r, w, measured_on, level) for r, w in ((upper, "upper"), (lower, "lower")))
+    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, upper, lower)
+    above, below = (
+        enough_points(surface, region, reading.layer, level, f"{which} region", "a step height")
+        for region, which in ((upper, "upper"), (lower, "lower"))
+    )
     _require_apart(upper, below)
-    high, low = _face(above), _face(below)
+    high, low = face_of(above), face_of(below)
     height_um = _common_plane_step(above, below)
     return StepHeight(
-        name=name,
-        surface=measured_on,
-        simulated=surface.provenance.simulated,
-        notes=(*_other_definitions(high, low), *level_note(surface, level), NOT_IN_BUDGET),
+        **reading.told(name, level, *_other_definitions(high, low), *reading.not_in_budget()),
         upper=upper,
         lower=lower,
-        height=_length(surface, high, low, height_um, calibration_valid),
+        height=_length(reading, high, low, height_um),
         definition=DEFINITION,
         upper_mean_um=high.mean_um,
         lower_mean_um=low.mean_um,
@@ -95,26 +66,10 @@ def step_height(
     )
 
 
-def _points(surface: Mosaic, region: Region, which: str, layer: Layer, level: int) -> Points:
-    points = points_in(surface, region, layer, level)
-    if len(points) < MIN_POINTS:
-        raise MeasureError(
-            f"The {which} region has {len(points)} measured points and a step height needs at least {MIN_POINTS}: "
-            "draw it larger or move it to where heights were measured."
-        )
-    return points
-
-
 def _require_apart(upper: Region, below: Points) -> None:
     shared = int(np.count_nonzero(upper.contains(below.x_um, below.y_um)))
     if shared:
         raise MeasureError(f"The two regions share {shared} points: move them apart, each onto one face of the step.")
-
-
-def _face(points: Points) -> Face:
-    plane, fit = fit_plane(points)
-    kept = points.kept(fit.kept)
-    return Face(kept, plane, kept.z_um - plane.at(kept.x_um, kept.y_um))
 
 
 def _common_plane_step(above: Points, below: Points) -> float:
@@ -125,18 +80,17 @@ def _common_plane_step(above: Points, below: Points) -> float:
     return float(fit.coefficients[3])
 
 
-def _length(surface: Mosaic, high: Face, low: Face, height_um: float, calibration_valid: bool) -> Length:
-    bare = reported(height_um, surface.provenance, calibration_valid)
-    if bare.status == "uncalibrated":
-        return bare
+def _length(reading: Reading, high: Face, low: Face, height_um: float) -> Length:
+    if not reading.calibrated:
+        return Length(value_um=height_um, status="uncalibrated")
     budget = step_budget(
         (high.points, high.residuals_um),
         (low.points, low.residuals_um),
         height_um,
         _over_lower(high, low) - _over_upper(high, low),
-        surface.provenance,
+        reading.surface.provenance,
     )
-    return bare if budget is None else Length.evaluated(height_um, budget)
+    return Length(value_um=height_um) if budget is None else Length.evaluated(height_um, budget)
 
 
 def _tilt(high: Face, low: Face) -> tuple[float, float]:

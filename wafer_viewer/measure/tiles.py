@@ -8,6 +8,8 @@ answer is taken.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from wafer_viewer.measure.heights import Floats, Points
@@ -35,14 +37,39 @@ def scatter_um(upper: Residuals, lower: Residuals) -> float | None:
 
 def tile_means(points: Points, residuals: Floats, side: int) -> Residuals:
     """Mean position, height and residual of the points in each of side x side tiles over them; nearly empty ones go."""
+    columns = np.stack([points.x_um, points.y_um, points.z_um, residuals], axis=1)
+    x_um, y_um, z_um, left = _means(points, columns, side).T
+    return Points(x_um, y_um, z_um), left
+
+
+def parameter_u(points: Points, design: Floats, residuals: Floats, gradient: Floats) -> float | None:
+    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by the scatter of tiles.
+
+    None when they are too few; widened as `scatter_um`.
+    """
+    found = [_of_means(_means(points, np.column_stack([design, residuals]), side), gradient) for side in SIDES]
+    return max((u for u in found if u is not None), default=None)
+
+
+def _of_means(means: Floats, gradient: Floats) -> float | None:
+    design, residuals = means[:, :-1], means[:, -1]
+    freedom = len(residuals) - design.shape[1]
+    if freedom < MIN_FREEDOM:
+        return None
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    normal = (design / scale).T @ (design / scale)
+    factor = float((gradient / scale) @ np.linalg.pinv(normal, hermitian=True) @ (gradient / scale))
+    return math.sqrt(max(0.0, factor) * float(np.sum(residuals**2)) / freedom) * _student(freedom) / 2
+
+
+def _means(points: Points, columns: Floats, side: int) -> Floats:
+    """Means of columns [n, c] over the points in each of side x side tiles, [tile, c]."""
     cell = _cells(points.x_um, side) * side + _cells(points.y_um, side)
     count = np.bincount(cell, minlength=side**2)
     full = count >= max(1.0, MIN_FILL * float(np.median(count[count > 0])))
-
-    def mean(values: Floats) -> Floats:
-        return np.bincount(cell, values, side**2)[full] / count[full]
-
-    return Points(mean(points.x_um), mean(points.y_um), mean(points.z_um)), mean(residuals)
+    sums = np.stack([np.bincount(cell, column, side**2) for column in columns.T], axis=1)
+    return sums[full] / count[full, None]
 
 
 def _of_tiles(upper: Residuals, lower: Residuals) -> float | None:

@@ -1,4 +1,7 @@
-"""What was measured: numbers with their uncertainty, and what they were measured on."""
+"""What was measured: numbers with their uncertainty, and what they were measured on.
+
+Every finding has one `main` quantity, the number that stands for it in a list.
+"""
 
 from __future__ import annotations
 
@@ -9,44 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.quantities import Contribution as Contribution
+from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import NonNegative, Spec
-
-UStatus = Literal["evaluated", "not evaluated", "uncalibrated"]
-
-
-class Contribution(Spec, frozen=True, kw_only=True):
-    """One line of an uncertainty budget, standard uncertainty (k = 1) in um."""
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    name: str
-    u_um: NonNegative
-
-
-class Length(Spec, frozen=True, kw_only=True):
-    """A length in um with its expanded uncertainty (k = 2), or the word that says why there is none."""
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    value_um: float
-    expanded_um: NonNegative | None = None
-    status: UStatus = "not evaluated"
-    budget: tuple[Contribution, ...] = ()
-
-    @classmethod
-    def evaluated(cls, value_um: float, budget: tuple[Contribution, ...]) -> Length:
-        """A length whose uncertainty is the root sum of squares of a budget, times two."""
-        u = float(np.sqrt(sum(c.u_um**2 for c in budget)))
-        return cls(value_um=value_um, expanded_um=2 * u, status="evaluated", budget=budget)
+from wafer_viewer.model.spec import Fraction, NonNegative, Spec
 
 
 class Finding(Spec, frozen=True, kw_only=True):
-    """What every result carries: a name, the map and filter it was measured on, and whether any of it is simulated."""
+    """What every result carries: a name, the map and filter it was measured on, and whether any of it is simulated.
+
+    show: 0 the stitched surface, else the number of a field, below 0 a comparison; levelling: the zero that heights
+    were read from.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str = ""
     number: int = 0
+    show: int = 0
     surface: Literal["unsmoothed", "smoothed", "filled"] = "unsmoothed"
     filter: str = "none"
+    levelling: Levelling = Levelling()
     simulated: bool = False
     notes: tuple[str, ...] = ()
 
@@ -70,6 +56,40 @@ class Profile(Finding, frozen=True, kw_only=True, tag="profile"):
     rise: Length
     measured_fraction: NonNegative
 
+    @property
+    def main(self) -> Quantity:
+        """Pt."""
+        return self.pt.quantity
+
+
+class PointHeight(Finding, frozen=True, kw_only=True, tag="point"):
+    """The height at a place: the median of the measured pixels next to it."""
+
+    place: Region
+    height: Length
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The height."""
+        return self.height.quantity
+
+
+class Distance(Finding, frozen=True, kw_only=True, tag="distance"):
+    """From one place on the surface to another: in space, on the map, along z, and how steep the way is."""
+
+    start: Region
+    end: Region
+    distance: Length
+    lateral: Length
+    dz: Length
+    slope: Quantity
+
+    @property
+    def main(self) -> Quantity:
+        """The distance in space."""
+        return self.distance.quantity
+
 
 class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
     """The height of one region over another, fitted with a common plane; the definition of h is part of the result."""
@@ -86,6 +106,75 @@ class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
     lower_points: int
     relative_tilt_mrad: NonNegative = 0.0
 
+    @property
+    def main(self) -> Quantity:
+        """The step's height."""
+        return self.height.quantity
+
+
+class FaceAngle(Finding, frozen=True, kw_only=True, tag="angle"):
+    """The angle between the normals of two faces, 0 where they are parallel; tilts are those of the faces alone."""
+
+    first: Region
+    second: Region
+    angle: Quantity
+    first_tilt_deg: NonNegative
+    second_tilt_deg: NonNegative
+    first_sq_um: NonNegative
+    second_sq_um: NonNegative
+    first_points: int
+    second_points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The angle."""
+        return self.angle
+
+
+class Radius(Finding, frozen=True, kw_only=True, tag="radius"):
+    """The sphere through a bump or a pit; top: how far its highest (lowest) point lies over (under) its surroundings.
+
+    sq_um: root mean square distance of the points from the sphere, along z.
+    """
+
+    circle: Region
+    kind: Literal["bump", "pit"]
+    radius: Length
+    top: Length
+    center: Point
+    sq_um: NonNegative
+    points: int
+
+    @property
+    def main(self) -> Quantity:
+        """The radius of the sphere."""
+        return self.radius.quantity
+
+
+class AreaVolume(Finding, frozen=True, kw_only=True, tag="volume"):
+    """What stands out of a plane within a region, and what lies under it; areas are projected along z.
+
+    reference: the plane through the region's border, or the zero that heights are read from. Pixels within
+    noise_um of the plane are area on neither side; as volume they count together, on the side that their sum is on.
+    """
+
+    region: Region
+    reference: Literal["border", "zero"]
+    volume_above: Quantity
+    volume_below: Quantity
+    area: Quantity
+    area_above: Quantity
+    area_below: Quantity
+    highest: Length
+    lowest: Length
+    noise_um: NonNegative
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """The volume above the plane, or below it where that is more."""
+        return max(self.volume_above, self.volume_below, key=lambda volume: volume.value)
+
 
 class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
     """Flatness of a region, ISO 12781: FLTt and FLTq about a reference plane."""
@@ -95,6 +184,33 @@ class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
     flt_t: Length
     flt_q: Length
     band_9973_um: NonNegative = 0.0
+    points: int = 0
+    measured_fraction: Fraction = 1.0
+
+    @property
+    def main(self) -> Quantity:
+        """FLTt."""
+        return self.flt_t.quantity
+
+
+class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
+    """Height parameters of a region, ISO 25178-2, about its least-squares plane; a flat one has no ssk and no sku."""
+
+    region: Region
+    sa: Length
+    sq: Length
+    sp: Length
+    sv: Length
+    sz: Length
+    ssk: float | None
+    sku: float | None
+    points: int
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """Sa."""
+        return self.sa.quantity
 
 
 class GaugeCheck(Finding, frozen=True, kw_only=True, tag="gauge_check"):
@@ -107,6 +223,11 @@ class GaugeCheck(Finding, frozen=True, kw_only=True, tag="gauge_check"):
     limit_um: NonNegative
     en: float | None
     verdict: Literal["pass", "fail", "inconclusive", "no verdict"]
+
+    @property
+    def main(self) -> Quantity:
+        """The step's height."""
+        return self.step.main
 
 
 class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
@@ -121,8 +242,25 @@ class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
     score: float
     judgement: Literal["open", "real", "nuisance"] = "open"
 
+    @property
+    def main(self) -> Quantity:
+        """The height."""
+        return self.height.quantity
 
-AnyFinding = Profile | StepHeight | Flatness | GaugeCheck | Defect
+
+AnyFinding = (
+    Profile
+    | PointHeight
+    | Distance
+    | StepHeight
+    | FaceAngle
+    | Radius
+    | AreaVolume
+    | Flatness
+    | Texture
+    | GaugeCheck
+    | Defect
+)
 
 
 class Findings(Spec, frozen=True, kw_only=True):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.spec import Spec, Within
 
 LevelBy = Literal["stage", "three points", "plane", "region", "form"]
 PLACES: dict[LevelBy, int] = {"stage": 0, "three points": 3, "plane": 0, "region": 1, "form": 0}
@@ -17,11 +17,15 @@ PLACES: dict[LevelBy, int] = {"stage": 0, "three points": 3, "plane": 0, "region
 
 
 class Levelling(Spec, frozen=True, kw_only=True):
-    """How a surface is levelled: by which way, and at which places (points, or the region whose plane is zero)."""
+    """How a surface is levelled: by which way, and at which places (points, or the region whose plane is zero).
+
+    order: of the polynomial, for `form` only.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     by: LevelBy = "stage"
     places: tuple[Region, ...] = ()
+    order: Annotated[int, Within(1, 4)] = 2
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -81,6 +82,16 @@ class Region(Spec, frozen=True, kw_only=True):
         pad = self.radius_um if self.kind == "circle" else self.width_um / 2
         return min(xs) - pad, min(ys) - pad, max(xs) + pad, max(ys) + pad
 
+    @property
+    def area_um2(self) -> float:
+        """The area inside; a line or a point has none."""
+        if self.kind == "circle":
+            return math.pi * self.radius_um**2
+        if self.kind == "rectangle":
+            x0, y0, x1, y1 = self.bounds_um
+            return (x1 - x0) * (y1 - y0)
+        return abs(_twice_the_area(self.points)) / 2 if self.kind == "polygon" else 0.0
+
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (arrays that broadcast together) lie inside; a line or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))
@@ -93,6 +104,12 @@ class Region(Spec, frozen=True, kw_only=True):
             x0, y0, x1, y1 = self.bounds_um
             return (x >= x0) & (x <= x1) & (y >= y0) & (y <= y1)
         return _inside_polygon(x, y, [(p.x_um, p.y_um) for p in self.points])
+
+
+def _twice_the_area(corners: tuple[Point, ...]) -> float:
+    """Of a polygon, negative when it is run through clockwise."""
+    following = (*corners[1:], corners[0])
+    return sum(a.x_um * b.y_um - b.x_um * a.y_um for a, b in zip(corners, following, strict=True))
 
 
 def _inside_polygon(

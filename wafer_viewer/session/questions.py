@@ -1,4 +1,4 @@
-"""What can be asked of the open dataset, from any thread: surfaces, frames, profiles, steps, a point's height."""
+"""What can be asked of the open dataset, from any thread: surfaces, frames, a point's height, and measurements."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
 from wafer_viewer.session.library import Library
+from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.state import Snapshot
 
 
@@ -31,6 +31,7 @@ class Questions:
 
     def __init__(self, library: Library, snapshot: Callable[[], Snapshot]) -> None:
         self._library, self._snapshot = library, snapshot
+        self.measuring = Measuring(self.surface_source, snapshot)
 
     def mosaic(self) -> Mosaic:
         """The stitched surface of the open dataset."""
@@ -61,18 +62,6 @@ class Questions:
         away = np.where(stack.present, np.abs(stack.z_um - z_um), np.inf)
         return np.array(stack.images[int(away.argmin())])
 
-    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
-        """A section along a line."""
-        from wafer_viewer.measure.profile import profile
-
-        return profile(self.surface_source(show), line, calibration_valid=self._calibrated())
-
-    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
-        """The height of one region over another; 'uncalibrated' where the dataset's calibration does not hold."""
-        from wafer_viewer.measure.step import step_height
-
-        return step_height(self.surface_source(show), upper, lower, calibration_valid=self._calibrated())
-
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         """The surface at a point. Raises MeasureError when it lies outside."""
         at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))
@@ -80,7 +69,3 @@ class Questions:
             raise MeasureError(f"({x_um:.1f}, {y_um:.1f}) um lies outside of the surface.")
         z_um = float(at.z_um[0, 0])
         return ReadOut(z_um if np.isfinite(z_um) else None, float(at.confidence[0, 0]), Origin(int(at.origin[0, 0])))
-
-    def _calibrated(self) -> bool:
-        shown = self._snapshot().dataset
-        return shown is not None and shown.calibration_problem is None

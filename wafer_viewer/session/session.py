@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.levelling import Datum, Levelling
+from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
@@ -29,6 +31,7 @@ from wafer_viewer.session.messages import Move
 from wafer_viewer.session.notebook import NotebookVerbs
 from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.questions import Questions, ReadOut
+from wafer_viewer.session.sections import Sections
 from wafer_viewer.session.state import LatestFrame, Snapshot
 
 if TYPE_CHECKING:
@@ -50,6 +53,7 @@ class Session:
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
+        self.sections = Sections(self._questions, lambda: self.snapshot)
         self.papers = Papers(self._do, rooms.library)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
@@ -251,13 +255,25 @@ class Session:
         """The frame of a field that was taken nearest to a z, as it was stored."""
         return self._questions.frame_near(field, z_um)
 
-    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
-        """A section along a line."""
-        return self._questions.profile(line, show)
+    def measure(
+        self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None
+    ) -> AnyFinding:
+        """What a tool finds at its places, heights read from the stage's zero or as levelled."""
+        return self._questions.measuring.measure(tool, places, show, levelling)
 
-    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
+    def datum(self, levelling: Levelling, show: int = 0) -> Datum:
+        """The zero that a way of levelling lays through what is shown."""
+        return self._questions.measuring.datum(levelling, show)
+
+    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> tuple[Profile, ProfileCurve]:
+        """A section along a line."""
+        return self._questions.measuring.profile(line, show, levelling)
+
+    def step_height(
+        self, upper: Region, lower: Region, show: int = 0, levelling: Levelling | None = None
+    ) -> StepHeight:
         """The height of one region over another."""
-        return self._questions.step_height(upper, lower, show)
+        return self._questions.measuring.step_height(upper, lower, show, levelling)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         """The surface at a point."""

@@ -1,0 +1,101 @@
+"""A sphere through points that outliers do not disturb, fitted along z, where the noise is.
+
+z = top - c r^2 / (1 + sqrt(1 - c^2 r^2)), r the distance from the axis and c the curvature, holds for shallow caps and
+for steep ones, for bumps (c > 0) and for pits (c < 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.heights import Floats, Points
+from wafer_viewer.measure.level import least_squares, robust_fit
+from wafer_viewer.model.errors import MeasureError
+
+STEEPEST = 0.95
+"""Of the sphere's radius: points further from its axis lie on walls that no height map shows."""
+_ROUNDS = 50
+_SETTLED = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cap:
+    """A sphere's highest (lowest) point and its curvature 1 / R, negative for a pit."""
+
+    x_um: float
+    y_um: float
+    z_um: float
+    curvature: float
+
+    @property
+    def radius_um(self) -> float:
+        """The sphere's radius."""
+        return 1 / abs(self.curvature)
+
+    def at(self, points: Points) -> Floats:
+        """Heights of the sphere over points that it reaches."""
+        squares = self._squares(points)
+        return self.z_um - self.curvature * squares / (1 + self._cosine(squares))
+
+    def slopes(self, points: Points) -> Floats:
+        """How the heights change with x, y, z and curvature, [n, 4]."""
+        squares = self._squares(points)
+        cosine = self._cosine(squares)
+        x, y = points.x_um - self.x_um, points.y_um - self.y_um
+        along = self.curvature * x / cosine, self.curvature * y / cosine
+        return np.stack([*along, np.ones(len(points)), -squares / (cosine * (1 + cosine))], axis=1)
+
+    def reaches(self, points: Points) -> NDArray[np.bool_]:
+        """Which points lie over the sphere, not beyond its walls."""
+        return np.abs(self.curvature) * np.sqrt(self._squares(points)) < STEEPEST
+
+    def moved(self, by: Floats) -> Cap:
+        """Another sphere, its four numbers changed."""
+        return Cap(*(np.array([self.x_um, self.y_um, self.z_um, self.curvature]) + by).tolist())
+
+    def _squares(self, points: Points) -> Floats:
+        return (points.x_um - self.x_um) ** 2 + (points.y_um - self.y_um) ** 2
+
+    def _cosine(self, squares: Floats) -> Floats:
+        return np.sqrt(1 - self.curvature**2 * squares)
+
+
+def fit_cap(points: Points) -> tuple[Cap, Points]:
+    """The sphere, and the points that were not rejected. Raises MeasureError when no sphere fits."""
+    cap = _first_guess(points)
+    for _ in range(_ROUNDS):
+        before, cap = cap, _nearer(points, cap)
+        if abs(cap.curvature - before.curvature) <= _SETTLED * abs(cap.curvature):
+            break
+    near = points.kept(cap.reaches(points))
+    kept = near.kept(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).kept)
+    if not cap.curvature or not len(kept):
+        raise no_sphere()
+    return cap, kept
+
+
+def _nearer(points: Points, cap: Cap) -> Cap:
+    """One step of Gauss and Newton, outliers apart."""
+    near = points.kept(cap.reaches(points))
+    return cap.moved(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).coefficients)
+
+
+def no_sphere() -> MeasureError:
+    """What to say where heights are not those of a sphere."""
+    return MeasureError("No sphere fits the heights in the circle: draw it round a single bump or pit.")
+
+
+def _first_guess(points: Points) -> Cap:
+    """x^2 + y^2 + z^2 is linear in x, y and z on a sphere; z is what errs, so this is for a start only."""
+    middle = np.array([points.x_um.mean(), points.y_um.mean(), np.median(points.z_um)])
+    places = np.stack([points.x_um, points.y_um, points.z_um], axis=1) - middle
+    x, y, z, rest = least_squares(np.column_stack([places, np.ones(len(places))]), np.sum(places**2, axis=1))
+    radius = float(np.sqrt(max(rest + (x**2 + y**2 + z**2) / 4, 0.0)))
+    if not radius:
+        raise no_sphere()
+    center = middle + np.array([x, y, z]) / 2
+    upwards = float(np.median(places[:, 2] - z / 2) > 0) * 2 - 1
+    return Cap(float(center[0]), float(center[1]), float(center[2] + upwards * radius), upwards / radius)

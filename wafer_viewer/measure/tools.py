@@ -1,0 +1,48 @@
+"""The tools for measuring by their names: what each does with the places that it asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.measure.angle import face_angle
+from wafer_viewer.measure.flatness import flatness
+from wafer_viewer.measure.point import distance, point_height
+from wafer_viewer.measure.profile import profile
+from wafer_viewer.measure.radius import bump_radius
+from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.texture import texture
+from wafer_viewer.measure.volume import area_volume
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding, Profile
+from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import Mosaic
+
+
+def _section(surface: Mosaic, line: Region, *, calibration_valid: bool) -> Profile:
+    return profile(surface, line, calibration_valid=calibration_valid)[0]
+
+
+MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
+    "profile": _section,
+    "point": point_height,
+    "distance": distance,
+    "step": step_height,
+    "angle": face_angle,
+    "radius": bump_radius,
+    "volume": area_volume,
+    "flatness": flatness,
+    "texture": texture,
+}
+"""Each takes a surface and as many places as its tool asks for."""
+
+
+def measured(surface: Mosaic, tool: ToolName, places: tuple[Region, ...], calibration_valid: bool) -> AnyFinding:
+    """What a tool finds at its places. Raises MeasureError when it asks for another number, or there is no answer."""
+    asked = TOOLS[tool].places
+    if len(places) != len(asked):
+        names = ", ".join(place.name for place in asked)
+        raise MeasureError(
+            f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), here are {len(places)}: give as many."
+        )
+    return MEASUREMENTS[tool](surface, *places, calibration_valid=calibration_valid)

@@ -1,0 +1,72 @@
+"""Numbers with a unit and their expanded uncertainty: lengths, and what is no length."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import ClassVar, Literal
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.spec import NonNegative, Spec
+
+UStatus = Literal["evaluated", "not evaluated", "uncalibrated"]
+Unit = Literal["um", "um2", "um3", "deg"]
+
+
+class BudgetLine(Spec, frozen=True, kw_only=True):
+    """One line of the budget of a quantity: a standard uncertainty (k = 1) in the quantity's unit."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    name: str
+    u: NonNegative
+
+
+class Quantity(Spec, frozen=True, kw_only=True):
+    """A number in a unit with its expanded uncertainty (k = 2), or the word that says why there is none."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    value: float
+    unit: Unit
+    expanded: NonNegative | None = None
+    status: UStatus = "not evaluated"
+    budget: tuple[BudgetLine, ...] = ()
+
+    @classmethod
+    def evaluated(cls, value: float, unit: Unit, budget: tuple[BudgetLine, ...]) -> Quantity:
+        """One whose uncertainty is the root sum of squares of a budget, times two."""
+        expanded = 2 * _root_sum_of_squares(line.u for line in budget)
+        return cls(value=value, unit=unit, expanded=expanded, status="evaluated", budget=budget)
+
+
+class Contribution(Spec, frozen=True, kw_only=True):
+    """One line of a length's uncertainty budget, standard uncertainty (k = 1) in um."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    name: str
+    u_um: NonNegative
+
+
+class Length(Spec, frozen=True, kw_only=True):
+    """A length in um with its expanded uncertainty (k = 2), or the word that says why there is none."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    value_um: float
+    expanded_um: NonNegative | None = None
+    status: UStatus = "not evaluated"
+    budget: tuple[Contribution, ...] = ()
+
+    @classmethod
+    def evaluated(cls, value_um: float, budget: tuple[Contribution, ...]) -> Length:
+        """A length whose uncertainty is the root sum of squares of a budget, times two."""
+        expanded_um = 2 * _root_sum_of_squares(c.u_um for c in budget)
+        return cls(value_um=value_um, expanded_um=expanded_um, status="evaluated", budget=budget)
+
+    @property
+    def quantity(self) -> Quantity:
+        """The same as a quantity, for those who treat all quantities alike."""
+        lines = tuple(BudgetLine(name=c.name, u=c.u_um) for c in self.budget)
+        return Quantity(value=self.value_um, unit="um", expanded=self.expanded_um, status=self.status, budget=lines)
+
+
+def _root_sum_of_squares(parts: Iterable[float]) -> float:
+    return math.sqrt(sum(part**2 for part in parts))
