@@ -18,7 +18,7 @@ from wafer_viewer.model.errors import MeasureError
 STEEPEST = 0.95
 """Of the sphere's radius: points further from its axis lie on walls that no height map shows."""
 _ROUNDS = 50
-_SETTLED = 1e-9
+_SETTLED = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
