@@ -144,7 +144,7 @@ def test_no_rags_hang_from_the_edge_of_a_hole_in_a_wall() -> None:
 def test_walls_go_down_from_what_is_measured_only() -> None:
     x = np.arange(6, dtype=np.float32)
     z = np.array([1, 1, np.nan, np.nan, 2, 2], np.float32)
-    made = mesh.walls([(x, np.zeros(6, np.float32), z)], 0.0)
+    made = mesh.walls({0: (x, np.zeros(6, np.float32), z)}, 0.0)
     used = made.vertices[np.unique(made.triangles)]
     assert set(used[:, 0].tolist()) == {0.0, 1.0, 4.0, 5.0}
     assert made.uv[0, 0] == pytest.approx(0.5 / mesh.WALL_SIDES)

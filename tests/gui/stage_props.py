@@ -64,11 +64,18 @@ class Camera:
         self.moved.append(callback)
 
 
+class Storage:
+    """Stands for ``client.local_storage``: there is nothing in it, and it answers at once."""
+
+    def get_item(self, key: str) -> str | None:
+        return None
+
+
 class Browser:
     """Stands for viser's client handle."""
 
     def __init__(self) -> None:
-        self.scene, self.camera = RecordingScene(), Camera()
+        self.scene, self.camera, self.local_storage = RecordingScene(), Camera(), Storage()
 
     @contextlib.contextmanager
     def atomic(self) -> Iterator[None]:

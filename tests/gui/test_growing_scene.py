@@ -22,7 +22,7 @@ VIEW = View(step="surface")
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """No grace, and small tiles of a small surface."""
     monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
-    monkeypatch.setattr("wafer_viewer.gui.tiles._TILE_PX", 80)
+    monkeypatch.setattr("wafer_viewer.gui.quadtree.TILE_PX", 64)
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def tiles(session: StitchedSession) -> int:
 
 
 def tiles_on(browser: Browser) -> set[str]:
-    return {name for name in browser.scene.names("/surface/") if "walls" not in name}
+    return {name for name in browser.scene.names("/surface/") if "wall" not in name}
 
 
 def test_only_what_changed_is_painted_again(browser: Browser, growing: GrowingSession, scene: SceneView) -> None:

@@ -24,7 +24,7 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.ground import block_items
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.stage import Item, Stage
-from wafer_viewer.gui.tiles import TEXTURE_PIXELS, VERTICES, cut, look_of
+from wafer_viewer.gui.tiles import VERTICES, cut, look_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
@@ -106,7 +106,7 @@ def test_a_surface_stands_as_tiles_on_a_plinth_with_figures(browser: Browser, sc
     tiles = [browser.scene.nodes[name] for name in browser.scene.names("/surface/")]
     assert len(tiles) > 2
     assert {tile.scale for tile in tiles} == {(1.0, 1.0, 5.0)}
-    assert all(browser.scene.names(part) for part in ("plinth", "shadow", "hatch", "scale", "walls"))
+    assert all(browser.scene.names(part) for part in ("plinth", "shadow", "hatch", "scale", "/wall-"))
 
 
 def test_the_same_again_asks_for_nothing(browser: Browser, session: StandIn, scene: SceneView) -> None:
@@ -136,7 +136,7 @@ def test_other_colours_replace_the_tiles_and_none_leaves_before_its_successor(
     scene.draw(SNAPSHOT, View(step="surface"))
     settled(scene)
     before = set(browser.scene.names("/surface/"))
-    walls = {name for name in before if "walls" in name}
+    walls = {name for name in before if "/wall-" in name}
     browser.scene.log.clear()
     scene.draw(SNAPSHOT, View(step="surface", colours="batlow"))
     settled(scene)
@@ -234,9 +234,9 @@ def test_orders_no_one_waits_for_are_withdrawn() -> None:
 @given(st.integers(50, 20_000), st.integers(50, 20_000))
 def test_a_cut_stays_within_its_budget_and_covers_all(rows: int, cols: int) -> None:
     facts = Facts(rows, cols, 0.5, 0.0, 0.0, 0, rows, 0, cols, 0.0, 1.0, 0.0, 1.0, 1.0, (0.0, 0.0, 0.0))
-    part = cut(facts, TEXTURE_PIXELS)
+    part = cut(facts, 2_200_000)
     lattice = (-(-rows // 2**part.level), -(-cols // 2**part.level))
-    assert (lattice[0] - 1) * (lattice[1] - 1) <= TEXTURE_PIXELS
+    assert (lattice[0] - 1) * (lattice[1] - 1) <= 2_200_000
     tiles = list(part.tiles())
     assert max(r[1] for r, _ in tiles) == lattice[0]
     assert max(c[1] for _, c in tiles) == lattice[1]

@@ -15,7 +15,8 @@ from wafer_viewer.draw.mesh import Mesh
 from wafer_viewer.draw.tone import GAIN, to_texture
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]
-_JPEG_QUALITY = 93
+_JPEG_QUALITY, _WEBP_QUALITY = 93, 92
+_WEBP = "EXT_texture_webp"
 _FLOAT, _USHORT, _UINT = 5126, 5123, 5125
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
 
@@ -24,6 +25,13 @@ def jpeg(picture: NDArray[np.uint8], quality: int = _JPEG_QUALITY) -> bytes:
     """A picture, grey [row, col] or rgb [row, col, 3], as JPEG without colour subsampling."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "JPEG", quality=quality, subsampling=0)
+    return out.getvalue()
+
+
+def webp(picture: NDArray[np.uint8]) -> bytes:
+    """A picture with sharp holes, rgba [row, col, 4], as WebP: a quarter of a PNG, and made as fast."""
+    out = io.BytesIO()
+    Image.fromarray(picture).save(out, "WEBP", quality=_WEBP_QUALITY, method=0, exact=True)
     return out.getvalue()
 
 
@@ -42,23 +50,29 @@ def painted(mesh: Mesh, shown: NDArray[np.uint8], *, blend: bool = False) -> byt
     texture = to_texture(shown[..., :3])
     if shown.shape[-1] == 3 or bool((shown[..., 3] == 255).all()):
         return glb(mesh, jpeg(texture), "image/jpeg", "OPAQUE")
-    return glb(mesh, png(np.dstack([texture, shown[..., 3]])), "image/png", "BLEND" if blend else "MASK")
+    cut_out = np.dstack([texture, shown[..., 3]])
+    if blend:
+        return glb(mesh, png(cut_out), "image/png", "BLEND")
+    return glb(mesh, webp(cut_out), "image/webp", "MASK")
 
 
 def glb(mesh: Mesh, texture: bytes, mime_type: str, alpha: Alpha) -> bytes:
     """The file of a mesh and its encoded texture. uv are stored as normalised 16-bit, indices as small as they fit."""
     indices = mesh.triangles.astype(np.uint16 if len(mesh.vertices) < 65535 else np.uint32)
     uv = (np.clip(mesh.uv, 0, 1) * 65535 + 0.5).astype("<u2")
+    is_webp = mime_type == "image/webp"
+    extensions = [_WEBP] if is_webp else []
     blob, views = _packed([mesh.vertices.astype("<f4").tobytes(), uv.tobytes(), indices.tobytes(), texture])
     document = {
         "asset": {"version": "2.0"},
-        "extensionsUsed": ["KHR_materials_unlit"],
+        "extensionsUsed": ["KHR_materials_unlit", *extensions],
+        **({"extensionsRequired": extensions} if extensions else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}]}],
         "materials": [_material(alpha)],
-        "textures": [{"source": 0, "sampler": 0}],
+        "textures": [{"sampler": 0, "extensions": {_WEBP: {"source": 0}}} if is_webp else {"source": 0, "sampler": 0}],
         "images": [{"bufferView": 3, "mimeType": mime_type}],
         "samplers": [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}],
         "bufferViews": views,

@@ -23,6 +23,11 @@ class Mesh:
     triangles: NDArray[np.uint32]
 
 
+Skirts = tuple[bool, bool, bool, bool]
+"""Whether a surface hangs down at its foot, top, left and right edge."""
+NO_SKIRTS: Skirts = (False, False, False, False)
+_SKIRT_STEPS = 4
+"""How far along an edge a skirt looks for how deep it has to hang, in vertices."""
 _STEEP = 1.5
 """Rise over run from which a partly measured cell is a wall, not a slope."""
 
@@ -32,12 +37,21 @@ def picked(n: int, step: int) -> NDArray[np.intp]:
     return np.unique(np.append(np.arange(0, n, step), n - 1))
 
 
-def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, z0_um: float, step: int) -> Mesh:
+def surface(
+    z_um: Floats,
+    there: NDArray[np.bool_],
+    x_mm: Floats,
+    y_mm: Floats,
+    z0_um: float,
+    step: int,
+    skirts: Skirts = NO_SKIRTS,
+) -> Mesh:
     """A surface of heights without gaps, a vertex every `step` pixels; a cell with no pixel `there` is left out.
 
     So is a steep cell that is only partly there: stretched over a wall, its few pixels would hang there as rags.
 
-    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge.
+    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge. Skirts are as deep
+    as the heights near them differ: behind them no crack shows to a neighbour of other vertices.
     """
     rows, cols = picked(len(y_mm), step), picked(len(x_mm), step)
     grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
@@ -46,10 +60,40 @@ def surface(z_um: Floats, there: NDArray[np.bool_], x_mm: Floats, y_mm: Floats, 
     kept = _cells(there, rows, cols, np.logical_or)
     ragged = kept & ~(_cells(there, rows, cols, np.logical_and) & _corners(there[np.ix_(rows, cols)]).all(axis=0))
     kept &= ~(ragged & (_rise(height) > _STEEP * step * abs(float(x_mm[-1] - x_mm[0])) / max(1, len(x_mm) - 1)))
-    return Mesh(
+    whole = Mesh(
         np.stack([grid_x, grid_y, height], axis=-1).reshape(-1, 3).astype(np.float32),
         np.stack([u, v], axis=-1).reshape(-1, 2).astype(np.float32),
         quads(len(rows), len(cols))[kept.ravel()].reshape(-1, 3),
+    )
+    return _joined([whole, *_skirts(whole, height, kept, skirts)])
+
+
+def _skirts(of: Mesh, height: Floats, kept: NDArray[np.bool_], skirts: Skirts) -> list[Mesh]:
+    """A band down from each edge that is to have one, as long as the cells along it are kept."""
+    index = np.arange(height.size).reshape(height.shape)
+    edges = (index[-1], kept[-1]), (index[0], kept[0]), (index[:, 0], kept[:, 0]), (index[:, -1], kept[:, -1])
+    return [_skirt(of, line, there) for wanted, (line, there) in zip(skirts, edges, strict=True) if wanted]
+
+
+def _skirt(of: Mesh, line: NDArray[np.intp], there: NDArray[np.bool_]) -> Mesh:
+    top, width = of.vertices[line], 2 * _SKIRT_STEPS + 1
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(top[:, 2], _SKIRT_STEPS, mode="edge"), width)
+    spacing = float(np.hypot(*(top[-1, :2] - top[0, :2]))) / max(1, len(line) - 1)
+    foot = top - np.stack([np.zeros(len(line)), np.zeros(len(line)), np.ptp(around, axis=1) + 0.1 * spacing], axis=1)
+    return Mesh(
+        np.concatenate([top, foot]).astype(np.float32),
+        np.concatenate([of.uv[line]] * 2),
+        quads(2, len(line))[there].reshape(-1, 3),
+    )
+
+
+def _joined(parts: list[Mesh]) -> Mesh:
+    """Several as one."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])[:-1]
+    return Mesh(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.uv for part in parts]),
+        np.concatenate([part.triangles + np.uint32(start) for part, start in zip(parts, starts, strict=True)]),
     )
 
 
@@ -107,18 +151,12 @@ def plates(boxes_mm: NDArray[np.float64], z_mm: NDArray[np.float64], uv: Floats)
 WALL_SIDES = 4
 
 
-def walls(edges: list[tuple[Floats, Floats, Floats]], base_mm: float) -> Mesh:
-    """Walls down from the edges of a block: each edge as x_mm, y_mm, z_mm [n]; NaN in z leaves the wall out there.
+def walls(edges: dict[int, tuple[Floats, Floats, Floats]], base_mm: float) -> Mesh:
+    """Walls down from edges of a block: each edge as x_mm, y_mm, z_mm [n]; NaN in z leaves the wall out there.
 
-    u names the edge, (its place in the list + 0.5) / `WALL_SIDES`; v runs from the top (0) to the base (1).
+    u names the edge, (its key + 0.5) / `WALL_SIDES`; v runs from the top (0) to the base (1).
     """
-    parts = [_wall(x, y, z, base_mm, (k + 0.5) / WALL_SIDES) for k, (x, y, z) in enumerate(edges)]
-    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])[:-1]
-    return Mesh(
-        np.concatenate([p.vertices for p in parts]),
-        np.concatenate([p.uv for p in parts]),
-        np.concatenate([p.triangles + np.uint32(start) for p, start in zip(parts, starts, strict=True)]),
-    )
+    return _joined([_wall(x, y, z, base_mm, (k + 0.5) / WALL_SIDES) for k, (x, y, z) in edges.items()])
 
 
 def _wall(x: Floats, y: Floats, z: Floats, base_mm: float, u: float) -> Mesh:

@@ -45,10 +45,10 @@ def block_items(box: Box, dark: bool, *, plinth: bool) -> list[Item]:
 def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
     x0, y0, x1, y1 = box
     sides = [((x0, y0), (x1, y0)), ((x0, y1), (x1, y1)), ((x0, y0), (x0, y1)), ((x1, y0), (x1, y1))]
-    edges = [
-        (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
-        for a, b in sides
-    ]
+    edges = {
+        k: (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
+        for k, (a, b) in enumerate(sides)
+    }
     data = painted(mesh.walls(edges, -plinth_mm(box)), ground.sides(*ground.PLINTH_TONES[dark]))
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 

@@ -74,7 +74,7 @@ def pose_items(known: Known, on_show: OnShow, size_um: tuple[float, float], dark
         return []
     make = partial(_overlay, poses=known.poses, size_um=size_um, dark=dark, flat=flat, z0_um=on_show.z0_um)
     content = (known.of, on_show.source, on_show.z0_um, size_um, dark, flat)
-    return [Item("poses", content, make, PaintRequest(on_show.source, "relief"), stretched=True)]
+    return [Item("poses", content, make, PaintRequest(on_show.source, "relief", datum=on_show.datum), stretched=True)]
 
 
 def _overlay(

@@ -11,11 +11,13 @@ import viser
 
 from wafer_viewer.gui.acquire_scene import acquire_contents
 from wafer_viewer.gui.book import Book
-from wafer_viewer.gui.camera import Eye
-from wafer_viewer.gui.contents import Contents, OnShow
+from wafer_viewer.gui.camera import Eye, Pose
+from wafer_viewer.gui.contents import Contents, OnShow, corners_over
+from wafer_viewer.gui.gate import Gate
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
 from wafer_viewer.gui.pose_book import PoseBook
+from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.steady import Steady
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
@@ -25,7 +27,11 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
 _CAMERA_EVERY_S = 0.1
+_FENCE = "wafer-viewer-fence"
+"""What the browser is asked for to hear whether it has taken in what was sent."""
 Wanted = tuple[Snapshot, View]
+Errand = Callable[[Contents], None]
+"""What the camera is to do, given what is on show."""
 
 
 class SceneView:
@@ -48,8 +54,9 @@ class SceneView:
         self._begun: Wanted | None = None
         self._asked: Hashable = None
         self._more, self._closed, self._settled = False, False, True
-        self._stage = Stage(client.scene, session.paint, self._arrived)
-        self._book = Book(session.paint, self._arrived)
+        self._gate = Gate(lambda: client.local_storage.get_item(_FENCE), self._arrived)
+        self._stage = Stage(client.scene, session.paint, self._arrived, self._gate)
+        self._book = Book(session.paint, self._arrived, lambda levelling, show: session.datum(levelling, show))
         self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
         self._poses.on_arrival(self._arrived)
         self._steady = Steady()
@@ -58,7 +65,9 @@ class SceneView:
         self._shown: Contents | None = None
         self._place: Hashable = None
         self._stands: Hashable = None
-        self._preset: str | None = None
+        self._errand: Errand | None = None
+        self._first_pose: Pose | None = None
+        self._print_px: int | None = None
         self._camera_listener: Callable[[], object] = lambda: None
         self._moves = Latest("camera")
         self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
@@ -75,13 +84,39 @@ class SceneView:
             if essence == self._asked:
                 return
             self._asked, self._wanted, self._more = essence, (snapshot, view), True
-            self._due.notify()
+            self._due.notify_all()
 
     def look_from(self, preset: str) -> None:
         """Go to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and shows everything."""
+        self._send(lambda shown: self._eye.frame(shown.corners_mm, preset, shown.clear))
+
+    def fly_to(self, bounds_um: Box) -> None:
+        """Show a rectangle of the surface, (x low, y low, x high, y high) in stage um, from where the camera stands."""
+        self._send(lambda shown: self._eye.fly(corners_over(bounds_um, shown)))
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the camera stands; None before there is one."""
+        return self._eye.pose if self._place is not None else None
+
+    def go_to(self, pose: Pose) -> None:
+        """Have the camera stand somewhere, when what is wanted by now is drawn."""
+        self._send(lambda _: self._eye.go(pose))
+
+    def reopen(self, pose: Pose) -> None:
+        """Where the camera is to stand at first, instead of where it shows everything."""
+        self._first_pose = pose
+
+    def seen_um(self) -> tuple[tuple[float, float], ...] | None:
+        """The part of the ground that is in view, as its corners in stage um; None where it reaches the horizon."""
+        return self._eye.sight().ground_um(float(self._eye.pose.look_at[2])) if self._place is not None else None
+
+    def settle(self, width_px: int | None, timeout_s: float) -> bool:
+        """Draw as much as a picture so many pixels wide shows; whether that came about in time. None: as the screen."""
         with self._due:
-            self._preset = preset
-            self._due.notify()
+            self._print_px, self._more = width_px, True
+            self._due.notify_all()
+            return self._due.wait_for(lambda: self._closed or not self._busy, timeout_s) and not self._closed
 
     def um_per_pixel(self) -> float:
         """How long a pixel is at the point looked at, 0 before there is a camera."""
@@ -111,13 +146,19 @@ class SceneView:
     def busy(self) -> bool:
         """Whether something that was asked for is not drawn yet, or something that was replaced is still there."""
         with self._due:
-            return self._more or not self._settled or self._preset is not None
+            return self._busy
+
+    @property
+    def _busy(self) -> bool:
+        return self._more or not self._settled or self._errand is not None
 
     def close(self) -> None:
         """Let the threads go; the browser has gone."""
         with self._due:
             self._closed = True
-            self._due.notify()
+            self._due.notify_all()
+        self._gate.close()
+        self._book.close()
         self._tools.close()
         self._moves.close()
         self._poses.close()
@@ -139,34 +180,39 @@ class SceneView:
     def _camera_moved(self) -> None:
         """On a thread of its own, which pauses after each: the last move of many is never left out."""
         self._eye.refit()
+        self._eye.come_near()
         self._tools.resize()
-        if self._wanted is not None and self._wanted[1].shows_fields:
-            self._arrived()
+        self._arrived()
         self._camera_listener()
         time.sleep(_CAMERA_EVERY_S)
+
+    def _send(self, errand: Errand) -> None:
+        with self._due:
+            self._errand, self._more = errand, True
+            self._due.notify_all()
 
     def _arrived(self) -> None:
         with self._due:
             self._more = True
-            self._due.notify()
+            self._due.notify_all()
 
     def _run(self) -> None:
         pause: float | None = None
         while True:
             with self._due:
-                self._due.wait_for(lambda: self._more or self._closed or self._preset is not None, pause)
+                self._due.wait_for(lambda: self._more or self._closed, pause)
                 if self._closed:
                     return
                 self._more, self._settled = False, False
                 self._begun = wanted = self._next()
-                preset, self._preset = self._preset, None
-            whole = self._turn(wanted, preset)
+            whole = self._turn(wanted)
             pause = self._stage.tidy()
             with self._due:
                 if whole:
                     self._begun = None
                     self._more |= wanted is not self._wanted
                 self._settled = whole and pause is None
+                self._due.notify_all()
 
     def _next(self) -> Wanted | None:
         """What is wanted now; of a surface that grows first what was begun, or fast growth would never be seen."""
@@ -174,19 +220,26 @@ class SceneView:
             return self._wanted
         return self._begun
 
-    def _turn(self, wanted: Wanted | None, preset: str | None) -> bool:
+    def _turn(self, wanted: Wanted | None) -> bool:
         """Draw and look; whether all there is to draw is drawn."""
         whole = True
         try:
             if wanted is not None:
                 whole = self._draw(*wanted)
-            if preset is not None and self._shown is not None:
-                self._eye.frame(self._shown.corners_mm, preset, self._shown.clear)
         except NotYet:
             return False
         except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
             self._on_fault(fault)
+        self._run_errand()
         return whole
+
+    def _run_errand(self) -> None:
+        """Where the camera was sent, once what is wanted has been placed before it."""
+        with self._due:
+            errand, self._errand = self._errand, None
+            self._more |= errand is not None
+        if errand is not None and self._shown is not None:
+            errand(self._shown)
 
     def _draw(self, snapshot: Snapshot, view: View) -> bool:
         """One pass: draws what there is to draw; when the painter has more, there is another pass."""
@@ -196,11 +249,17 @@ class SceneView:
             return False
         self._stands = contents.place
         self._scale_listener(contents.on_show)
-        whole = self._stage.show(contents.items, contents.stretch)
+        seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
+        whole = self._stage.show((*seen, *contents.items), contents.stretch)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         if whole or contents.on_show is None:
             self._tools.show(view, contents.on_show, self._book)
         return whole and not contents.awaits_more
+
+    @property
+    def _finer(self) -> float:
+        """How many pixels are to be drawn for one of the screen."""
+        return max(1.0, self._print_px / max(1, self._client.camera.image_width)) if self._print_px else 1.0
 
     def _contents(self, snapshot: Snapshot, view: View) -> Contents:
         if view.step == "plan":
@@ -213,6 +272,9 @@ class SceneView:
     def _place_camera(self, contents: Contents) -> None:
         if contents.place != self._place:
             self._eye.frame(contents.corners_mm, contents.preset, contents.clear)
+            if self._first_pose is not None:
+                self._eye.go(self._first_pose)
+                self._first_pose = None
         else:
             self._eye.follow(contents.corners_mm, contents.clear)
         self._place, self._shown = contents.place, contents
@@ -221,12 +283,7 @@ class SceneView:
 def _only_grew(begun: Wanted, now: Wanted) -> bool:
     """Whether two views are of the same surface at two stamps."""
     sources = [source_of(snapshot, view.show) for snapshot, view in (begun, now)]
-    if (
-        begun[1] != now[1]
-        or None in sources
-        or begun[1].step not in ("surface", "measure")
-        or begun[0].scanning != now[0].scanning
-    ):
+    if begun[1] != now[1] or None in sources or not begun[1].on_surface or begun[0].scanning != now[0].scanning:
         return False
     places = [(s.dataset, s.result, s.show) for s in sources if s is not None]
     return places[0] == places[1]

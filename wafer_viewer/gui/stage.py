@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import viser
 
+from wafer_viewer.gui.gate import Gate
 from wafer_viewer.session.paint_request import PaintRequest
 
 Handle = Any
@@ -31,10 +32,30 @@ class Settling(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Cover:
+    """What an item covers: rows and columns of the surface that its layer shows."""
+
+    layer: str
+    rows: tuple[int, int]
+    cols: tuple[int, int]
+
+    def meets(self, other: Cover) -> bool:
+        """Whether both cover some of the same."""
+        return (
+            self.layer == other.layer
+            and self.rows[0] < other.rows[1]
+            and other.rows[0] < self.rows[1]
+            and self.cols[0] < other.cols[1]
+            and other.cols[0] < self.cols[1]
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Item:
     """One thing in the scene. Items with the same name and content look alike; make(scene, node name, data) draws it.
 
-    With a `request`, data is what the painter made of it. `stretched` items follow the exaggeration of heights.
+    With a `request`, data is what the painter made of it. `stretched` items follow the exaggeration of heights. One
+    that has a `cover` may leave as soon as others of its layer cover the same; one without, when all others are drawn.
     """
 
     name: str
@@ -42,6 +63,7 @@ class Item:
     make: Make
     request: PaintRequest | None = None
     stretched: bool = False
+    cover: Cover | None = None
 
 
 @dataclass(slots=True)
@@ -49,6 +71,7 @@ class _Drawn:
     content: Hashable
     handle: Handle
     stretched: bool
+    cover: Cover | None
 
 
 class NotYet(Exception):  # nothing went wrong: no Error in its name
@@ -62,14 +85,17 @@ class Orders:
         self._paint, self._arrived = paint, arrived
         self._open: dict[PaintRequest, Future[bytes]] = {}
 
-    def outcome(self, request: PaintRequest) -> Future[bytes]:
-        """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again."""
+    def outcome(self, request: PaintRequest, taken: bool = True) -> Future[bytes]:
+        """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again.
+
+        taken: False has it made, and kept until it is asked for again.
+        """
         future = self._open.get(request)
         if future is None or future.cancelled():
             future = self._open[request] = self._paint(request)
             if not future.done():
                 future.add_done_callback(lambda done: None if done.cancelled() else self._arrived())
-        if not future.done():
+        if not future.done() or not taken:
             raise NotYet
         return self._open.pop(request)
 
@@ -82,8 +108,10 @@ class Orders:
 class Stage:
     """The nodes of one browser's scene, by item name. Used from one thread; it never waits."""
 
-    def __init__(self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None]) -> None:
-        self._scene, self._orders = scene, Orders(paint, arrived)
+    def __init__(
+        self, scene: viser.SceneApi, paint: Paint, arrived: Callable[[], None], gate: Gate | None = None
+    ) -> None:
+        self._scene, self._orders, self._gate = scene, Orders(paint, arrived), gate
         self._drawn: dict[str, _Drawn] = {}
         self._leaving: list[tuple[float, Handle]] = []
         self._serial = 0
@@ -95,7 +123,8 @@ class Stage:
         return tuple(name for name, drawn in self._drawn.items() if drawn.handle is not None)
 
     def show(self, items: Sequence[Item], stretch: float) -> bool:
-        """Draw what is missing and there to be drawn; whether that was all. Only then what is not in the list leaves.
+        """Draw what is missing and there to be drawn; whether that was all. What is not in the list leaves once
+        nothing that would stand in its place is missing.
 
         Raises what went wrong in making an item, after all others are drawn; the same item is not tried again.
         """
@@ -104,10 +133,7 @@ class Stage:
         missing = [item for item in items if not self._is_drawn(item)]
         faults: list[BaseException] = []
         waiting = [item for item in missing if not self._try(item, faults)]
-        if not waiting:
-            wanted = {item.name for item in items}
-            for name in [name for name in self._drawn if name not in wanted]:
-                self._let_leave(self._drawn.pop(name))
+        self._clear_away({item.name for item in items}, waiting)
         if faults:
             raise faults[0]
         return not waiting
@@ -126,6 +152,13 @@ class Stage:
         self._leaving = [entry for entry in self._leaving if entry[0] > now]
         return min((due for due, _ in self._leaving), default=now) - now if self._leaving else None
 
+    def _clear_away(self, wanted: set[str], waiting: Sequence[Item]) -> None:
+        to_come = [item.cover for item in waiting if item.cover is not None]
+        for name in [name for name in self._drawn if name not in wanted]:
+            cover = self._drawn[name].cover
+            if not waiting or (cover is not None and not any(cover.meets(other) for other in to_come)):
+                self._let_leave(self._drawn.pop(name))
+
     def _is_drawn(self, item: Item) -> bool:
         drawn = self._drawn.get(item.name)
         return drawn is not None and drawn.content == item.content
@@ -135,7 +168,7 @@ class Stage:
         data = b""
         if item.request is not None:
             try:
-                outcome = self._orders.outcome(item.request)
+                outcome = self._orders.outcome(item.request, self._gate is None or self._gate.is_open)
             except NotYet:
                 return False
             fault = outcome.exception()
@@ -146,12 +179,14 @@ class Stage:
 
     def _draw(self, item: Item, data: bytes) -> None:
         self._serial += 1
+        if self._gate is not None and data:
+            self._gate.sent(len(data))
         empty = item.request is not None and not data
         handle = None if empty else item.make(self._scene, f"/{item.name}/{self._serial}", data)
         if handle is not None and item.stretched and self._stretch != 1:
             handle.scale = (1.0, 1.0, self._stretch)
         before = self._drawn.get(item.name)
-        self._drawn[item.name] = _Drawn(item.content, handle, item.stretched)
+        self._drawn[item.name] = _Drawn(item.content, handle, item.stretched, item.cover)
         if before is not None:
             self._let_leave(before)
 

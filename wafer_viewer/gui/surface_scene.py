@@ -13,11 +13,14 @@ from wafer_viewer.gui.contents import Contents, OnShow, corners_of
 from wafer_viewer.gui.ground import block_items, figure_height_mm, plinth_mm
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_items import pose_items
+from wafer_viewer.gui.quadtree import Span
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import Handle, Item
 from wafer_viewer.gui.steady import Steady, as_planned
-from wafer_viewer.gui.tiles import FIRST_PIXELS, TEXTURE_PIXELS, Shown, add_glb, bounds_mm, look_of, surface_items
+from wafer_viewer.gui.terrain import heights_of
+from wafer_viewer.gui.tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.levelling import Datum
 from wafer_viewer.session.changes import stamp_of
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
 from wafer_viewer.session.state import OpenDataset, Snapshot
@@ -47,36 +50,42 @@ def surface_contents(
     book: Book, steady: Steady, poses: PoseBook, snapshot: Snapshot, view: View, source: Source
 ) -> Contents:
     """The block with its surface, and over it its fields. Raises NotYet when the painter is still to tell of it."""
-    told = book.facts(source)
+    datum = book.datum(source, view.levelling)
+    told = book.facts(source, datum)
     view = _with_what_there_is(view, told)
-    shown = _shown(snapshot, source, steady.facts(source, view, told))
-    facts, scale = shown.facts, steady.scale(source, view, book.scale(source, view))
+    shown = _shown(snapshot, source, steady.facts(source, view, told), datum)
+    facts, scale = shown.facts, steady.scale(source, view, book.scale(source, view, datum))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
-    stretch = view.exaggeration
-    on_show = OnShow(source, facts, scale, z0, stretch)
-    box, look = bounds_mm(facts), look_of(view, scale)
-    solid = view.look == "surface"
+    on_show = OnShow(source, facts, scale, z0, view.exaggeration, datum)
+    box, solid = bounds_mm(facts), view.look == "surface"
+    heights = heights_of(on_show, book.relief_if_known(source, datum))
+    tiled = TiledSurface(shown, look_of(view, scale), view, z0, heights if view.look != "plan" else _level)
     ground = block_items(box, view.dark, plinth=solid)
-    over = (*_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show))
     return Contents(
-        items=(*surface_items(shown, look, view, z0, TEXTURE_PIXELS, "surface"), *ground, *over),
-        rough=(*surface_items(shown, look, view, z0, FIRST_PIXELS, "surface"), *ground),
+        items=(*ground, *_picture_at_z(snapshot, view, on_show), *_fields(poses, snapshot, view, on_show)),
+        seen=tiled.items,
+        rough=(*tiled.first_items(), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
         place=("surface", source.dataset, source.show, view.look == "plan"),
         preset="top" if view.look == "plan" else "iso",
-        stretch=stretch,
+        stretch=view.exaggeration,
         on_show=on_show,
         clear=Clear(),
     )
 
 
-def _shown(snapshot: Snapshot, source: Source, facts: Facts) -> Shown:
+def _level(rows: Span, cols: Span) -> tuple[float, float]:
+    """Heights of what lies flat."""
+    return 0.0, 0.0
+
+
+def _shown(snapshot: Snapshot, source: Source, facts: Facts, datum: Datum | None) -> Shown:
     """While a scan goes on, the stitched surface has the room of all planned fields, and stays in its place."""
     data, info = snapshot.dataset, snapshot.surface
     if source.show or data is None or info is None:
-        return Shown(source, facts, facts)
+        return Shown(source, facts, facts, datum=datum)
     stamps = partial(stamp_of, info) if info.changed else None
-    return Shown(source, as_planned(facts, data.plan) if snapshot.scanning else facts, facts, stamps)
+    return Shown(source, as_planned(facts, data.plan) if snapshot.scanning else facts, facts, stamps, datum)
 
 
 def _with_what_there_is(view: View, facts: Facts) -> View:

@@ -1,4 +1,4 @@
-"""The surface as items: which level of the pyramid, cut into which tiles, with walls round them."""
+"""The surface as items: tiles of the pyramid by what the camera sees, or of one level, with walls round them."""
 
 from __future__ import annotations
 
@@ -9,24 +9,29 @@ from collections.abc import Callable, Iterator
 import viser
 
 from wafer_viewer.draw.look import Light, Look
-from wafer_viewer.gui.stage import Handle, Item
+from wafer_viewer.gui.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
+from wafer_viewer.gui.sight import Sight
+from wafer_viewer.gui.stage import Cover, Handle, Item
+from wafer_viewer.gui.view import Look as Way
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source, unpack_points
+from wafer_viewer.model.levelling import Datum
+from wafer_viewer.session.paint_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
 
-Span = tuple[int, int]
-"""[first, end) of rows or columns."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
-TEXTURE_PIXELS = 2_200_000
-FIRST_PIXELS = 260_000
-"""What a first, quick picture may have."""
 VERTICES = 200_000
+"""Of a surface that is cut at one level."""
+SHARP_PX: dict[Way, float] = {"surface": 1.3, "points": 2.6, "plan": 1.3}
+MOST_TILES: dict[Way, int] = {"surface": 40, "points": 10, "plan": 40}
+"""No texel in sight is larger on the screen, as far as so many tiles go."""
+_STEP, _FLAT_STEP = 4, 64
+"""Pixels from vertex to vertex, of a tile in its own level."""
 LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
 """How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
 _TILE_PX = 320
 READ_AROUND_PX = 16
 """The painter reads a little more than a tile, for light to go on across its edge."""
-_SHAPES = {"surface": "tile", "points": "points", "plan": "flat"}
+_SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -93,12 +98,14 @@ class Shown:
     """A surface to be drawn: `facts` with the window that is cut into tiles, and `measured`, where walls stand.
 
     stamp_of: by box in um, the stamp by which that part became what it is; None: the source's own.
+    datum: what counts as zero height; None: the stage's zero.
     """
 
     source: Source
     facts: Facts
     measured: Facts
     stamp_of: Callable[[Box], int] | None = None
+    datum: Datum | None = None
 
     def at(self, level: int, rows: Span, cols: Span) -> Source:
         """The source of a part: an older stamp where nothing has changed since."""
@@ -108,30 +115,102 @@ class Shown:
 
 
 def surface_items(shown: Shown, look: Look, view: View, z0_um: float, texture_pixels: int, prefix: str) -> list[Item]:
-    """The tiles of a surface and its walls; with ``plan`` it lies flat and has none."""
+    """A surface at one level and its walls, whatever the camera sees; with ``plan`` it lies flat and has none."""
     facts = shown.facts
     part = cut(facts, texture_pixels)
-    base = PaintRequest(
-        shown.source,
-        "tile",
-        level=part.level,
-        step=part.step,
-        look=look,
-        light=facts.light,
-        z0_um=z0_um,
-        dark=view.dark,
-    )
+    base = _base(shown, look, view, z0_um)
     items = [
         _tile(
-            prefix,
-            dataclasses.replace(
-                base, source=shown.at(part.level, rows, cols), what=_SHAPES[view.look], rows=rows, cols=cols
-            ),
-            facts,
+            f"{prefix}/{part.level}/{rows[0]}_{cols[0]}",
+            dataclasses.replace(base, level=part.level, step=part.step, rows=rows, cols=cols),
+            shown,
         )
         for rows, cols in part.tiles()
     ]
-    return items + ([_walls(prefix, base, part, shown)] if view.look == "surface" else [])
+    whole = dataclasses.replace(base, level=part.level, step=part.step)
+    return items + (_walls(f"{prefix}/{part.level}/walls", whole, shown) if view.look == "surface" else [])
+
+
+def _base(shown: Shown, look: Look, view: View, z0_um: float) -> PaintRequest:
+    """What all tiles of a surface have in common."""
+    return PaintRequest(
+        shown.source, _SHAPES[view.look], look=look, light=shown.facts.light, z0_um=z0_um, dark=view.dark,
+        datum=shown.datum,
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TiledSurface:
+    """A surface drawn by what the camera sees. heights_mm: of a part of it, as drawn; see `quadtree`."""
+
+    shown: Shown
+    look: Look
+    view: View
+    z0_um: float
+    heights_mm: Heights
+    prefix: str = "surface"
+
+    def first_items(self) -> list[Item]:
+        """The whole of it at a glance."""
+        return self._items([Leaf(node, True) for node in roots(self._ground)])
+
+    def items(self, sight: Sight, finer: float = 1.0) -> list[Item]:
+        """What a camera needs, the middle of its view first; so many pixels for one of its screen."""
+        way = self.view.look
+        return self._items(leaves(self._ground, sight, SHARP_PX[way] / finer, round(MOST_TILES[way] * finer**2)))
+
+    @property
+    def _ground(self) -> Ground:
+        facts = self.shown.facts
+        rows, cols = _window(facts)
+        pixel = facts.pixel_um * 1e-3
+        x0, y0 = facts.x0_um * 1e-3 - pixel / 2, facts.y0_um * 1e-3 + pixel / 2
+        return Ground(rows, cols, x0, y0, pixel, self.heights_mm)
+
+    def _items(self, cover: list[Leaf]) -> list[Item]:
+        base = _base(self.shown, self.look, self.view, self.z0_um)
+        return [item for leaf in cover for item in self._of(leaf, base)]
+
+    def _of(self, leaf: Leaf, base: PaintRequest) -> Iterator[Item]:
+        """The tile of a leaf, and the walls where the surface ends in it."""
+        node, shown = leaf.node, self.shown
+        request = _cut_out(base, leaf, shown.facts)
+        place = f"{node.level}/{node.row}_{node.col}"
+        yield _tile(f"{self.prefix}/{place}", request, shown, Cover(self.prefix, *node.spans))
+        if self.view.look == "surface":
+            for side, edge in _edges_in(request, shown.measured):
+                wall = dataclasses.replace(_wall(edge, shown), side=side)
+                layer = f"{self.prefix}/wall-{side}"
+                yield Item(f"{layer}/{place}", wall, add_glb, wall, True, Cover(layer, *node.spans))
+
+
+def _cut_out(base: PaintRequest, leaf: Leaf, facts: Facts) -> PaintRequest:
+    """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little."""
+    node = leaf.node
+    level = max(0, node.level if leaf.seen else node.level + DRAFT_LEVELS)
+    side = node.side_px >> level
+    step = max(1, _STEP >> max(0, -node.level)) if leaf.seen else _STEP
+    window = [_at_level(span, level) for span in _window(facts)]
+    rows, cols = (
+        (max(first, at * side - 1), max(min(end, (at + 1) * side + 1), max(first, at * side - 1) + 2))
+        for at, (first, end) in zip((node.row, node.col), window, strict=True)
+    )
+    inner = (rows[1] < window[0][1], rows[0] > window[0][0], cols[0] > window[1][0], cols[1] < window[1][1])
+    step = _FLAT_STEP if base.what == "flat" else step
+    return dataclasses.replace(base, level=level, step=step, rows=rows, cols=cols, skirts=inner)
+
+
+def _edges_in(request: PaintRequest, measured: Facts) -> Iterator[tuple[int, PaintRequest]]:
+    """The edges of what is measured that lie in a tile, each by the number of its side: see `mesh.walls`."""
+    rows, cols = (_at_level(window, request.level) for window in _window(measured))
+    across = max(rows[0], request.rows[0]), min(rows[1], request.rows[1])
+    along = max(cols[0], request.cols[0]), min(cols[1], request.cols[1])
+    for side, line in enumerate((rows[1] - 1, rows[0])):
+        if request.rows[0] <= line < request.rows[1] and along[0] + 1 < along[1]:
+            yield side, dataclasses.replace(request, rows=(line, line + 1), cols=along)
+    for side, line in enumerate((cols[0], cols[1] - 1), 2):
+        if request.cols[0] <= line < request.cols[1] and across[0] + 1 < across[1]:
+            yield side, dataclasses.replace(request, rows=across, cols=(line, line + 1))
 
 
 def _box_um(facts: Facts, level: int, rows: Span, cols: Span) -> Box:
@@ -146,21 +225,33 @@ def _box_um(facts: Facts, level: int, rows: Span, cols: Span) -> Box:
     )
 
 
-def _tile(prefix: str, request: PaintRequest, facts: Facts) -> Item:
-    name = f"{prefix}/{request.level}/{request.rows[0]}_{request.cols[0]}"
+def _tile(name: str, request: PaintRequest, shown: Shown, cover: Cover | None = None) -> Item:
+    request = dataclasses.replace(request, source=shown.at(request.level, request.rows, request.cols))
     if request.what != "points":
-        return Item(name, request, add_glb, request, stretched=request.what == "tile")
-    return Item(name, request, lambda scene, node, data: _add_points(scene, node, data, request, facts), request, True)
+        return Item(name, request, add_glb, request, request.what == "tile", cover)
+    facts = shown.facts
+    return Item(
+        name, request, lambda scene, node, data: _add_points(scene, node, data, request, facts), request, True, cover
+    )
 
 
-def _walls(prefix: str, base: PaintRequest, part: Cut, shown: Shown) -> Item:
-    rows, cols = (_at_level(window, part.level) for window in _window(shown.measured))
-    (top, foot), (left, right) = rows, cols
-    edges = ((rows, (left, left)), (rows, (right, right)), ((top, top), cols), ((foot, foot), cols))
-    source = max((shown.at(part.level, *edge) for edge in edges), key=lambda edge: edge.stamp)
-    # Walls do not depend on how the surface is coloured: a request without the look stays the same.
-    request = dataclasses.replace(base, source=source, what="walls", rows=rows, cols=cols, look=Look(), light=Light())
-    return Item(f"{prefix}/{part.level}/walls", request, add_glb, request, stretched=True)
+def _walls(name: str, base: PaintRequest, shown: Shown) -> list[Item]:
+    """All four walls of a surface at one level."""
+    rows, cols = (_at_level(window, base.level) for window in _window(shown.measured))
+    request = _wall(dataclasses.replace(base, rows=rows, cols=cols), shown)
+    return [Item(name, request, add_glb, request, stretched=True)]
+
+
+def _wall(window: PaintRequest, shown: Shown) -> PaintRequest:
+    """The walls round a window. They do not depend on how the surface is coloured: the request has no look."""
+    (top, foot), (left, right) = window.rows, window.cols
+    edges = (
+        (window.rows, (left, left)), (window.rows, (right, right)),
+        ((top, top), window.cols), ((foot, foot), window.cols),
+    )  # fmt: skip
+    source = max((shown.at(window.level, *edge) for edge in edges), key=lambda edge: edge.stamp)
+    none = (False, False, False, False)
+    return dataclasses.replace(window, source=source, what="walls", look=Look(), light=Light(), skirts=none)
 
 
 def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:

@@ -60,7 +60,7 @@ class Tools:
 
     def show(self, view: View, on_show: OnShow | None, book: Book) -> None:
         """Have the tool of the view on the surface on show, and no other."""
-        land = Land(book.relief(on_show.source), on_show, view.colour_by != "origin") if on_show is not None else None
+        land = Land(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
         with self._lock:
             self._land = land
             tool = view.tool if view.step == "measure" and land is not None else "none"

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
+from wafer_viewer.draw import ground as grounds
 from wafer_viewer.draw import mesh
 from wafer_viewer.draw.bake import Picture, bake
 from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.ground import WALL_TONES, sides
 from wafer_viewer.draw.shade import without_gaps
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.paint_request import PaintRequest, pack_points
-from wafer_viewer.session.shelf import Shelf, at_level
+from wafer_viewer.session.shelf import Shelf, at_level, levelled
 
+_BRIDGED_PX = 9
+"""A wall runs on over this many pixels round a measured one."""
 _MARGIN_PX = 14
 """Read round a tile, so that light and hollows go on across its edge."""
 
@@ -23,7 +26,7 @@ def _baked(shelf: Shelf, request: PaintRequest) -> tuple[HeightMap, NDArray[np.f
     surface = shelf.surface(request.source)
     (r0, r1), (c0, c1) = request.rows, request.cols
     margin = tuple(slice(max(0, a - _MARGIN_PX), b + _MARGIN_PX) for a, b in (request.rows, request.cols))
-    around = at_level(surface, request.level, (margin[0], margin[1]))
+    around = levelled(at_level(surface, request.level, (margin[0], margin[1])), request.datum)
     inner = slice(r0 - margin[0].start, r1 - margin[0].start), slice(c0 - margin[1].start, c1 - margin[1].start)
     picture = bake(around, request.look, request.light)[inner]
     return around.crop(*inner), without_gaps(around.z_um)[inner], picture
@@ -46,7 +49,7 @@ def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, req
     if not there.any():
         return b""
     x_mm, y_mm = (part.x_um * 1e-3).astype(np.float32), (part.y_um * 1e-3).astype(np.float32)
-    return painted(mesh.surface(heights, there, x_mm, y_mm, request.z0_um, request.step), picture)
+    return painted(mesh.surface(heights, there, x_mm, y_mm, request.z0_um, request.step, request.skirts), picture)
 
 
 def points(shelf: Shelf, request: PaintRequest) -> bytes:
@@ -68,10 +71,11 @@ def walls(shelf: Shelf, request: PaintRequest) -> bytes:
         (slice(r1 - 1, r1), slice(c0, c1)), (slice(r0, r0 + 1), slice(c0, c1)),
         (slice(r0, r1), slice(c0, c0 + 1)), (slice(r0, r1), slice(c1 - 1, c1)),
     )  # fmt: skip
-    edges = [_edge(at_level(surface, request.level, line), request) for line in lines]
+    sides = range(len(lines)) if request.side is None else (request.side,)
+    edges = {k: _edge(levelled(at_level(surface, request.level, lines[k]), request.datum), request) for k in sides}
     # They reach a little into the plinth below: edges that only met would show cracks between their vertices.
     upright = mesh.walls(edges, -2e-3 * surface.pixel_um * 2**request.level)
-    return painted(upright, sides(*WALL_TONES[request.dark])) if upright.triangles.size else b""
+    return painted(upright, grounds.sides(*grounds.WALL_TONES[request.dark])) if upright.triangles.size else b""
 
 
 def _edge(
@@ -79,7 +83,7 @@ def _edge(
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """A line of pixels as x, y, z in mm; small gaps are bridged, large ones have no wall."""
     z = line.z_um.ravel()
-    near = np.convolve(np.isfinite(z), np.ones(9), "same") > 0
+    near = ndimage.maximum_filter1d(np.isfinite(z), _BRIDGED_PX)
     z = np.where(near, without_gaps(z[None])[0], np.nan) if near.any() else z
     x, y = np.broadcast_arrays(line.x_um[None, :], line.y_um[:, None])
     places = mesh.picked(z.size, request.step)

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.mesh import Skirts
+from wafer_viewer.model.levelling import Datum
 
 Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice"]
 
@@ -31,8 +33,11 @@ class PaintRequest:
     """One thing to be made. Requests that are equal are the same picture: answers are kept by request.
 
     level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
-    from vertex to vertex; z0_um: the height that lies at 0 in the scene. `k` is for ``frame``, `z_um` for ``slice``,
-    `range_values` for ``scale``: the range to count in, None the quantity's own.
+    from vertex to vertex; z0_um: the height that lies at 0 in the scene; datum: what heights are taken from, None the
+    stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
+    neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all.
+    `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
+    quantity's own.
     """
 
     source: Source
@@ -48,6 +53,9 @@ class PaintRequest:
     k: int = 0
     z_um: float = 0.0
     range_values: tuple[float, float] | None = None
+    datum: Datum | None = None
+    skirts: Skirts = (False, False, False, False)
+    side: int | None = None
 
 
 class Facts(msgspec.Struct, frozen=True):

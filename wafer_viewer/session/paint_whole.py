@@ -10,7 +10,7 @@ from wafer_viewer.draw.bake import VALUES
 from wafer_viewer.draw.shade import light_gain, without_gaps
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
-from wafer_viewer.session.shelf import Shelf, at_level, coarse, coarse_level
+from wafer_viewer.session.shelf import Shelf, at_level, coarse, coarse_level, levelled
 
 _BINS = 60
 
@@ -19,7 +19,7 @@ def facts(shelf: Shelf, request: PaintRequest) -> bytes:
     """`Facts` as msgpack."""
     surface = shelf.surface(request.source)
     level = coarse_level(surface)
-    part = at_level(surface, level)
+    part = levelled(at_level(surface, level), request.datum)
     there = np.isfinite(part.z_um)
     heights = part.z_um[there] if there.any() else np.zeros(1, np.float32)
     low, high = (float(v) for v in np.percentile(heights, [0.5, 99.5]))
@@ -59,7 +59,7 @@ def _plane(part: HeightMap) -> tuple[float, float, float]:
 
 def scale(shelf: Shelf, request: PaintRequest) -> bytes:
     """A `Scale` as msgpack."""
-    part = coarse(shelf, request.source)
+    part = coarse(shelf, request)
     quantity = request.look.colour_by
     values = VALUES[quantity](part, request.light.plane)
     values = values[np.isfinite(values)]
@@ -98,6 +98,6 @@ def _origin_shares(part: HeightMap) -> dict[int, float]:
 
 def relief(shelf: Shelf, request: PaintRequest) -> bytes:
     """A `Relief` as msgpack."""
-    part = coarse(shelf, request.source)
+    part = coarse(shelf, request)
     heights, there = without_gaps(part.z_um).astype("<f4").tobytes(), np.isfinite(part.z_um).tobytes()
     return msgspec.msgpack.encode(Relief(*part.shape, part.pixel_um, part.x0_um, part.y0_um, heights, there))

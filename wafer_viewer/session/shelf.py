@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Protocol
 
+import numpy as np
+
 from wafer_viewer.draw.reduce import reduced
+from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Mosaic
-from wafer_viewer.session.paint_request import Source
+from wafer_viewer.session.paint_request import PaintRequest, Source
 
 Window = tuple[slice, slice]
 
@@ -47,6 +51,14 @@ def at_level(surface: Mosaic, level: int, window: Window | None = None) -> Heigh
     return reduced(surface.window(_region(surface, kept, rows, cols), kept), factor)
 
 
+def levelled(part: HeightMap, datum: Datum | None) -> HeightMap:
+    """Heights over a datum; those of the stage where there is none."""
+    if datum is None:
+        return part
+    zero = datum.at(part.x_um[None, :], part.y_um[:, None]).astype(np.float32)
+    return dataclasses.replace(part, z_um=part.z_um - zero, z_raw_um=part.z_raw_um - zero)
+
+
 def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
     """The rectangle through the centres of the outermost pixels of a window."""
     scale = 2**level
@@ -57,7 +69,7 @@ def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
     )
 
 
-def coarse(shelf: Shelf, source: Source) -> HeightMap:
-    """All of a surface at its coarse level."""
-    surface = shelf.surface(source)
-    return at_level(surface, coarse_level(surface))
+def coarse(shelf: Shelf, request: PaintRequest) -> HeightMap:
+    """All of the surface of a request at its coarse level, over its datum."""
+    surface = shelf.surface(request.source)
+    return levelled(at_level(surface, coarse_level(surface)), request.datum)

@@ -1,0 +1,71 @@
+"""How much may be on its way to a browser: as much as it takes in about a second, nothing while it is out of sight.
+
+A browser that is slow, or hidden, lets messages pile up before it; what an operator clicks would be answered behind all
+of them. So after some bytes the browser is asked to answer, and what it has not answered for counts as on its way.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+FIRST_BYTES, LEAST_BYTES, MOST_BYTES = 1_000_000, 100_000, 4_000_000
+_GOAL_S = 0.8
+Fence = Callable[[], object]
+"""Comes back when the browser has taken in all that was sent before; raises RuntimeError when the browser has gone."""
+
+
+class Gate:
+    """Counts what is sent. `arrived` is called on another thread when it has opened again."""
+
+    def __init__(self, fence: Fence, arrived: Callable[[], None]) -> None:
+        self._fence, self._arrived = fence, arrived
+        self._room, self._ahead, self._since = FIRST_BYTES, 0, 0
+        self._due = threading.Condition()
+        self._closed = False
+        threading.Thread(target=self._run, name="fence", daemon=True).start()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether more may be sent now."""
+        with self._due:
+            return self._ahead < self._room
+
+    def sent(self, n_bytes: int) -> None:
+        """So much more is on its way."""
+        with self._due:
+            self._ahead += n_bytes
+            self._since += n_bytes
+            self._due.notify()
+
+    def close(self) -> None:
+        """Let the thread go."""
+        with self._due:
+            self._closed = True
+            self._due.notify()
+
+    def _run(self) -> None:
+        """One fence at a time, each for what was sent since the one before."""
+        while True:
+            with self._due:
+                self._due.wait_for(lambda: self._since > 0 or self._closed)
+                if self._closed:
+                    return
+                asked, self._since = self._since, 0
+            began = time.monotonic()
+            try:
+                self._fence()
+            except RuntimeError:
+                return
+            self._answered(asked, time.monotonic() - began)
+
+    def _answered(self, n_bytes: int, took_s: float) -> None:
+        with self._due:
+            was_full = self._ahead >= self._room
+            self._ahead -= n_bytes
+            if was_full or took_s > _GOAL_S:
+                wanted = int(n_bytes * _GOAL_S / max(took_s, 1e-3))
+                self._room = min(max(wanted, LEAST_BYTES, self._room // 2), MOST_BYTES, 2 * self._room)
+        if was_full:
+            self._arrived()
