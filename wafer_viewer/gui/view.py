@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from wafer_viewer.gui.plot_view import PlotView
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
@@ -25,8 +26,10 @@ class View:
     fields: whether fields and overlaps are drawn over the stitched surface.
     places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
     first ones. levelling: what heights are read from.
-    lines: those of the profiles, at most four; line: the active one, whose numbers are shown.
+    lines: those of the profiles, at most four; line: the active one, whose numbers are shown;
+    plot: what was chosen of their plot.
     why: the place, stage um, whose height is being explained.
+    everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     """
 
     step: Step = "plan"
@@ -45,12 +48,12 @@ class View:
     tool: Tool = "none"
     lines: tuple[Region, ...] = ()
     line: int = 0
+    plot: PlotView = PlotView()
     places: tuple[Region, ...] = ()
-    upper: Region | None = None
-    lower: Region | None = None
     levelling: Levelling = Levelling()
     selected: int | None = None
     why: tuple[float, float] | None = None
+    everything: bool = False
 
     @property
     def on_surface(self) -> bool:
