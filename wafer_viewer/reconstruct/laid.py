@@ -1,0 +1,183 @@
+"""The second of two surfaces laid over the first: its layers on the first's lattice, a window at a time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.comparison import Registration
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
+
+if TYPE_CHECKING:
+    pass
+
+if TYPE_CHECKING:
+    from wafer_viewer.numerics.lay import Layers
+
+Affine = NDArray[np.float64]
+"""[2, 3]: the images of (1, a, b)."""
+_MARGIN_PX = 2
+_FINER = 1.42
+"""The level read may have pixels so much larger than those asked for: half an octave."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Where pixels lie: an `Outline` by itself."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, surface: Outline, region: Region | None, level: int) -> Lattice:
+        """The part of a level of a surface that holds a region, all of it without one."""
+        scale = 2**level
+        rows, cols = (slice(0, -(-n // scale)) for n in surface.shape)
+        if region is not None:
+            rows, cols = pixel_window(surface, region, level)  # pyright: ignore[reportArgumentType]
+        pixel, shift = surface.pixel_um * scale, (scale - 1) / 2 * surface.pixel_um
+        x0, y0 = surface.x0_um + shift + cols.start * pixel, surface.y0_um - shift - rows.start * pixel
+        return cls(pixel, x0, y0, (rows.stop - rows.start, cols.stop - cols.start))
+
+    @property
+    def bounds_um(self) -> tuple[float, float, float, float]:
+        """(x low, y low, x high, y high) of the pixel centres."""
+        rows, cols = self.shape
+        return self.x0_um, self.y0_um - (rows - 1) * self.pixel_um, self.x0_um + (cols - 1) * self.pixel_um, self.y0_um
+
+    @property
+    def region(self) -> Region:
+        """The rectangle through its outermost pixels."""
+        return Region.rectangle(*self.bounds_um)
+
+
+@dataclass(frozen=True, eq=False)
+class LaidOver:
+    """A `Mosaic`: `second` as it lies by a registration, on the lattice of `first`.
+
+    Heights are moved by the registration as well. A window costs the memory of itself, twice.
+    """
+
+    first: Mosaic
+    second: Mosaic
+    registration: Registration
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.first.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of pixel (0, 0) of level 0."""
+        return self.first.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of pixel (0, 0) of level 0."""
+        return self.first.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.first.shape
+
+    @property
+    def levels(self) -> int:
+        """As many as both have."""
+        finer = math.log2(self.first.pixel_um / self.second.pixel_um)
+        return max(1, min(self.first.levels, self.second.levels - math.ceil(finer - 0.5)))
+
+    @property
+    def provenance(self) -> Provenance:
+        """That of the second."""
+        return self.second.provenance
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of a level of the first's lattice that holds a region. Raises MeasureError when it lies outside."""
+        return self.on(Lattice.of(self.first, region, level))
+
+    def on(self, lattice: Lattice) -> HeightMap:
+        """The second on any lattice of the first's stage."""
+        from wafer_viewer.numerics.lay import lay
+
+        part = self._beneath(lattice)
+        grey = np.uint8 if part is None else part.all_in_focus.dtype
+        out = _not_covered(lattice.shape, grey)
+        if part is not None:
+            lay(_layers_of(part), self._motion(lattice, part), out)
+            self._move_heights(out.z, lattice)
+            self._move_heights(out.raw, lattice)
+        return HeightMap(
+            out.z, out.raw, out.confidence, out.grey, out.origin,
+            lattice.pixel_um, lattice.x0_um, lattice.y0_um, self.provenance,
+        )  # fmt: skip
+
+    def to_second(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> tuple[Affine, Affine]:
+        """Where places of the first lie on the second."""
+        r = self.registration
+        cos, sin = self._turn
+        dx, dy = x_um - r.about_x_um - r.x_um, y_um - r.about_y_um - r.y_um
+        return r.about_x_um + cos * dx + sin * dy, r.about_y_um - sin * dx + cos * dy
+
+    @cached_property
+    def _turn(self) -> tuple[float, float]:
+        turn = self.registration.turn_mrad * 1e-3
+        return math.cos(turn), math.sin(turn)
+
+    def _beneath(self, lattice: Lattice) -> HeightMap | None:
+        """What of the second lies under a lattice, at the level whose pixels are about as large; None: nothing."""
+        xa, ya, xb, yb = lattice.bounds_um
+        x, y = self.to_second(np.array([xa, xa, xb, xb]), np.array([ya, yb, ya, yb]))
+        finest = math.log2(max(1.0, _FINER * lattice.pixel_um / self.second.pixel_um))
+        level = min(int(finest), self.second.levels - 1)
+        spare = _MARGIN_PX * self.second.pixel_um * 2**level
+        region = Region.rectangle(x.min() - spare, y.min() - spare, x.max() + spare, y.max() + spare)
+        try:
+            return self.second.window(region, level)
+        except MeasureError:
+            return None
+
+    def _motion(self, lattice: Lattice, part: HeightMap) -> Affine:
+        """(row, col) of the part as an affine function of those of the lattice."""
+        cols, rows = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+        x, y = self.to_second(lattice.x0_um + cols * lattice.pixel_um, lattice.y0_um - rows * lattice.pixel_um)
+        row, col = (part.y0_um - y) / part.pixel_um, (x - part.x0_um) / part.pixel_um
+        return np.array([[v[0], v[1] - v[0], v[2] - v[0]] for v in (row, col)])
+
+    def _move_heights(self, z_um: NDArray[np.float32], lattice: Lattice) -> None:
+        r = self.registration
+        if not (r.z_um or r.tilt_x_mrad or r.tilt_y_mrad):
+            return
+        x = lattice.x0_um + np.arange(lattice.shape[1]) * lattice.pixel_um - r.about_x_um
+        y = lattice.y0_um - np.arange(lattice.shape[0]) * lattice.pixel_um - r.about_y_um
+        z_um += (r.z_um + r.tilt_x_mrad * 1e-3 * x).astype(np.float32)[None, :]
+        z_um += (r.tilt_y_mrad * 1e-3 * y).astype(np.float32)[:, None]
+
+
+def _layers_of(part: HeightMap) -> Layers:
+    from wafer_viewer.numerics.lay import Layers
+
+    layers: tuple[Any, ...] = part.z_um, part.z_raw_um, part.confidence, part.all_in_focus, part.origin
+    return Layers(*(np.ascontiguousarray(layer) for layer in layers))
+
+
+def _not_covered(shape: tuple[int, int], grey: Any) -> Layers:
+    from wafer_viewer.numerics.lay import Layers
+
+    return Layers(
+        np.full(shape, np.nan, np.float32),
+        np.full(shape, np.nan, np.float32),
+        np.zeros(shape, np.float32),
+        np.zeros(shape, grey),
+        np.full(shape, Origin.NOT_COVERED, np.uint8),
+    )
