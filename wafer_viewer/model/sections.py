@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import PurePath
 
 from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.findings import Profile, ProfileCurve
@@ -13,15 +13,16 @@ from wafer_viewer.model.region import Region
 
 @dataclass(frozen=True, slots=True)
 class OtherSurface:
-    """A stitched surface beside the one being looked at: a result of this or of another dataset."""
+    """A stitched surface beside the one being looked at: a result of this or of another dataset's folder."""
 
-    path: Path
+    folder: str
     result: str
 
     @property
     def title(self) -> str:
         """What it is called: the dataset, and the result where it is not the usual one."""
-        return self.path.stem if self.result == "default" else f"{self.path.stem} · {self.result}"
+        name = PurePath(self.folder).stem
+        return name if self.result == "default" else f"{name} · {self.result}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,14 +34,14 @@ class Sections:
     def others(self) -> tuple[OtherSurface, ...]:
         """The stitched surfaces of the data folder, without the one being looked at."""
         now = self._snapshot()
-        shown = now.dataset.path if now.dataset is not None else None
+        shown = str(now.dataset.path) if now.dataset is not None else ""
         found = (
-            OtherSurface(entry.path, mosaic.parent.name)
+            OtherSurface(str(entry.path), mosaic.parent.name)
             for entry in now.datasets
             for mosaic in sorted(entry.path.glob("results/*/mosaic.zarr"))
         )
         looked_at = (shown, now.surface.result if now.surface is not None else "")
-        return tuple(other for other in found if (other.path, other.result) != looked_at)
+        return tuple(other for other in found if (other.folder, other.result) != looked_at)
 
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
         """The sections as a file of that ending, ``.csv`` or ``.png``."""
@@ -87,7 +87,7 @@ def _of_other(asked: SectionAsked, other: OtherSurface) -> Section:
     from wafer_viewer.session.library import today
     from wafer_viewer.store.dataset import Dataset
 
-    dataset = Dataset.open(other.path)
+    dataset = Dataset.open(Path(other.folder))
     calibrated = dataset.calibration_problem(today()) is None
     try:
         return cut(asked, dataset.result(other.result).mosaic(), calibrated, other.title)

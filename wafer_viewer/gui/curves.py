@@ -1,0 +1,108 @@
+"""The profiles' curves: measured on a thread of their own whenever a line, the surface or the zero changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.latest import Latest
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.findings import Profile
+from wafer_viewer.model.sections import Section, SectionAsked
+from wafer_viewer.session.state import Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """Why there is no curve."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveAnswer:
+    """What came of measuring along the active line."""
+
+    finding: Profile | None = None
+    problem: str = ""
+
+
+class Curves:
+    """One curve for each line, and one more where the active line is compared; the plot is drawn as they come."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = Latest("profile")
+        self._known: dict[SectionAsked, Section | Missing] = {}
+        self._asked: object = None
+        self._surface: object = None
+        self._line = 0
+        self._news: Callable[[], None] = page.redraw
+        self.sections: tuple[Section, ...] = ()
+        self.problems: tuple[str, ...] = ()
+        page.on_close(self._worker.close)
+
+    def on_news(self, callback: Callable[[], None]) -> None:
+        """Call back, on the thread that measured, when there are other curves."""
+        self._news = callback
+
+    @property
+    def active(self) -> Section | None:
+        """The active line's own curve."""
+        return next((s for s in self.sections if s.asked.place == self._line and not s.asked.is_second), None)
+
+    @property
+    def answer(self) -> CurveAnswer:
+        """The active line's numbers, or why there are none."""
+        active = self.active
+        return CurveAnswer(active.profile if active else None, self.problems[0] if self.problems else "")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Have whatever changed measured; nothing while no profile is looked at."""
+        if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
+            return
+        self._line = view.line
+        surface = _stamp(snapshot, view.show)
+        wanted = tuple(_asked(view))
+        if (surface, wanted) != self._asked:
+            self._asked = surface, wanted
+            measure = guarded(self._page, "The measurement stopped")(self._measure)
+            self._worker.ask(lambda: measure(surface, wanted))
+
+    def _measure(self, surface: object, wanted: tuple[SectionAsked, ...]) -> None:
+        if surface != self._surface:
+            self._surface, self._known = surface, {}
+        answers = {asked: self._known.get(asked) or self._section(asked) for asked in wanted}
+        self._known = answers
+        self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
+        self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
+        self._news()
+        self._page.redraw()
+
+    def _section(self, asked: SectionAsked) -> Section | Missing:
+        try:
+            return self._page.session.sections.section(asked)
+        except WaferViewerError as fault:
+            return Missing(str(fault))
+
+
+def _asked(view: View) -> Iterator[SectionAsked]:
+    """Every line, and after the active one what it is compared with."""
+    for place, line in enumerate(view.lines):
+        own = SectionAsked(place, line, view.show, view.levelling)
+        yield own
+        if place == view.line and view.plot.cleaned:
+            yield SectionAsked(place, line, view.show, view.levelling, cleaned=True)
+        if place == view.line and view.plot.of is not None:
+            yield SectionAsked(place, line, 0, view.levelling, of=view.plot.of)
+
+
+def _stamp(snapshot: Snapshot, show: int) -> object:
+    """Changes with the heights that are measured."""
+    data, surface = snapshot.dataset, snapshot.surface
+    if data is None or surface is None:
+        return None
+    return data.path, surface.result, surface.stamp if show <= 0 else data.stamps.get(show), show

@@ -1,0 +1,55 @@
+"""What a pointer and keys do on the plot of profiles: drag over a part to see it larger, click or slide for cursors.
+
+viser tells nothing of clicks on its plots: these elements lie over the curves and tell through the page's hidden field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from wafer_viewer.gui import html
+
+ZOOM, CURSOR = "plot", "cursor"
+"""What is told: two shares of the plot's width where the pointer went down and up; a cursor and its distance."""
+WHOLE = "whole"
+_ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
+_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);this.from={_ALONG}}}"
+_MOVE = (
+    f"if(this.from!==undefined){{const a=this.from,b={_ALONG},s=this.firstElementChild.style;s.display='block';"
+    "s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
+)
+_UP = f"if(this.from!==undefined){{this.dataset.k=this.from+':'+{_ALONG};this.from=undefined;{html.pick_script(ZOOM)}}}"
+_WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
+_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
+"""Or the arrows would move the camera too."""
+
+
+def zoom_area() -> str:
+    """Lies on the curves: a drag chooses a part of them, a click puts the nearer cursor there."""
+    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
+    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
+    return f'<div class="wv-zoom" {handlers}><div></div></div>'
+
+
+def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
+    """A slider as large as the plot for each cursor within its ends; only the lines themselves take the pointer."""
+    tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR)
+    return "".join(
+        f'<input type="range" class="wv-scrub wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
+        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="any" data-step="{step_um!r}" value="{at!r}" '
+        f'oninput="{html.safe(tell)}" onkeydown="{_KEYS}">'
+        for k, at in enumerate(at_um)
+        if ends_um[0] <= at <= ends_um[1]
+    )
+
+
+def told_shares(key: str) -> tuple[float, float]:
+    """The two shares that `zoom_area` told, kept within the plot."""
+    first, last = (min(max(float(share), 0.0), 1.0) for share in key.split(":"))
+    return first, last
+
+
+def told_cursor(key: str) -> tuple[int, float]:
+    """The cursor that a slider told of, and its distance along the line in um."""
+    number, at_um = key.split(":")
+    return int(number), float(at_um)
