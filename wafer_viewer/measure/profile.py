@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -11,7 +10,6 @@ import numpy as np
 from wafer_viewer.measure.heights import Floats, Layer, heights, layer_of, level_note, reported
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Profile, ProfileCurve
-from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic, pixel_window
 
@@ -31,20 +29,18 @@ def profile(
     layer: Layer | None = None,
     level: int | None = None,
     name: str = "",
-    datum: Datum | None = None,
 ) -> tuple[Profile, ProfileCurve]:
     """The section along a line and its numbers: Pt, the highest over the lowest point, and the rise from end to end.
 
     The line's width_um is averaged over. layer: heights to measure on, as the surface's recipe says when left out;
-    level: of the pyramid, the finest with at most 8192 samples when left out; datum: what heights are read from, the
-    stage's zero when left out.
+    level: of the pyramid, the finest with at most 8192 samples when left out.
     Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
     """
     length_um = _length_um(line)
     at_level = _level_for(surface, length_um) if level is None else level
     pixel_window(surface, line, at_level)
     measured_on = layer_of(surface.provenance.recipe, layer)
-    curve = _over(datum, sampled(surface, line, measured_on, at_level))
+    curve = sampled(surface, line, measured_on, at_level)
     known = np.flatnonzero(np.isfinite(curve.z_um))
     if len(known) < 2:
         raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
@@ -79,11 +75,6 @@ def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileC
     y_all = y_um[:, None] + across * (xb - xa) / length_um
     pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(share))]
     return ProfileCurve(distance_um=share * length_um, z_um=np.concatenate(pieces), x_um=x_um, y_um=y_um)
-
-
-def _over(datum: Datum | None, curve: ProfileCurve) -> ProfileCurve:
-    """The same points, their heights over what counts as zero."""
-    return curve if datum is None else dataclasses.replace(curve, z_um=curve.z_um - datum.at(curve.x_um, curve.y_um))
 
 
 def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:

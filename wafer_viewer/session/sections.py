@@ -8,7 +8,7 @@ from pathlib import Path
 from wafer_viewer import __version__
 from wafer_viewer.measure.heights import Layer
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.questions import Questions
@@ -20,16 +20,17 @@ class Sections:
 
     def __init__(self, questions: Questions, snapshot: Callable[[], Snapshot]) -> None:
         self._questions, self._snapshot = questions, snapshot
+        self._zero: tuple[tuple[OtherSurface, Levelling], Datum] | None = None
 
     def section(self, asked: SectionAsked) -> Section:
         """A section along a line of the surface on show, or of another one."""
         if asked.of is not None:
-            return _of_other(asked, asked.of)
+            return self._of_other(asked, asked.of)
+        layer = _other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
+        found, curve = self._questions.measuring.profile(asked.line, asked.show, asked.levelling, layer)
         shown = self._snapshot().dataset
-        calibrated = shown is not None and shown.calibration_problem is None
         name = shown.name if shown is not None else ""
-        source = name if asked.show == 0 else f"{name}, field {asked.show}"
-        return cut(asked, self._questions.surface_source(asked.show), calibrated, source)
+        return Section(asked, found, curve, name if asked.show <= 0 else f"{name}, field {asked.show}")
 
     def others(self) -> tuple[OtherSurface, ...]:
         """The stitched surfaces of the data folder, without the one being looked at."""
@@ -43,17 +44,39 @@ class Sections:
         looked_at = (shown, now.surface.result if now.surface is not None else "")
         return tuple(other for other in found if (other.folder, other.result) != looked_at)
 
+    def _of_other(self, asked: SectionAsked, other: OtherSurface) -> Section:
+        """The same line on another surface, read from a zero laid through it in the same way."""
+        from wafer_viewer.session.library import today
+        from wafer_viewer.store.dataset import Dataset
+
+        dataset = Dataset.open(Path(other.folder))
+        calibrated = dataset.calibration_problem(today()) is None
+        surface = self._levelled(other, dataset.result(other.result).mosaic(), asked.levelling)
+        try:
+            return cut(asked, surface, calibrated, other.title)
+        except MeasureError as fault:
+            raise MeasureError(f"{other.title} has no heights along line {asked.letter}. {fault}") from fault
+
+    def _levelled(self, other: OtherSurface, surface: Mosaic, levelling: Levelling) -> Mosaic:
+        from wafer_viewer.measure.levelled import Levelled, datum
+
+        if levelling.by == "stage":
+            return surface
+        if self._zero is None or self._zero[0] != (other, levelling):
+            self._zero = (other, levelling), datum(surface, levelling)
+        return Levelled(surface, self._zero[1], levelling)
+
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
         """The sections as a file of that ending, ``.csv`` or ``.png``."""
         return file_of(sections, ending)
 
 
-def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str, datum: Datum | None = None) -> Section:
+def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
     """A section of a surface. Raises MeasureError when nothing was measured along the line."""
     from wafer_viewer.measure.profile import profile
 
     layer = _other_layer(surface) if asked.cleaned else None
-    found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer, datum=datum)
+    found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer)
     return Section(asked, found, curve, source)
 
 
@@ -81,18 +104,6 @@ def write_sections(sections: Sequence[Section], path: Path) -> None:
     content = file_of(sections, path.suffix)
     with replacing(path) as beside:
         beside.write_bytes(content)
-
-
-def _of_other(asked: SectionAsked, other: OtherSurface) -> Section:
-    from wafer_viewer.session.library import today
-    from wafer_viewer.store.dataset import Dataset
-
-    dataset = Dataset.open(Path(other.folder))
-    calibrated = dataset.calibration_problem(today()) is None
-    try:
-        return cut(asked, dataset.result(other.result).mosaic(), calibrated, other.title)
-    except MeasureError as fault:
-        raise MeasureError(f"{other.title} has no heights along line {asked.letter}. {fault}") from fault
 
 
 def _other_layer(surface: Mosaic) -> Layer:
