@@ -62,6 +62,10 @@ class Questions:
         away = np.where(stack.present, np.abs(stack.z_um - z_um), np.inf)
         return np.array(stack.images[int(away.argmin())])
 
+    def thumbnail(self, number: int) -> bytes | None:
+        """The small picture, JPEG, that was kept with a result."""
+        return self._library.result.thumbnail(number)
+
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
         """The surface at a point. Raises MeasureError when it lies outside."""
         at = self.surface_source(show).window(Region.rectangle(x_um, y_um, x_um, y_um))

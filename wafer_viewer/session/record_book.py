@@ -1,17 +1,49 @@
-"""The list of results of the open dataset: kept, renamed and deleted with undo, saved at every change."""
+"""The list of results of the open dataset: kept, renamed and deleted with undo, saved at every change.
+
+Small pictures are kept beside the list. A number is never given twice, so that the picture of a deleted result is
+still its own when the deletion is undone.
+"""
 
 from __future__ import annotations
 
+from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding, Findings
+from wafer_viewer.model.findings import (
+    AnyFinding,
+    AreaVolume,
+    Defect,
+    Distance,
+    FaceAngle,
+    Findings,
+    Flatness,
+    GaugeCheck,
+    PointHeight,
+    Profile,
+    Radius,
+    StepHeight,
+    Texture,
+)
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.library import Library
 
-NAMES = {"Profile": "Profile", "StepHeight": "Step", "Flatness": "Flatness", "GaugeCheck": "Gauge check"}
+NAMES: dict[type[AnyFinding], str] = {
+    Profile: "Profile",
+    PointHeight: "Point",
+    Distance: "Distance",
+    StepHeight: "Step",
+    FaceAngle: "Angle",
+    Radius: "Radius",
+    AreaVolume: "Volume",
+    Flatness: "Flatness",
+    Texture: "Texture",
+    GaugeCheck: "Gauge check",
+    Defect: "Defect",
+}
+"""What results are called that nobody named, before their count."""
 
 
 class RecordBook:
@@ -20,19 +52,23 @@ class RecordBook:
     def __init__(self, desk: Desk, library: Library) -> None:
         self._desk, self._library = desk, library
         self._items: History[tuple[AnyFinding, ...]] = History(())
+        self._highest = 0
 
     def open(self) -> None:
         """Read the findings of the result being looked at; none without a dataset."""
         shown = self._desk.now.dataset
         self._items.restart(self._library.result.findings().items if shown is not None else ())
+        pictured = self._library.result.highest_thumbnail() if shown is not None else 0
+        self._highest = max((pictured, *(f.number for f in self._items.value)))
         self._show()
 
-    def keep(self, finding: AnyFinding) -> AnyFinding:
-        """Number and name a finding, and keep it."""
-        kind = NAMES.get(type(finding).__name__, type(finding).__name__)
-        number = 1 + max((f.number for f in self._items.value), default=0)
-        nth = 1 + sum(type(f) is type(finding) for f in self._items.value)
-        kept = replace(finding, number=number, name=finding.name or f"{kind} {nth}")
+    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> AnyFinding:
+        """Number and name a finding, and keep it; thumbnail: a small picture of the place, JPEG."""
+        self._require_writable()
+        self._highest += 1
+        if thumbnail is not None:
+            self._library.result.save_thumbnail(self._highest, thumbnail)
+        kept = replace(finding, number=self._highest, name=finding.name or self._name_for(finding))
         self._change((*self._items.value, kept))
         return kept
 
@@ -50,6 +86,12 @@ class RecordBook:
         """Back to the list before."""
         self._require_writable()
         self._items.undo()
+        self._save()
+
+    def redo(self) -> None:
+        """Forth to the list that was undone last."""
+        self._require_writable()
+        self._items.redo()
         self._save()
 
     def export(self, path: Path) -> Path:
@@ -70,7 +112,15 @@ class RecordBook:
         self._show()
 
     def _show(self) -> None:
-        self._desk.change(findings=self._items.value, findings_undo=self._items.can_undo)
+        self._desk.change(
+            findings=self._items.value, findings_undo=self._items.can_undo, findings_redo=self._items.can_redo
+        )
+
+    def _name_for(self, finding: AnyFinding) -> str:
+        """The first of 'Step 1', 'Step 2', … that no result bears."""
+        taken = {f.name for f in self._items.value}
+        names = (f"{NAMES[type(finding)]} {nth}" for nth in count(1))
+        return next(name for name in names if name not in taken)
 
     def _numbered(self, number: int) -> AnyFinding:
         found = next((f for f in self._items.value if f.number == number), None)

@@ -198,9 +198,9 @@ class Session:
 
     # ---------------------------------------------------------------- results
 
-    def keep(self, finding: AnyFinding) -> Future[AnyFinding]:
-        """Number, name and keep a measurement."""
-        return self._do(self._rooms.book.keep, finding)
+    def keep(self, finding: AnyFinding, thumbnail: bytes | None = None) -> Future[AnyFinding]:
+        """Number, name and keep a measurement, with a small picture of the place, JPEG."""
+        return self._do(self._rooms.book.keep, finding, thumbnail)
 
     def rename(self, number: int, name: str) -> Future[None]:
         """Another name for a result."""
@@ -213,6 +213,10 @@ class Session:
     def undo_findings(self) -> Future[None]:
         """The list of results before."""
         return self._do(self._rooms.book.undo)
+
+    def redo_findings(self) -> Future[None]:
+        """The list of results that was undone."""
+        return self._do(self._rooms.book.redo)
 
     def export_surface(self, path: Path, field: int | None = None) -> Future[Path]:
         """Write the stitched surface, or a field's, as the kind of file that the ending names."""
@@ -254,6 +258,10 @@ class Session:
     def frame_near(self, field: int, z_um: float) -> Image:
         """The frame of a field that was taken nearest to a z, as it was stored."""
         return self._questions.frame_near(field, z_um)
+
+    def thumbnail(self, number: int) -> bytes | None:
+        """The small picture, JPEG, that was kept with a result."""
+        return self._questions.thumbnail(number)
 
     def measure(
         self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None

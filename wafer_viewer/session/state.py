@@ -235,6 +235,7 @@ class Snapshot:
     surface: SurfaceInfo | None = None
     findings: tuple[AnyFinding, ...] = ()
     findings_undo: bool = False
+    findings_redo: bool = False
     operating: Operating = Operating()
     compute_ready: bool = False
     hands: Hands = Hands()

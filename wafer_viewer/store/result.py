@@ -20,7 +20,13 @@ from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import read_poses, write_poses
 
 RECIPE, SETTLED, FINDINGS = "recipe.json", "settled.json", "findings.json"
-SURFACES, MOSAIC, POSES, DRAWING = "surfaces", "mosaic.zarr", "poses.npz", "poses-being-drawn.npz"
+SURFACES, THUMBNAILS, MOSAIC, POSES, DRAWING = (
+    "surfaces",
+    "thumbnails",
+    "mosaic.zarr",
+    "poses.npz",
+    "poses-being-drawn.npz",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +145,25 @@ class Result:
     def save_findings(self, findings: Findings) -> None:
         """Keep what was measured, in place of what was kept before."""
         self._save(FINDINGS, findings)
+
+    def thumbnail(self, number: int) -> bytes | None:
+        """The small picture, JPEG, that was kept with a finding; None without one."""
+        path = self._thumbnail_file(number)
+        return path.read_bytes() if path.exists() else None
+
+    def save_thumbnail(self, number: int, jpeg: bytes) -> None:
+        """Keep a small picture beside a finding."""
+        path = self._thumbnail_file(number)
+        self._make_folder(path.parent)
+        with replacing(path) as beside:
+            beside.write_bytes(jpeg)
+
+    def highest_thumbnail(self) -> int:
+        """The highest number that a small picture was kept for, 0 without any: numbers are not given twice."""
+        return max((int(path.stem) for path in (self.path / THUMBNAILS).glob("[0-9]*.jpg")), default=0)
+
+    def _thumbnail_file(self, number: int) -> Path:
+        return self.path / THUMBNAILS / f"{number}.jpg"
 
     def _surface_file(self, field: Field) -> Path:
         return self.path / SURFACES / f"{field.name}.npz"

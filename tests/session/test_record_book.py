@@ -1,0 +1,110 @@
+"""The list of results from its prompt: kept with small pictures, taken back and done again, opened again."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import pytest
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import PointHeight, Profile
+from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.record_book import RecordBook
+from wafer_viewer.session.state import Snapshot
+from wafer_viewer.store.result import Result
+
+
+class Desk:
+    """The desk's snapshot without its thread."""
+
+    def __init__(self):
+        self.now = Snapshot(dataset=SimpleNamespace(read_only=None))
+
+    def change(self, **fields):
+        self.now = dataclasses.replace(self.now, **fields)
+
+
+@pytest.fixture
+def desk():
+    return Desk()
+
+
+@pytest.fixture
+def book(desk, tmp_path):
+    return opened(desk, tmp_path)
+
+
+def opened(desk, folder):
+    library = SimpleNamespace(result=Result.of(folder, "default"), shown=desk.now.dataset)
+    made = RecordBook(desk, library)
+    made.open()
+    return made
+
+
+def point(z_um=1.0, name=""):
+    place = Region.point(3.0, 4.0)
+    return PointHeight(name=name, place=place, height=Length(value_um=z_um), points=9)
+
+
+def names(desk):
+    return [f.name for f in desk.now.findings]
+
+
+def test_every_kind_is_counted_by_itself_and_named(book, desk):
+    line = Region.line(0, 0, 5, 0)
+    nothing = Length(value_um=0.0)
+    for finding in (point(), point(), Profile(line=line, length_um=5.0, pt=nothing, rise=nothing, measured_fraction=1)):
+        book.keep(finding)
+    book.keep(point(name="top of the bump"))
+    assert names(desk) == ["Point 1", "Point 2", "Profile 1", "top of the bump"]
+    book.delete(1)
+    book.keep(point())
+    assert names(desk) == ["Point 2", "Profile 1", "top of the bump", "Point 1"], "no two bear the same name"
+
+
+def test_what_was_undone_can_be_done_again_until_something_else_is_done(book, desk, tmp_path):
+    book.keep(point())
+    book.rename(1, "left bump")
+    assert (desk.now.findings_undo, desk.now.findings_redo) == (True, False)
+    book.undo()
+    assert names(desk) == ["Point 1"]
+    assert desk.now.findings_redo
+    book.redo()
+    assert names(desk) == ["left bump"]
+    assert not desk.now.findings_redo
+    book.undo()
+    book.keep(point())
+    assert not desk.now.findings_redo
+    again = Desk()
+    opened(again, tmp_path)
+    assert names(again) == names(desk), "what is on the list is on the disk"
+    assert (again.now.findings_undo, again.now.findings_redo) == (False, False)
+
+
+def test_a_small_picture_outlives_a_deletion_that_is_undone(book, desk, tmp_path):
+    result = Result.of(tmp_path, "default")
+    first = book.keep(point(), b"\xff\xd8 first").number
+    book.delete(first)
+    second = book.keep(point(), b"\xff\xd8 second").number
+    book.undo()
+    book.undo()
+    assert [f.number for f in desk.now.findings] == [first]
+    assert result.thumbnail(first) == b"\xff\xd8 first"
+    assert result.thumbnail(second) == b"\xff\xd8 second"
+
+
+def test_a_result_without_a_picture_has_none_though_a_deleted_one_had(book, desk, tmp_path):
+    book.delete(book.keep(point(), b"\xff\xd8 old").number)
+    later = opened(desk, tmp_path).keep(point())
+    assert Result.of(tmp_path, "default").thumbnail(later.number) is None
+
+
+def test_a_dataset_that_others_hold_keeps_nothing(book, desk, tmp_path):
+    desk.now.dataset.read_only = "process 7 holds it."
+    with pytest.raises(MeasureError, match="cannot be kept: process 7 holds it"):
+        book.keep(point(), b"\xff\xd8")
+    with pytest.raises(MeasureError, match="cannot be kept"):
+        book.redo()
+    assert Result.of(tmp_path, "default").thumbnail(1) is None
