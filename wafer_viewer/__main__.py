@@ -19,6 +19,7 @@ COMMANDS: dict[str, str] = {
     "stitch": "make the stitched surface of a dataset",
     "measure step": "the height of one region over another",
     "measure profile": "a section along a line",
+    "report": "write the report of a dataset as one HTML file that prints well",
     "why": "why a pixel has its height, or none",
     "check": "test every checksum of a dataset and name missing frames",
     "cluster": "make what several machines need to work together",

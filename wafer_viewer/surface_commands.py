@@ -23,6 +23,7 @@ from wafer_viewer.arguments import (
 from wafer_viewer.command_output import print_json, print_surface, progress, warn
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PARTS, Part, ReportOrder
 
 OF_THE_PAGE = ("stamp", "changed")
 """What a browser needs to know of a surface, and nobody else."""
@@ -186,3 +187,24 @@ def convert(src: Source, out: NewFile) -> None:
     require_known(out)
     export(read_npz(src), out)
     print(out)
+
+
+def report(
+    dataset: DatasetFolder,
+    out: Out,
+    title: str = "",
+    parts: tuple[Part, ...] = PARTS,
+    result: str = "default",
+) -> None:
+    """Write the report of a dataset as one HTML file that prints well. The same dataset makes the same bytes.
+
+    Args:
+        dataset: The dataset.
+        out: The file, FILE.html.
+        title: What stands over it; the dataset's name without one.
+        parts: What goes in, in this order; all by default.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.session.reporting import make_report
+
+    print(make_report(dataset, result, ReportOrder(title=title, parts=parts), out))

@@ -100,7 +100,7 @@ def test_a_notebook_that_is_none_is_said_by_its_name(bench):
 
 
 def test_pictures_are_numbered_beside_the_dataset(bench):
-    papers = Papers(bench.desk.do, bench.library)
+    papers = Papers(bench.desk.do, bench.library, None)
     first, second = (papers.keep_picture(png).result() for png in (b"one", b"two"))
     assert (first.name, second.name) == ("coupon-picture-1.png", "coupon-picture-2.png")
     assert second.read_bytes() == b"two"

@@ -7,10 +7,12 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.reporting import make_report
 from wafer_viewer.session.tasks import export_surface, import_images
 
 
@@ -32,6 +34,12 @@ class FileWork:
         dataset = self._library.dataset
         args = (dataset.path, self._library.result_name, field_number, path.absolute())
         return self._work(f"Export to {path.name}", export_surface, *args)
+
+    def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
+        """Write the report of the open dataset; done with its path."""
+        dataset = self._library.dataset
+        args = (dataset.path, self._library.result_name, order, out.absolute())
+        return self._work(f"Report of {dataset.path.stem}", make_report, *args)
 
     def _work(self, title: str, task: Callable[..., Path], *args: Any) -> Future[Path]:
         """Run a task under a work of its own, which a person can cancel."""

@@ -8,7 +8,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.report import ReportOrder
+from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.library import Library
+from wafer_viewer.session.reporting import Contents, contents
 
 PICTURE, REPORT = "picture", "report"
 
@@ -16,12 +19,20 @@ PICTURE, REPORT = "picture", "report"
 class Papers:
     """For the page: every verb returns a future."""
 
-    def __init__(self, do: Callable[..., Future[Any]], library: Library) -> None:
-        self._do, self._library = do, library
+    def __init__(self, do: Callable[..., Future[Any]], library: Library, files: FileWork) -> None:
+        self._do, self._library, self._files = do, library, files
 
     def keep_picture(self, png: bytes) -> Future[Path]:
         """Keep a picture of the open dataset beside it, as ``NAME-picture-3.png``; done with its path."""
         return self._do(self._keep_picture, png)
+
+    def contents(self) -> Future[Contents]:
+        """What each part of a report of the open dataset would hold, in a few words."""
+        return self._do(lambda: contents(self._library.dataset.path, self._library.result_name))
+
+    def write_report(self, order: ReportOrder) -> Future[Path]:
+        """Write the report beside the dataset, as ``NAME-report-2.html``; done with its path."""
+        return self._do(lambda: self._files.write_report(order, free_path(self._library.shown.path, REPORT, ".html")))
 
     def _keep_picture(self, png: bytes) -> Path:
         from wafer_viewer.store.files import replacing

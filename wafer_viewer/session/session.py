@@ -32,7 +32,7 @@ from wafer_viewer.session.notebook import NotebookVerbs
 from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.questions import Questions, ReadOut
 from wafer_viewer.session.sections import Sections
-from wafer_viewer.session.state import LatestFrame, Snapshot
+from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
 
 if TYPE_CHECKING:
     from wafer_viewer.session.painter import Painter, PaintRequest
@@ -54,7 +54,7 @@ class Session:
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.sections = Sections(self._questions, lambda: self.snapshot)
-        self.papers = Papers(self._do, rooms.library)
+        self.papers = Papers(self._do, rooms.library, rooms.files)
         self._painter: Painter | None = None
         self._painter_lock = threading.Lock()
         self._desk.note(rooms.start)
@@ -96,6 +96,10 @@ class Session:
         """Another plan; it is priced at once."""
         return self._do(self._rooms.drafting.edit, job)
 
+    def keep_typed(self, typed: Typed | None) -> Future[None]:
+        """What stands on the plan's form and makes no plan yet; None when it makes one again."""
+        return self._do(self._rooms.drafting.keep_typed, typed)
+
     def undo(self) -> Future[None]:
         """The plan before."""
         return self._do(self._rooms.drafting.undo)
@@ -128,7 +132,7 @@ class Session:
 
     def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
         """Move the stage; done on arrival."""
-        return self._do(self._rooms.rig.move_to, Move(x_um, y_um, z_um))
+        return self._do(self._rooms.move_to, Move(x_um, y_um, z_um))
 
     def start_scan(self, name: str | None = None) -> Future[Path]:
         """Take the plan into a new dataset, which is then the open one; done once it has begun."""

@@ -1,0 +1,146 @@
+"""Reports: what stands on them, that they stand alone, and that the same dataset makes the same bytes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.session.grid_dataset import RESULT
+from tests.store.samples import CALIBRATION, make_job, make_plan
+from wafer_viewer.__main__ import main
+from wafer_viewer.measure.step import step_height
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.notebook import Judgement, Notebook
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PARTS, Figure, Report, ReportOrder, Section
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.reporting import contents, make_report, report_of
+from wafer_viewer.session.summary import save_summary, summarise
+from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.mosaic import write_mosaic
+from wafer_viewer.store.notebook import write_notebook
+from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.report import report_html
+
+UPPER, LOWER = Region.rectangle(-60, -30, -20, 30), Region.rectangle(20, -30, 60, 30)
+
+
+def surface() -> HeightMap:
+    """A step of 12 um in the middle, with a hole in it."""
+    x = np.mgrid[:240, :320][1]
+    z = (np.where(x < 160, 12.0, 0.0) + np.random.default_rng(2).normal(0, 0.05, x.shape)).astype(np.float32)
+    z[20:60, 20:60] = np.nan
+    return HeightMap(
+        z_um=z,
+        z_raw_um=z.copy(),
+        confidence=np.ones(z.shape, np.float32),
+        all_in_focus=np.full(z.shape, 120, np.uint8),
+        origin=np.where(np.isfinite(z), 0, 12).astype(np.uint8),
+        pixel_um=0.5,
+        x0_um=-79.75,
+        y0_um=59.75,
+    )
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    """A stitched dataset with a judged result; its names are not kind to HTML."""
+    path = tmp_path_factory.mktemp("data") / "die & street.wafer"
+    path.mkdir()
+    (path / JOURNAL).touch()
+    job = replace(make_job(), sample=Sample(name="<script>alert(1)</script>", lot="L7", wafer_id="W3"))
+    record = ScanRecord(
+        software_version="1", taken="2026-03-01T10:00:00", simulated=True, calibration=CALIBRATION, job=job,
+        plan=make_plan(job),
+    )  # fmt: skip
+    write_record(path, record)
+    result, made = Dataset.open(path).result(RESULT), surface()
+    write_mosaic(result.mosaic_path, made)
+    save_summary(result, summarise(result.mosaic(), 2, RESULT))
+    step = replace(step_height(made, UPPER, LOWER), name="Die <b>", number=1)
+    result.save_findings(Findings(items=(step,)))
+    write_notebook(result.path, Notebook(judgements=(Judgement(key="result 1", verdict="accepted", note="a burr"),)))
+    return path
+
+
+def test_the_same_dataset_makes_the_same_bytes_on_the_command_line_too(dataset, tmp_path, capsys):
+    first = make_report(dataset, RESULT, ReportOrder(), tmp_path / "one.html")
+    assert main(["report", str(dataset), "-o", str(tmp_path / "two.html")]) == 0
+    assert first.read_bytes() == (tmp_path / "two.html").read_bytes()
+    assert "two.html" in capsys.readouterr().out
+
+
+def test_a_report_stands_alone_and_runs_nothing(dataset):
+    text = report_html(report_of(dataset, RESULT, ReportOrder()))
+    assert "<script" not in text
+    assert "&lt;script&gt;alert(1)" in text
+    assert re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)', text) == []
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(parts=("results",)))
+    ((number, name, kind, value, place, thought),) = report.sections[0].table.rows
+    assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
+    assert kind == "Step height, unsmoothed"
+    assert value.startswith("12.0")
+    assert report.sections[0].figures[0].small
+    assert ("Lot", "L7") in report.facts
+    assert report.simulated
+
+
+def test_simulated_stands_only_where_it_is_true(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(parts=("plan",)))
+    real = Report(report.title, report.below, False, report.facts, report.sections)
+    assert "SIMULATED" in report_html(report)
+    assert "SIMULATED" not in report_html(real)
+
+
+def test_only_what_was_ordered_goes_in_and_in_that_order(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(title="Lot 7", parts=("calibration", "results")))
+    assert report.title == "Lot 7"
+    assert [section.title for section in report.sections] == ["Calibration", "Results"]
+
+
+def test_whether_lengths_are_calibrated_is_asked_of_the_day_of_the_scan(dataset):
+    calibration = report_of(dataset, RESULT, ReportOrder(parts=("calibration",))).sections[0]
+    assert calibration.sentences == ()  # due in 2027, and today may be later
+    assert dict(calibration.pairs)["z scale"] == "1.01 ± 0.001 (k = 2)"
+
+
+def test_pictures_at_print_size_go_in_where_there_are_some(dataset):
+    order = ReportOrder(parts=("pictures",))
+    assert report_of(dataset, RESULT, order).sections == ()
+    taken = dataset.with_name(f"{dataset.stem}-picture-1.png")
+    Image.new("RGB", (3000, 1000), (10, 90, 120)).save(taken)
+    figures = report_of(dataset, RESULT, order).sections[0].figures
+    taken.unlink()
+    assert [figure.caption for figure in figures] == [taken.stem]
+    assert len(figures[0].url) < 60_000
+
+
+def test_every_part_says_beforehand_what_it_would_hold(dataset):
+    said = contents(dataset, RESULT)
+    assert set(said) == set(PARTS)
+    assert said["results"] == "1 kept, 1 judged"
+    assert said["surface"] == "320 × 240 points"
+
+
+def test_a_part_with_nothing_in_it_says_so():
+    empty = Section("Results", empty="No results were kept.")
+    shown = Section("Pictures", figures=(Figure("data:image/jpeg;base64,", "One"),))
+    text = report_html(Report("a", "b", False, (), (empty, shown)))
+    assert "No results were kept." in text
+    assert text.count("<figure>") == 1
+
+
+def test_what_is_no_dataset_is_refused_in_one_sentence(tmp_path, capsys):
+    assert main(["report", str(tmp_path), "-o", str(tmp_path / "r.html")]) == 2
+    assert "is no dataset" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

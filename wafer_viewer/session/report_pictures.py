@@ -1,0 +1,70 @@
+"""Pictures for the report: the surface from above, the place of each result, and those taken at print size."""
+
+from __future__ import annotations
+
+import base64
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from wafer_viewer.draw.bake import bake
+from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.shade import light_gain
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap, Mosaic
+
+WHOLE_PX, PLACE_PX, PICTURE_PX = 1400, 320, 1600
+ROUND_A_PLACE, LEAST_UM = 0.7, 20.0
+"""Beside a place so much of its size is shown as well, and in all at least so many um."""
+UNMEASURED = (222, 226, 231)
+JPEG_QUALITY = 85
+
+
+def whole_picture(mosaic: Mosaic, low_um: float, high_um: float) -> str:
+    """The surface from above, as a data URL."""
+    level = _level(mosaic, max(mosaic.shape), WHOLE_PX)
+    return _picture(mosaic.window(level=level), low_um, high_um, WHOLE_PX)
+
+
+def place_picture(surface: Mosaic, box_um: tuple[float, float, float, float], low_um: float, high_um: float) -> str:
+    """The surface round a place, square; empty where the place lies outside of it."""
+    x, y = (box_um[0] + box_um[2]) / 2, (box_um[1] + box_um[3]) / 2
+    half = max(LEAST_UM, (1 + 2 * ROUND_A_PLACE) * max(box_um[2] - box_um[0], box_um[3] - box_um[1])) / 2
+    level = _level(surface, round(2 * half / surface.pixel_um), PLACE_PX)
+    try:
+        part = surface.window(Region.rectangle(x - half, y - half, x + half, y + half), level)
+    except MeasureError:
+        return ""
+    return _picture(part, low_um, high_um, PLACE_PX)
+
+
+def taken_picture(path: Path) -> str:
+    """A picture that was taken at print size, as a data URL of a size for reports."""
+    with Image.open(path) as picture:
+        return _url(picture.convert("RGB"), PICTURE_PX)
+
+
+def _level(surface: Mosaic, wide_px: int, asked_px: int) -> int:
+    """The coarsest level that still has the pixels asked for."""
+    return min(surface.levels - 1, max(0, int(np.log2(max(wide_px, 1) / asked_px))))
+
+
+def _picture(part: HeightMap, low_um: float, high_um: float, most_px: int) -> str:
+    if 0 in part.shape:
+        return ""
+    light = Light(light_gain(part.z_um, part.pixel_um), max(high_um - low_um, 1e-6))
+    baked = Image.fromarray(bake(part, Look(low=low_um, high=high_um), light))
+    paper = Image.new("RGB", baked.size, UNMEASURED)
+    paper.paste(baked, (0, 0), baked)
+    return _url(paper, most_px)
+
+
+def _url(picture: Image.Image, most_px: int) -> str:
+    if max(picture.size) > most_px:
+        picture.thumbnail((most_px, most_px), Image.Resampling.LANCZOS)
+    out = io.BytesIO()
+    picture.save(out, "JPEG", quality=JPEG_QUALITY)
+    return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

@@ -1,0 +1,155 @@
+"""Findings, plans and recipes in the words of a report."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from wafer_viewer.draw.numbers import duration, number, share, size, value_and_u, with_unit
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.notebook import Notebook, key_of_result
+from wafer_viewer.model.plan import Job, ScanPlan
+from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.session.state import SurfaceInfo
+
+UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°"}
+VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
+Pairs = tuple[tuple[str, str], ...]
+
+
+def spaced(name: str) -> str:
+    """A name of the program as words: ``StepHeight`` is Step height, ``n_frames`` is n frames."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("_", " ").lower()
+    words = re.sub(r" um$", ", µm", words)
+    return words[:1].upper() + words[1:]
+
+
+def quantity_text(quantity: Quantity) -> str:
+    """A value with its U and unit, ``11.86 ± 0.31 µm``; where there is no U, why."""
+    unit = UNITS[quantity.unit]
+    value, u = value_and_u(quantity.value, quantity.expanded)
+    if quantity.expanded is None:
+        return (
+            f"{value}\u202f{unit}, {quantity.status if quantity.status == 'uncalibrated' else 'U ' + quantity.status}"
+        )
+    return f"{value} ± {u}\u202f{unit}"
+
+
+def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
+    """Number, name, what it is, its value, where, and what was thought of it."""
+    judgement = notebook.judgement(key_of_result(finding.number))
+    thought = " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
+    kind = f"{spaced(type(finding).__name__)}{_terms(finding)}"
+    return (f"{finding.number}", finding.name, kind, quantity_text(finding.main), where(finding), thought)
+
+
+def regions(finding: AnyFinding) -> tuple[Region, ...]:
+    """The places a finding was measured at."""
+    held = [getattr(finding, name) for name in finding.__struct_fields__]
+    nested = [region for spec in held if isinstance(spec, Spec) for region in _regions_of(spec)]
+    return tuple(nested)
+
+
+def bounds_um(finding: AnyFinding) -> tuple[float, float, float, float] | None:
+    """The upright rectangle round all places of a finding; None of one without a place."""
+    boxes = [region.bounds_um for region in regions(finding)]
+    if not boxes:
+        return None
+    x0, y0, x1, y1 = zip(*boxes, strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
+def where(finding: AnyFinding) -> str:
+    """The middle of its places, stage um."""
+    box = bounds_um(finding)
+    if box is None:
+        return ""
+    of = f"field {finding.show}, " if finding.show > 0 else ""
+    return f"{of}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
+
+
+def surface_pairs(info: SurfaceInfo) -> Pairs:
+    """The numbers of the surface."""
+    rows = [
+        ("Points", f"{number(info.cols, 0)} × {number(info.rows, 0)}, {number(info.pixel_um, 4)}\u202fµm apart"),
+        ("Fields", f"{info.n_fields}"),
+        ("Highest", with_unit(info.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
+        ("Measured", share(info.measured_fraction)),
+        ("Filled", share(info.filled_fraction)),
+        *((f"Not measured: {words}", share(part)) for words, part in info.unmeasured if part > 0),
+    ]
+    if info.overlap_rms_um is not None:
+        rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    if (placed := info.stitching) is not None:
+        rows += [
+            ("Overlaps believed", f"{placed.n_believed} of {placed.n_overlaps}"),
+            ("Places, U (k = 2)", with_unit(placed.position_u_um, 3)),
+            ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
+        ]
+    return tuple(rows)
+
+
+def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
+    """What was taken, and how."""
+    grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
+    return (
+        ("Fields", f"{len(plan.fields)}{grid}"),
+        ("Frames a field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
+        ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
+        ("Strategy", plan.strategy.replace("_", " ")),
+        ("Predicted time", duration(plan.predicted_s)),
+        ("Frames", f"{number(plan.n_frames, 0)}, {size(plan.bytes_on_disk)}"),
+    )
+
+
+def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
+    """Every setting with its value; groups of settings one below the other."""
+    pairs: list[tuple[str, str]] = []
+    for name in spec.__struct_fields__:
+        value = getattr(spec, name)
+        if isinstance(value, Spec):
+            pairs += recipe_pairs(value, f"{before}{spaced(name)}: ")
+        else:
+            pairs.append((f"{before}{spaced(name)}", _setting(value)))
+    return tuple(pairs)
+
+
+def _setting(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value}".replace("_", " ")
+
+
+def calibration_pairs(calibration: Calibration) -> Pairs:
+    """Pixel size and z scale with their uncertainty, of what, against what, until when."""
+    setup = calibration.setup
+    return (
+        ("Pixel", f"{calibration.pixel_um:.6g} ± {2 * calibration.u_pixel_um:.2g}\u202fµm (k = 2)"),
+        ("z scale", f"{calibration.z_scale:.7g} ± {2 * calibration.u_z_scale:.2g} (k = 2)"),
+        ("Objective", setup.objective or "–"),
+        ("Camera", setup.camera or "–"),
+        ("Against", calibration.against),
+        ("Made, due", f"{calibration.made}, {calibration.due}"),
+    )
+
+
+def _terms(finding: AnyFinding) -> str:
+    """On which heights, from which zero."""
+    levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
+    return f", {finding.surface}{levelled}"
+
+
+def _regions_of(spec: Spec) -> Iterator[Region]:
+    if isinstance(spec, Region):
+        yield spec
+    elif not isinstance(spec, Length | Quantity | Levelling):
+        for name in spec.__struct_fields__:
+            held: Any = getattr(spec, name)
+            if isinstance(held, Spec):
+                yield from _regions_of(held)
