@@ -312,8 +312,8 @@ def test_a_profile_begins_on_the_surface_and_follows_its_handles(browser: Browse
 
 
 def test_regions_begin_on_two_plateaus(browser: Browser, scene: SceneView) -> None:
-    told: list[tuple[Region, Region]] = []
-    scene.on_regions(lambda upper, lower: told.append((upper, lower)))
+    told: list[tuple[Region, ...]] = []
+    scene.on_places(told.append)
     scene.draw(SNAPSHOT, View(step="measure", tool="step"))
     until(lambda: told)
     upper, lower = told[0]
@@ -324,13 +324,13 @@ def test_regions_begin_on_two_plateaus(browser: Browser, scene: SceneView) -> No
 
 
 def test_a_region_moves_whole_by_its_middle_and_stays_on_the_surface(browser: Browser, scene: SceneView) -> None:
-    told: list[tuple[Region, Region]] = []
-    scene.on_regions(lambda upper, lower: told.append((upper, lower)))
+    told: list[tuple[Region, ...]] = []
+    scene.on_places(told.append)
     scene.draw(SNAPSHOT, View(step="measure", tool="step", exaggeration=1.0))
     until(lambda: told)
     settled(scene)
     before = told[0][1].bounds_um
-    drag(browser, "lower/m/ball", 9e5, 0.0)
+    drag(browser, "place/1/whole/ball", 9e5, 0.0)
     until(lambda: len(told) > 1)
     after = told[-1][1].bounds_um
     assert after[2] <= GRID.width_um / 2

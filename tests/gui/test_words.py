@@ -69,13 +69,13 @@ def test_times_read_as_people_say_them(taken, said):
     ],
 )
 def test_an_answer_never_stands_without_its_uncertainty_or_the_reason(length, words):
-    card = measure_words.answer("Step", length)
+    card = measure_words.answer("Step", length.quantity)
     assert all(word in card for word in words)
 
 
 def test_the_budget_ends_with_the_combined_and_the_expanded_uncertainty():
     step = fake.a_step(Region.rectangle(0, 0, 1, 1), Region.rectangle(0, 2, 1, 3))
-    words = measure_words.budget(step.height)
+    words = measure_words.budget(step.main)
     assert "Flatness of the regions" in words
     assert "0.155 · 0.310" in words
 

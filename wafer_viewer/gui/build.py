@@ -18,7 +18,7 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
 from wafer_viewer.gui.measure_panel import MeasurePanel
-from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar, Toolbar
+from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.pose_book import PoseBook
@@ -29,6 +29,7 @@ from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
+from wafer_viewer.gui.toolbar import Toolbar
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
@@ -96,8 +97,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
-    surface, measure = SurfacePanel(page, poses), MeasurePanel(page)
-    why = WhyPanel(page)
+    surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene)
+    why, left = WhyPanel(page), LeftPanel(page)
     read_out = ReadOutBox(page)
     parts = [
         *(
@@ -109,7 +110,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             surface,
             measure,
             why,
-            LeftPanel(page),
+            left,
             Toolbar(page),
             Legend(page),
         ),
@@ -124,6 +125,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         Welcome(page),
         Drawing(scene),
     ]
+    left.results.on_chosen(scene.fly_to)
     look = scene.look_from
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
@@ -146,7 +148,8 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     page.on_close(clicks.close)
     failed = "The surface was not read"
     scene.on_lines(guarded(page, failed)(lambda lines, line: page.change(lines=lines, line=line, selected=None)))
-    scene.on_regions(guarded(page, failed)(lambda upper, lower: page.change(upper=upper, lower=lower, selected=None)))
+    scene.on_places(guarded(page, failed)(lambda places: page.change(places=places, selected=None)))
+    scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
 
     def picked(x_um: float, y_um: float) -> None:
         why.clicked(x_um, y_um)

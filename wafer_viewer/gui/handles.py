@@ -13,8 +13,8 @@ from wafer_viewer.draw.colours import Rgb
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.shapes import lines, word
 
-Dragged = Callable[[str, np.ndarray], None]
-"""Called with a handle's name and the scene point under the pointer, in order of events."""
+Dragged = Callable[[str, np.ndarray, bool], None]
+"""Called with a handle's name, the scene point under the pointer and whether it was let go there, in order."""
 
 _WHITE: Rgb = (255, 255, 255)
 
@@ -52,7 +52,7 @@ def _in_order(
 ) -> Callable[[viser.SceneNodeDragEvent[viser.IcosphereHandle]], Coroutine[Any, Any, None]]:
     # A coroutine, because viser runs plain functions on many threads and a later event could overtake an earlier one.
     async def on_drag(event: viser.SceneNodeDragEvent[viser.IcosphereHandle]) -> None:
-        dragged(name, np.asarray(event.end_position, float))
+        dragged(name, np.asarray(event.end_position, float), event.phase == "end")
 
     return on_drag
 
@@ -112,48 +112,3 @@ class PlaceMark:
     def remove(self) -> None:
         """Take it out of the scene."""
         self._knob.remove()
-
-
-class RegionTool:
-    """A rectangle with a handle at each corner and one in its middle that moves it whole."""
-
-    def __init__(self, scene: viser.SceneApi, name: str, title: str, colour: Rgb, dragged: Dragged) -> None:
-        self.low: Place = (0.0, 0.0)
-        self.high: Place = (1.0, 1.0)
-        self._outline = CasedLine(scene, name, colour, 2.6)
-        self._corners = [Knob(scene, f"{name}/{k}", colour, 5.5, dragged) for k in range(4)]
-        self._middle = Knob(scene, f"{name}/m", colour, 7.5, dragged)
-        self._sign = Sign(scene, f"{name}/sign", title, colour)
-
-    def drag(self, name: str, to: Place, land: Land) -> None:
-        """Move one corner, or with the middle handle the whole; a rectangle never gets smaller than a few pixels."""
-        if name.endswith("m"):
-            half = (self.high[0] - self.low[0]) / 2, (self.high[1] - self.low[1]) / 2
-            x0, y0, x1, y1 = land.bounds_um
-            x, y = min(max(to[0], x0 + half[0]), x1 - half[0]), min(max(to[1], y0 + half[1]), y1 - half[1])
-            self.low, self.high = (x - half[0], y - half[1]), (x + half[0], y + half[1])
-            return
-        k, least = int(name[-1]), 4 * land.on_show.facts.pixel_um
-        (x0, y0), (x1, y1) = self.low, self.high
-        x0, x1 = (min(to[0], x1 - least), x1) if k in (0, 3) else (x0, max(to[0], x0 + least))
-        y0, y1 = (min(to[1], y1 - least), y1) if k in (0, 1) else (y0, max(to[1], y0 + least))
-        self.low, self.high = (x0, y0), (x1, y1)
-
-    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
-        """Lie just over the surface within it."""
-        (x0, y0), (x1, y1) = self.low, self.high
-        z = land.on_show.scene_z(land.highest_um(x0, y0, x1, y1)) + 2 * mm_per_pixel
-        corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], float) * 1e-3
-        points = np.column_stack([corners, np.full(4, z)]).astype(np.float32)
-        self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), None, 1.6 * mm_per_pixel)
-        for knob, at in zip((*self._corners, self._middle), (*points, points.mean(axis=0)), strict=True):
-            knob.place(at, mm_per_pixel, towards)
-        # The sign lies beside the region: over whatever is there, or a wall would hide it.
-        left, reach = x0 - 12e3 * mm_per_pixel, 90e3 * mm_per_pixel
-        beside = land.on_show.scene_z(land.highest_um(left - reach, y0, left, y1)) + 2 * mm_per_pixel
-        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, max(z, beside)), 26 * mm_per_pixel)
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        for part in (self._outline, *self._corners, self._middle, self._sign):
-            part.remove()

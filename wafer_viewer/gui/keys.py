@@ -18,25 +18,14 @@ from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
-from wafer_viewer.gui.view import Step, Tool
+from wafer_viewer.gui.tool_icons import ICONS, TOOL_KEYS
+from wafer_viewer.gui.view import Step
 from wafer_viewer.gui.why_panel import WhyPanel
-from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.measuring import TOOLS
 
 ICON = viser.Icon
 STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M", "review": "R", "report": "O"}
 """Each with shift."""
-TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
-    "profile": ("L", None),
-    "point": ("X", None),
-    "distance": ("M", None),
-    "step": ("K", None),
-    "angle": ("B", None),
-    "radius": ("R", None),
-    "volume": ("V", None),
-    "flatness": ("F", "shift"),
-    "texture": ("T", "shift"),
-}
-TOOL_ICONS: dict[Tool, Any] = {"profile": ICON.LINE, "step": ICON.STAIRS_UP}
 EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
 
 
@@ -179,7 +168,7 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
             page.ask("The result stays", deleted, lambda _: page.change(selected=None))
 
     tools = [
-        Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), TOOL_ICONS.get(tool), held, "Measure")
+        Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), ICONS[tool], held, "Measure")
         for tool, (key, held) in TOOL_KEYS.items()
     ]
     return [

@@ -30,7 +30,7 @@ class LeftPanel:
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self._build_datasets()
-            self._results = ResultList(page)
+            self.results = ResultList(page)
         panel.dock_left()
         panel.set_width(LEFT_PX)
         page.on_pick("field", self._go_to_field)
@@ -45,7 +45,7 @@ class LeftPanel:
         set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
         opened = snapshot.dataset.path if snapshot.dataset else None
         self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))
-        self._results.show(snapshot, view)
+        self.results.show(snapshot, view)
 
     def _build_datasets(self) -> None:
         page = self._page

@@ -1,43 +1,87 @@
-"""What the measuring panel says of a result: the answer in large type, where it comes from, its budget. Pure."""
+"""What the page says of a measured number: its sign, its value with U and unit, the large answer, its budget."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.numbers import number, share, value_and_u, with_unit
+from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.findings import AnyFinding, Defect, Flatness, GaugeCheck, Length, Profile, StepHeight
+from wafer_viewer.model.findings import AnyFinding, AreaVolume, Profile, StepHeight
+from wafer_viewer.model.quantities import Quantity
 
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"
 NO_U = {"not evaluated": "U not evaluated", "uncalibrated": "uncalibrated"}
-_SURFACES = {
-    "unsmoothed": "measured heights, unsmoothed",
-    "smoothed": "smoothed heights",
-    "filled": "filled heights too",
+_LETTERS = {
+    "profile": "P",
+    "point": "H",
+    "distance": "L",
+    "step_height": "S",
+    "angle": "A",
+    "radius": "R",
+    "volume": "V",
+    "flatness": "F",
+    "texture": "T",
+    "gauge_check": "G",
+    "defect": "D",
 }
+_MAIN = {
+    "profile": "total height Pt",
+    "point": "height",
+    "distance": "in space",
+    "angle": "between the faces",
+    "radius": "of the sphere",
+    "flatness": "FLTt",
+    "texture": "Sa",
+}
+"""What the number is that stands for a result, where its tool's name does not say so."""
+_SIGNED = ("point",)
+_UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°"}
+_LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
+"""By unit: from which value on, by which factor, as what it reads."""
 
 
-def main_length(finding: AnyFinding) -> Length:
-    """The length that stands for a result."""
-    match finding:
-        case Profile():
-            return finding.pt
-        case StepHeight():
-            return finding.height
-        case Flatness():
-            return finding.flt_t
-        case GaugeCheck():
-            return finding.step.height
-        case Defect():
-            return finding.height
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A quantity as it is read: its factor to the quantity's own unit, and the unit's sign."""
+
+    factor: float
+    unit: str
+
+
+def reading(quantity: Quantity) -> Reading:
+    """Volumes read in nl or pl, large areas in mm², all else in the unit they are measured in."""
+    for least, factor, unit in _LARGER.get(quantity.unit, ()):
+        if abs(quantity.value) >= least:
+            return Reading(factor, unit)
+    return Reading(1.0, _UNITS[quantity.unit])
+
+
+def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:
+    """Value, U to two figures (a dash where there is none) and unit."""
+    read = reading(quantity)
+    expanded = None if quantity.expanded is None else quantity.expanded * read.factor
+    digits = 2 if read.factor == 1 else _digits(quantity.value * read.factor)
+    value, u = value_and_u(quantity.value * read.factor, expanded, digits, signed=signed)
+    return value, u, read.unit
+
+
+def whole(quantity: Quantity, *, signed: bool = False) -> str:
+    """Value and U with their unit, in one line: ``11.86 ± 0.31 µm``."""
+    value, u, unit = value_texts(quantity, signed=signed)
+    return with_unit_sign(f"{value} ± {u}" if quantity.expanded is not None else value, unit)
+
+
+def with_unit_sign(text: str, unit: str) -> str:
+    """A number and its unit; degrees stand close."""
+    return f"{text}{unit}" if unit == "°" else f"{text}\u202f{unit}"
 
 
 def letter(finding: AnyFinding) -> str:
     """The sign of a result, P1, S2."""
-    kind = {"profile": "P", "step_height": "S", "flatness": "F", "gauge_check": "G", "defect": "D"}
-    return f"{kind[finding.__struct_config__.tag]}{finding.number or ''}"  # pyright: ignore[reportArgumentType]
+    return f"{_LETTERS[_tag(finding)]}{finding.number or ''}"
 
 
 def sign_colour(finding: AnyFinding) -> str:
@@ -47,52 +91,55 @@ def sign_colour(finding: AnyFinding) -> str:
     return REGION_COLOUR if isinstance(finding, StepHeight) else OTHER_COLOUR
 
 
-def length_text(finding: AnyFinding) -> str:
-    """Value and uncertainty for the list, as HTML."""
-    length = main_length(finding)
-    value, u = value_and_u(length.value_um, length.expanded_um)
-    beside = f"± {u}" if length.expanded_um is not None else NO_U.get(length.status, "")
+def of_what(finding: AnyFinding) -> str:
+    """What the number is that stands for a result; nothing where that is plain."""
+    if isinstance(finding, AreaVolume):
+        return "below" if finding.main == finding.volume_below else "above"
+    return _MAIN.get(_tag(finding), "")
+
+
+def list_text(finding: AnyFinding) -> str:
+    """Value, uncertainty and unit for the list, as HTML."""
+    value, u, unit = value_texts(finding.main, signed=_tag(finding) in _SIGNED)
+    beside = f"± {u} {unit}" if finding.main.expanded is not None else f"{unit} · {NO_U.get(finding.main.status, '')}"
     return f"<b>{value}</b><small>{html.safe(beside)}</small>"
 
 
-def answer(name: str, length: Length, signed: bool = False) -> str:
+def answer(name: str, quantity: Quantity, signed: bool = False) -> str:
     """The card with the answer in large type."""
-    value, u = value_and_u(length.value_um, length.expanded_um, signed=signed)
-    if length.expanded_um is not None:
-        below = f'± {html.safe(u)} µm <span class="dim" style="font-size:13px">expanded, k = 2</span>'
+    value, u, unit = value_texts(quantity, signed=signed)
+    if quantity.expanded is not None:
+        told = html.safe(with_unit_sign(f"± {u}", unit))
+        below = f'{told} <span class="dim" style="font-size:13px">expanded, k = 2</span>'
     else:
-        below = f'<span style="color:var(--attention)">{NO_U.get(length.status, "U not evaluated")}</span>'
+        below = f'<span style="color:var(--attention)">{NO_U.get(quantity.status, "U not evaluated")}</span>'
     return (
         f'<div class="wv-answer"><div class="wv-lab">{html.safe(name)}</div>'
-        f'<div class="wv-big" style="font-size:40px">{value}<span class="wv-unit"> µm</span></div>'
+        f'<div class="wv-big" style="font-size:40px">{value}<span class="wv-unit"> {unit}</span></div>'
         f'<div style="font-size:17px;color:var(--ink2);font-weight:500">{below}</div></div>'
     )
 
 
-def source(finding: AnyFinding) -> str:
-    """Where a result comes from: its regions, its points, the surface it was measured on."""
-    match finding:
-        case StepHeight():
-            rows = [
-                _region("Upper region", finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
-                _region("Lower region", finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
-            ]
-            tilt = html.pairs([("Relative tilt", with_unit(finding.relative_tilt_mrad, 2, "mrad"))])
-            table = html.table(["Region", "Mean", "Sq", "Points"], rows, " nnn")
-            body = table + tilt + _small([f"Height: {finding.definition.rstrip('.')}."])
-        case Profile():
-            body = html.pairs(
-                [
-                    ("Length", with_unit(finding.length_um, 1)),
-                    ("Averaged over", averaging(finding)),
-                    ("Rise, first to last point", with_unit(finding.rise.value_um, 2, signed=True)),
-                    ("Angle", with_unit(_angle(finding), 2, "°", signed=True)),
-                    ("Measured", share(finding.measured_fraction)),
-                ]
-            )
-        case _:
-            body = ""
-    return html.head("Where it comes from", "µm") + body + _measured_on(finding)
+def card(finding: AnyFinding, name: str) -> str:
+    """The answer of a result."""
+    named = " · ".join(part for part in (name, of_what(finding)) if part)
+    return answer(named, finding.main, _tag(finding) in _SIGNED)
+
+
+def budget(quantity: Quantity) -> str:
+    """Every contribution, then the combined and the expanded uncertainty."""
+    if not quantity.budget or quantity.expanded is None:
+        why = "A calibration of the rig gives it one." if quantity.status == "uncalibrated" else ""
+        word = NO_U.get(quantity.status, "U not evaluated")
+        return html.head("Uncertainty") + html.empty(f"{word[0].upper()}{word[1:]}.", why)
+    read = reading(quantity)
+    digits = max(3, digits_of_u(quantity.expanded * read.factor) + 1)
+    lines = [(line.name[:1].upper() + line.name[1:], line.u * read.factor) for line in quantity.budget]
+    rows = [html.row([html.safe(name), number(u, digits)], " n") for name, u in lines]
+    combined = math.sqrt(sum(u**2 for _, u in lines))
+    total = f"{number(combined, digits)} · {number(2 * combined, digits)}"
+    rows.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
+    return html.head("Uncertainty", f"{read.unit}, k = 1") + html.table([], rows, " n")
 
 
 def averaging(profile: Profile) -> str:
@@ -100,34 +147,10 @@ def averaging(profile: Profile) -> str:
     return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
 
 
-def budget(length: Length) -> str:
-    """Every contribution, then the combined and the expanded uncertainty."""
-    if not length.budget or length.expanded_um is None:
-        why = "A calibration of the rig gives it one." if length.status == "uncalibrated" else ""
-        word = NO_U.get(length.status, "U not evaluated")
-        return html.head("Uncertainty") + html.empty(f"{word[0].upper()}{word[1:]}.", why)
-    rows = [html.row([html.safe(c.name[:1].upper() + c.name[1:]), number(c.u_um, 3)], " n") for c in length.budget]
-    combined = math.sqrt(sum(c.u_um**2 for c in length.budget))
-    total = f"{number(combined, 3)} · {number(length.expanded_um, 3)}"
-    rows.append(html.row(["Combined · expanded, k = 2", total], " n", look="strong"))
-    return html.head("Uncertainty", "µm, k = 1") + html.table([], rows, " n")
+def _digits(value: float) -> int:
+    """Decimals that show a value without U to four figures."""
+    return max(0, 3 - math.floor(math.log10(abs(value)))) if value else 2
 
 
-def _region(name: str, mean_um: float, sq_um: float, points: int) -> str:
-    return html.row([name, number(mean_um, 2, signed=True), number(sq_um, 2), number(points, 0)], " nnn")
-
-
-def _angle(profile: Profile) -> float:
-    return math.degrees(math.atan2(profile.rise.value_um, profile.length_um)) if profile.length_um else math.nan
-
-
-def _measured_on(finding: AnyFinding) -> str:
-    lines = [f"On the {_SURFACES[finding.surface]}, filter: {finding.filter}."]
-    if finding.simulated:
-        lines.append("SIMULATED: not a measurement of a real sample.")
-    lines.extend(finding.notes)
-    return _small(lines)
-
-
-def _small(lines: list[str]) -> str:
-    return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(line))}</div>' for line in lines)
+def _tag(finding: AnyFinding) -> str:
+    return str(finding.__struct_config__.tag)

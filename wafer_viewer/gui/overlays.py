@@ -1,10 +1,8 @@
-"""What lies over the scene on glass: ways to look, tools, legends, the scale bar, the read-out, the first card."""
+"""What lies over the scene on glass: legends, the scale bar, the read-out."""
 
 from __future__ import annotations
 
 from typing import Any
-
-import viser
 
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
@@ -24,31 +22,6 @@ BAR_PX = 150
 READ_OUT_PX = 60
 NARROW_SCENE_PX = 740
 """Scale bar with all its words and read-out lie side by side from this width on."""
-WAYS_TO_LOOK = (
-    ("top", "Top", "Look from above · T", viser.Icon.SQUARE),
-    ("front", "Front", "Look from the front · F", viser.Icon.PERSPECTIVE),
-    ("iso", "Iso", "Three-quarter view · I", viser.Icon.CUBE),
-    ("all", "Fit", "Show all · Home", viser.Icon.FOCUS_2),
-)
-TOOLS = (
-    ("profile", "Profile", "Two handles · L", viser.Icon.LINE),
-    ("step", "Step", "Two regions · K", viser.Icon.STAIRS_UP),
-)
-
-
-class Toolbar:
-    """Ways to look; in Measure the tools before them."""
-
-    def __init__(self, page: Page) -> None:
-        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, 520, 42)
-
-    def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the toolbar up to date."""
-        tools = "".join(_tool("tool", *tool, chosen=view.tool == tool[0]) for tool in TOOLS)
-        gap = '<span style="border-left:1px solid var(--line);margin:5px 4px"></span>'
-        looks = "".join(_tool("look", *way, short=view.step == "measure") for way in WAYS_TO_LOOK)
-        parts = f"{tools}{gap}{looks}" if view.step == "measure" else looks
-        self._glass.show(f'<div class="wv-glass wv-tools">{parts}</div>')
 
 
 class Legend:
@@ -123,13 +96,6 @@ def _trust(read: ReadOut) -> str:
     if read.origin != Origin.MEASURED:
         return html.safe(ORIGIN_TITLES[read.origin])
     return f"confidence {number(read.confidence, 2)}"
-
-
-def _tool(what: str, key: str, name: str, hint: str, sign: Any, chosen: bool = False, short: bool = False) -> str:
-    words = "" if short else html.safe(name)
-    on = ' class="on"' if chosen else ""
-    told = f'title="{html.safe(hint)}" aria-label="{name}"'
-    return f"<span{on} {told} {html.pick(what, key)}>{html.icon(sign, 17)}{words}</span>"
 
 
 def _plan_legend(snapshot: Snapshot) -> str:

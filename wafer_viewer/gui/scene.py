@@ -23,6 +23,7 @@ from wafer_viewer.gui.steady import Steady
 from wafer_viewer.gui.surface_scene import source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
@@ -138,9 +139,17 @@ class SceneView:
         """Call back with the profile's line while its handles are dragged, and when one is first laid."""
         self._tools.on_lines(callback)
 
-    def on_regions(self, callback: Callable[[Region, Region], None]) -> None:
-        """Call back with the upper and the lower region while they are dragged, and when they are first laid."""
-        self._tools.on_regions(callback)
+    def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
+        """Call back with the places of the tool in use while they are dragged, and when they are first laid."""
+        self._tools.on_places(callback)
+
+    def on_levelling(self, callback: Callable[[Levelling], None]) -> None:
+        """Call back when a place that heights are levelled at was moved and let go."""
+        self._tools.on_levelling(callback)
+
+    def first_levelling(self, by: LevelBy) -> Levelling:
+        """A way of levelling, its first places laid on the surface. Raises MeasureError before there is one."""
+        return self._tools.first_levelling(by)
 
     @property
     def busy(self) -> bool:
@@ -173,7 +182,7 @@ class SceneView:
             return view.step, view.dark, draft.job, draft.plan, snapshot.overview, snapshot.rig.limits
         source = source_of(snapshot, view.show) if view.step != "acquire" else None
         if source is not None:
-            return view, source, snapshot.scanning
+            return view, source, snapshot.scanning, snapshot.findings if view.step == "measure" else ()
         progress = None if data is None else (data.path, *data.states.items(), *data.stamps.items())
         return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
 
@@ -253,7 +262,7 @@ class SceneView:
         whole = self._stage.show((*seen, *contents.items), contents.stretch)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         if whole or contents.on_show is None:
-            self._tools.show(view, contents.on_show, self._book)
+            self._tools.show(view, contents.on_show, self._book, snapshot.findings)
         return whole and not contents.awaits_more
 
     @property

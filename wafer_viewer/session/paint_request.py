@@ -15,7 +15,7 @@ from wafer_viewer.draw.look import Light, Look
 from wafer_viewer.draw.mesh import Skirts
 from wafer_viewer.model.levelling import Datum
 
-Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice"]
+Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class PaintRequest:
     stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
     neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all.
     `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
-    quantity's own.
+    quantity's own; `box_um` for ``picture``: x low, y low, x high, y high.
     """
 
     source: Source
@@ -53,6 +53,7 @@ class PaintRequest:
     k: int = 0
     z_um: float = 0.0
     range_values: tuple[float, float] | None = None
+    box_um: tuple[float, float, float, float] | None = None
     datum: Datum | None = None
     skirts: Skirts = (False, False, False, False)
     side: int | None = None

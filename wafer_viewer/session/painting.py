@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.session import paint_frames, paint_parts, paint_whole
+from wafer_viewer.session import paint_frames, paint_parts, paint_pictures, paint_whole
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf
 
@@ -18,6 +18,7 @@ PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
     "walls": paint_parts.walls,
     "frame": paint_frames.frame,
     "slice": paint_frames.stitched,
+    "picture": paint_pictures.picture,
 }
 
 

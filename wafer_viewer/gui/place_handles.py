@@ -1,0 +1,123 @@
+"""Places in the scene that are dragged over the surface: an outline, handles to pull it by, and its name beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import viser
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
+from wafer_viewer.gui.lie_of_land import Land, Place
+from wafer_viewer.gui.place_shapes import SHAPES, WHOLE
+from wafer_viewer.model.region import Region
+
+Towards = NDArray[np.float64]
+"""Unit vector from the sample towards the camera."""
+_WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
+_SIGN_PX, _BESIDE_PX, _WORD_PX = 26, 12, 90
+
+
+class PlaceHandle:
+    """One place. Its handles are called NAME/HOLD."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, title: str, region: Region, colour: Rgb, dragged: Dragged
+    ) -> None:
+        self.region = region
+        self._shape = SHAPES[region.kind]
+        outlined = len(self._shape.outline(region)) > 0
+        self._outline = CasedLine(scene, name, colour, 2.6) if outlined else None
+        whole_px = _WHOLE_PX if outlined else _POINT_PX
+        self._knobs = {
+            hold: Knob(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
+            for hold in self._shape.holds(region)
+        }
+        self._sign = Sign(scene, f"{name}/sign", title, colour)
+
+    def pull(self, hold: str, to: Place, land: Land) -> None:
+        """One of its handles was moved."""
+        self.region = self._shape.pulled(self.region, hold, to, land)
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+        """Lie just over the surface within it; a point stands on what is seen there."""
+        corners = self._shape.outline(self.region)
+        z = self._level(land) + 2 * mm_per_pixel
+        if self._outline is not None:
+            points = np.column_stack([corners * 1e-3, np.full(len(corners), z)]).astype(np.float32)
+            self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), None, 1.6 * mm_per_pixel)
+        for hold, (x, y) in self._shape.holds(self.region).items():
+            self._knobs[hold].place(np.array([x * 1e-3, y * 1e-3, z], np.float32), mm_per_pixel, towards)
+        self._place_sign(land, mm_per_pixel, z)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._outline, *self._knobs.values(), self._sign):
+            if part is not None:
+                part.remove()
+
+    def _level(self, land: Land) -> float:
+        x0, y0, x1, y1 = self.region.bounds_um
+        if self._outline is not None:
+            return land.on_show.scene_z(land.highest_um(x0, y0, x1, y1))
+        return land.on_show.scene_z(float(land.seen_um(np.array([x0]), np.array([y0]))[0]))
+
+    def _place_sign(self, land: Land, mm_per_pixel: float, z: float) -> None:
+        """The sign lies beside the place: over whatever is there, or a wall would hide it."""
+        x0, y0, _, y1 = self.region.bounds_um
+        left, reach = x0 - _BESIDE_PX * 1e3 * mm_per_pixel, _WORD_PX * 1e3 * mm_per_pixel
+        beside = land.on_show.scene_z(land.highest_um(left - reach, y0, left, y1)) + 2 * mm_per_pixel
+        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, max(z, beside)), _SIGN_PX * mm_per_pixel)
+
+
+class Places:
+    """A row of places under one name; their handles are called NAME/NUMBER/HOLD."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, dragged: Dragged) -> None:
+        self._scene, self._name, self._dragged = scene, name, dragged
+        self._titles: tuple[str, ...] = ()
+        self._kinds: tuple[str, ...] = ()
+        self._colour: Rgb | None = None
+        self._handles: list[PlaceHandle] = []
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Where they are now."""
+        return tuple(handle.region for handle in self._handles)
+
+    def become(self, titles: Sequence[str], regions: Sequence[Region], colour: Rgb) -> None:
+        """Be these places; handles of the same kinds are moved, others made anew."""
+        kinds = tuple(region.kind for region in regions)
+        if (tuple(titles), kinds, colour) == (self._titles, self._kinds, self._colour):
+            self.move(regions)
+            return
+        self.remove()
+        self._titles, self._kinds, self._colour = tuple(titles), kinds, colour
+        self._handles = [
+            PlaceHandle(self._scene, f"{self._name}/{k}", title, region, colour, self._dragged)
+            for k, (title, region) in enumerate(zip(titles, regions, strict=True))
+        ]
+
+    def move(self, regions: Sequence[Region]) -> None:
+        """Be where these regions, of the same kinds, are."""
+        for handle, region in zip(self._handles, regions, strict=True):
+            handle.region = region
+
+    def pull(self, name: str, to: Place, land: Land) -> None:
+        """A handle of this row, NAME/NUMBER/HOLD, was moved."""
+        _, number, hold = name.split("/")
+        if int(number) < len(self._handles):
+            self._handles[int(number)].pull(hold, to, land)
+
+    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+        """Lie on the surface as it is drawn now."""
+        for handle in self._handles:
+            handle.draw(land, mm_per_pixel, towards)
+
+    def remove(self) -> None:
+        """Take them out of the scene."""
+        for handle in self._handles:
+            handle.remove()
+        self._handles, self._titles, self._kinds, self._colour = [], (), (), None

@@ -1,0 +1,79 @@
+"""Small pictures of where results were measured, painted when they are first listed."""
+
+from __future__ import annotations
+
+import base64
+import math
+from concurrent.futures import Future
+
+import numpy as np
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kept_places import Box, bounds_of, places_of
+from wafer_viewer.gui.measure_words import sign_colour
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.place_shapes import outline_of
+from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.paint_request import PaintRequest
+from wafer_viewer.session.state import Snapshot
+
+WIDTH_PX, HEIGHT_PX = 44, 33
+_ROOM, _LEAST_PX = 1.7, 32
+"""How much more than its places a picture takes in, and at least how many pixels of the surface."""
+
+
+class Thumbnails:
+    """Pictures by request; one that is not painted yet is an empty box, and the page is drawn again when it is."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._asked: dict[PaintRequest, Future[bytes]] = {}
+
+    def of(self, finding: AnyFinding, snapshot: Snapshot) -> str:
+        """The picture of a result, its places outlined in its colour, as HTML."""
+        box = framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
+        return f'<span class="wv-thumb">{self._image(finding, snapshot, box)}{outlines(finding, box)}</span>'
+
+    def _image(self, finding: AnyFinding, snapshot: Snapshot, box: Box) -> str:
+        source = source_of(snapshot, finding.show)
+        if source is None:
+            return ""
+        data = self._painted(PaintRequest(source, "picture", box_um=box))
+        return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(data).decode()}">' if data else ""
+
+    def _painted(self, request: PaintRequest) -> bytes:
+        future = self._asked.get(request)
+        if future is None or future.cancelled():
+            future = self._asked[request] = self._page.session.paint(request)
+            future.add_done_callback(lambda _: self._page.redraw())
+        return future.result() if future.done() and future.exception() is None else b""
+
+
+def framed(bounds: Box) -> Box:
+    """A box round another, with room to spare, as wide for its height as a picture is."""
+    (x0, y0, x1, y1), aspect = bounds, WIDTH_PX / HEIGHT_PX
+    width = max(x1 - x0, (y1 - y0) * aspect) * _ROOM
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - width / 2, y - width / aspect / 2, x + width / 2, y + width / aspect / 2
+
+
+def outlines(finding: AnyFinding, box: Box) -> str:
+    """The places of a result over the picture of a box, as SVG."""
+    paths = "".join(_path(place, box) for place in places_of(finding))
+    style = f'style="--tone:{html.safe(sign_colour(finding))}"'
+    return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'
+
+
+def _path(place: Region, box: Box) -> str:
+    x0, y0, x1, y1 = box
+    corners = outline_of(place)
+    if len(corners) == 0:
+        corners = np.array([(point.x_um, point.y_um) for point in place.points])
+    x, y = (corners[:, 0] - x0) / (x1 - x0) * WIDTH_PX, (y1 - corners[:, 1]) / (y1 - y0) * HEIGHT_PX
+    if place.kind == "point":
+        return f'<circle cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="3"/>'
+    step = max(1, math.ceil(len(x) / 24))
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[::step], y[::step], strict=True))
+    return f'<polyline points="{points}"/>' if place.kind == "line" else f'<polygon points="{points}"/>'

@@ -1,0 +1,84 @@
+"""The tools as the page shows them: in which groups, by which icon, with which short name and key."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.view import Tool
+from wafer_viewer.model.measuring import TOOLS, ToolName
+
+GROUPS: tuple[tuple[ToolName, ...], ...] = (
+    ("profile", "step", "angle"),
+    ("point", "distance"),
+    ("radius", "volume"),
+    ("flatness", "texture"),
+)
+"""Sections and steps, places, what stands out, faces."""
+ICONS: dict[ToolName, Any] = {
+    "profile": viser.Icon.LINE,
+    "step": viser.Icon.STAIRS_UP,
+    "angle": viser.Icon.ANGLE,
+    "point": viser.Icon.POINT,
+    "distance": viser.Icon.RULER_MEASURE,
+    "radius": viser.Icon.CIRCLE,
+    "volume": viser.Icon.DROPLET,
+    "flatness": viser.Icon.LAYERS_SUBTRACT,
+    "texture": viser.Icon.GRAIN,
+}
+SHORT: dict[ToolName, str] = {
+    "profile": "Profile",
+    "step": "Step",
+    "angle": "Angle",
+    "point": "Point",
+    "distance": "Distance",
+    "radius": "Radius",
+    "volume": "Volume",
+    "flatness": "Flatness",
+    "texture": "Texture",
+}
+TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
+    "profile": ("L", None),
+    "point": ("X", None),
+    "distance": ("M", None),
+    "step": ("K", None),
+    "angle": ("B", None),
+    "radius": ("R", None),
+    "volume": ("V", None),
+    "flatness": ("F", "shift"),
+    "texture": ("T", "shift"),
+}
+"""The key of each, and what is held with it."""
+GAP = '<i class="wv-gap"></i>'
+"""Between groups on the toolbar."""
+
+
+def hint(tool: ToolName) -> str:
+    """What a tool is for and its key."""
+    key, held = TOOL_KEYS[tool]
+    return f"{TOOLS[tool].title} · {f'{held} + ' if held else ''}{key}"
+
+
+def tool_strip(chosen: Tool) -> str:
+    """All tools in a row, by their icons; the one in use says its name."""
+    return GAP.join("".join(_icon(tool, tool == chosen) for tool in group) for group in GROUPS)
+
+
+def tool_cards() -> str:
+    """All tools with their names, to choose from."""
+    return "".join(f'<div class="wv-cards">{"".join(_card(tool) for tool in group)}</div>' for group in GROUPS)
+
+
+def _icon(tool: ToolName, chosen: bool) -> str:
+    on, word = (' class="on"', html.safe(SHORT[tool])) if chosen else ("", "")
+    told = f'title="{html.safe(hint(tool))}" aria-label="{SHORT[tool]}"'
+    return f"<span{on} {told} {html.pick('tool', tool)}>{html.icon(ICONS[tool], 17)}{word}</span>"
+
+
+def _card(tool: ToolName) -> str:
+    key, held = TOOL_KEYS[tool]
+    keys = f"<kbd>{'⇧ ' if held else ''}{key}</kbd>"
+    told = f'title="{html.safe(TOOLS[tool].how)}" aria-label="{html.safe(TOOLS[tool].title)}"'
+    return f"<div {told} {html.pick('tool', tool)}>{html.icon(ICONS[tool], 18)}<span>{SHORT[tool]}</span>{keys}</div>"

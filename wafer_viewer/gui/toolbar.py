@@ -1,0 +1,43 @@
+"""Top left on glass: ways to look, and in Measure the tools before them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Overlay
+from wafer_viewer.gui.overlays import EDGE_PX
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.tool_icons import GAP, tool_strip
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
+
+WAYS_TO_LOOK = (
+    ("top", "Top", "Look from above · T", viser.Icon.SQUARE),
+    ("front", "Front", "Look from the front · F", viser.Icon.PERSPECTIVE),
+    ("iso", "Iso", "Three-quarter view · I", viser.Icon.CUBE),
+    ("all", "Fit", "Show all · Home", viser.Icon.FOCUS_2),
+)
+_WIDTH_PX, _HEIGHT_PX = 520, 42
+
+
+class Toolbar:
+    """Ways to look have words until the tools need their room."""
+
+    def __init__(self, page: Page) -> None:
+        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the toolbar up to date."""
+        measuring = view.step == "measure"
+        looks = "".join(_way(*way, short=measuring) for way in WAYS_TO_LOOK)
+        parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
+        self._glass.show(f'<div class="wv-glass wv-tools{" many" if measuring else ""}">{parts}</div>')
+
+
+def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
+    words = "" if short else html.safe(name)
+    told = f'title="{html.safe(hint)}" aria-label="{name}"'
+    return f"<span {told} {html.pick('look', key)}>{html.icon(sign, 17)}{words}</span>"
