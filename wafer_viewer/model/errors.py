@@ -40,3 +40,7 @@ class ComputeError(WaferViewerError):
 
 class MeasureError(WaferViewerError):
     """A measurement that the surface does not allow."""
+
+
+class HeldByAnother(WaferViewerError):
+    """What only the holder of the controls may ask for."""

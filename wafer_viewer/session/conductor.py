@@ -8,7 +8,7 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
@@ -21,12 +21,13 @@ from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.jobs import JobKeeper
 from wafer_viewer.session.judging import Judge
 from wafer_viewer.session.library import ENDING, Library, free_name, today
-from wafer_viewer.session.messages import RigReady, SampleSeen, Scan, ScanEnded, Taken
+from wafer_viewer.session.messages import Move, RigReady, SampleSeen, Scan, ScanEnded, Taken
 from wafer_viewer.session.notebook import NotebookKeeper
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.preflight import look_round, require_go
 from wafer_viewer.session.reconstruction import Reconstruction
 from wafer_viewer.session.record_book import RecordBook
+from wafer_viewer.session.reopening import Reopening
 from wafer_viewer.session.state import FieldState, RigStatus, Snapshot
 
 
@@ -36,7 +37,8 @@ class Conductor:
     def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
         self._folder = _made(folder)
         status = RigStatus(name=config.name, simulated=config.kind == "virtual")
-        self.desk = desk = Desk(Snapshot(rig=status, data_folder=self._folder))
+        self.desk = desk = Desk(Snapshot(rig=status, data_folder=self._folder, reopening=True))
+        self.reopening = Reopening(self._folder)
         self.notices = Notices(desk)
         self.drafting = Drafting(desk, self._folder)
         self.library = Library(desk, self._folder)
@@ -57,10 +59,18 @@ class Conductor:
         self.drafting.price()
         self.library.refresh()
         self.jobs.refresh()
+        try:
+            self._reopen()
+        except WaferViewerError as fault:
+            self.notices.fault("What was open is not open again", str(fault), "open", needs_person=False)
+        finally:
+            self.desk.change(reopening=False)
+            self.desk.subscribe(lambda now: self.reopening.keep(now, self.library.result_name))
 
     def close(self) -> None:
         """Put the rig at rest and end all processes."""
         self.desk.close()
+        self.reopening.close(self.desk.snapshot, self.library.result_name)
         self.judge.close()
         self.rig.close()
         self.reconstruction.compute.close()
@@ -75,6 +85,36 @@ class Conductor:
         self._make_what_is_missing()
         self.library.refresh()
         return path
+
+    def _reopen(self) -> None:
+        """Open what was open when the program ended. Raises DatasetError where that cannot be."""
+        kept = self.reopening.read()
+        if kept.is_empty:
+            return
+        self.drafting.reopen(kept.plan(), kept.typed)
+        if kept.dataset is None:
+            return
+        path = Path(kept.dataset)
+        if not path.exists():
+            raise DatasetError(f"{path} was open and is not there any more: open it from where it is now.")
+        self.open(path)
+        if kept.result in self.library.shown.results:
+            self._look_at(kept.result)
+        if (why := self.library.shown.read_only) is not None:
+            self.notices.fault(f"{self.library.shown.name} can only be read", why, "open", needs_person=False)
+
+    def _look_at(self, result: str) -> None:
+        """Another result of the open dataset."""
+        if result != self.library.result_name:
+            self.reconstruction.abandon()
+            self.library.show_result(result)
+            self._open_books()
+            self._make_what_is_missing()
+
+    def move_to(self, move: Move) -> Future[None]:
+        """Move the stage, where it is known what lies on it."""
+        self.drafting.require_confirmed()
+        return self.rig.move_to(move)
 
     def close_dataset(self) -> None:
         """Close the dataset."""
@@ -97,6 +137,7 @@ class Conductor:
     def continue_scan(self) -> Future[Path]:
         """Take the frames that the open dataset lacks."""
         self.rig.require_idle("start another")
+        self.drafting.require_confirmed()
         shown = self.library.shown
         if shown.read_only is not None:
             raise DatasetError(f"The scan cannot go on: {shown.read_only}")

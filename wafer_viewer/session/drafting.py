@@ -16,10 +16,14 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.marking import Seen
 from wafer_viewer.session.releases import blank, released, require_as_released, write_released
-from wafer_viewer.session.state import Draft
+from wafer_viewer.session.state import Draft, Typed
 
 PLAN_ENDING = ".toml"
 RIG_STARTS = "The rig is starting: the plan is priced as soon as the rig answers."
+UNCONFIRMED = (
+    "What was open is open again, and another sample may lie on the stage by now: confirm the sample before anything "
+    "moves."
+)
 NO_JOB = "There is no plan yet: lay a field grid over the sample first."
 
 
@@ -31,6 +35,8 @@ class Drafting:
         self._jobs: History[Job | None] = History(None)
         self._seen = Seen()
         self._confirmed = True
+        self._typed: Typed | None = None
+        self._typed_over: Job | None = None
         self.tour: Job | None = None
 
     def edit(self, job: Job | None) -> None:
@@ -41,11 +47,21 @@ class Drafting:
             job = replace(job, alignment=None)
         self._put(job)
 
-    def reopen(self, job: Job | None) -> None:
+    def reopen(self, job: Job | None, typed: Typed | None = None) -> None:
         """The plan that was there when the program ended: whoever scans it has to look at the sample first."""
         self._jobs.restart(job)
-        self._confirmed = job is None
+        self._confirmed = False
+        self.keep_typed(typed)
+
+    def keep_typed(self, typed: Typed | None) -> None:
+        """What stands on the form and makes no plan yet; None when it makes one again, as it does by any edit."""
+        self._typed, self._typed_over = typed, self._jobs.value
         self.price()
+
+    def require_confirmed(self) -> None:
+        """Raise PlanError as long as a plan that was opened again may be of another sample than lies on the stage."""
+        if not self._confirmed:
+            raise PlanError(UNCONFIRMED)
 
     def confirm(self) -> None:
         """A person looked: the sample on the stage is the one that is named."""
@@ -120,9 +136,11 @@ class Drafting:
         """Plan the job anew: after an edit, and when the rig answers."""
         job, limits = self._jobs.value, self._desk.now.rig.limits
         plan, problem = _plan(job, limits)
+        typed = self._typed if self._typed_over is job else None
         seen_um = self._seen.places_um(job) if job is not None else ()
         can = self._jobs.can_undo, self._jobs.can_redo
-        self._desk.change(draft=Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed))
+        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed, typed)
+        self._desk.change(draft=draft)
 
     def cover_sample(self) -> None:
         """As many fields as cover the sample, round its middle."""
@@ -170,6 +188,8 @@ class Drafting:
     def ready(self) -> tuple[Job, ScanPlan]:
         """The job and its plan. Raises PlanError with the reason when there is none to scan."""
         draft = self._desk.now.draft
+        if draft.typed is not None:
+            raise PlanError(draft.typed.problem)
         if draft.job is None or draft.plan is None:
             raise PlanError(draft.problem or NO_JOB)
         return draft.job, draft.plan

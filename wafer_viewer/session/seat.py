@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import is_dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.errors import HeldByAnother
 
 if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
@@ -16,9 +16,9 @@ FREE = frozenset(
     {
         *("snapshot", "latest_frame", "subscribe", "wait_until", "control"),
         *("mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint", "refresh_datasets"),
-        *("profile", "step_height", "read_out", "focus_curve", "measure", "datum"),
+        *("profile", "step_height", "read_out", "focus_curve", "measure", "datum", "thumbnail"),
         *("export_surface", "export_findings"),
-        "stop_scan",
+        *("stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
     }
 )
 """What everybody may: look, measure without keeping, write what there is to a file, and stop a scan.
@@ -64,5 +64,5 @@ def _is_group(thing: object) -> bool:
 
 def _refused(why: str) -> Future[Any]:
     refusal: Future[Any] = Future()
-    refusal.set_exception(WaferViewerError(f"{why} Ask for them first: you are only watching."))
+    refusal.set_exception(HeldByAnother(f"{why} Ask for them first: you are only watching."))
     return refusal

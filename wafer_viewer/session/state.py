@@ -55,6 +55,14 @@ class RigStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class Typed:
+    """The plan's form as somebody left it, in the page's own words, and the sentence that says why it is no plan."""
+
+    form: str
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
 class Draft:
     """The plan being edited: the job, its priced plan, or the sentence that says why there is none."""
 
@@ -68,6 +76,7 @@ class Draft:
     """Where each corner to align by was marked on the stage, in the order of the job's marks."""
     confirmed: bool = True
     """False after a plan was opened again, until a person said that the sample on the stage is the one it names."""
+    typed: Typed | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,6 +249,7 @@ class Snapshot:
     compute_ready: bool = False
     hands: Hands = Hands()
     notebook: NotebookState = NotebookState()
+    comparisons: tuple[Compared, ...] = ()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
 

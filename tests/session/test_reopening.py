@@ -1,0 +1,201 @@
+"""What was open is open again, whatever became of it; and nothing moves before a person has looked."""
+
+from __future__ import annotations
+
+import shutil
+
+import msgspec
+import pytest
+
+from tests.session.conftest import small_job
+from wafer_viewer.acquire.planner import plan_scan
+from wafer_viewer.model.errors import PlanError, RigError
+from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.virtual.rig import virtual_limits
+from wafer_viewer.session.conductor import Conductor
+from wafer_viewer.session.messages import Move
+from wafer_viewer.session.reopening import KEPT_IN, NAME
+from wafer_viewer.session.session import Session
+from wafer_viewer.session.state import Typed
+from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+
+HALF = Typed('{"exposures_us": "quick"}', "The exposures read 'quick'.")
+
+
+class Program:
+    """The session without its rig: started, used and ended as often as a test wants."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.rooms = None
+
+    def start(self):
+        self.rooms = Conductor(self.folder, RigConfig(), None)
+        self.rooms.rig.start = lambda: None
+        self.do(self.rooms.start)
+        return self.now
+
+    def do(self, verb, *args):
+        return self.rooms.desk.do(verb, *args).result(10)
+
+    @property
+    def now(self):
+        return self.rooms.desk.snapshot
+
+    def end(self):
+        if self.rooms is not None:
+            self.rooms.close()
+            self.rooms = None
+
+
+@pytest.fixture
+def program(tmp_path):
+    made = Program(tmp_path)
+    yield made
+    made.end()
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    """An unfinished dataset: planned, and nothing taken yet."""
+    job = small_job()
+    plan = plan_scan(job.all_fields(), job.sweep, job.exposures_us, virtual_limits(540, 720), job.strategy)
+    path = tmp_path / "begun.wafer"
+    path.mkdir()
+    (path / JOURNAL).touch()
+    write_record(path, ScanRecord(software_version="test", taken="2026-01-01T00:00:00", job=job, plan=plan))
+    return path
+
+
+def kept_file(program):
+    return program.folder / KEPT_IN / NAME
+
+
+def test_a_first_start_opens_nothing_and_needs_no_word(program):
+    now = program.start()
+    assert (now.dataset, now.draft.job, now.reopening) == (None, None, False)
+    assert now.draft.confirmed
+    assert now.faults == ()
+
+
+def test_plan_dataset_and_what_was_half_typed_are_there_after_a_restart(program, dataset):
+    program.start()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.rooms.open, dataset)
+    program.do(program.rooms.drafting.keep_typed, HALF)
+    program.end()
+    now = program.start()
+    assert now.draft.job == small_job()
+    assert now.draft.typed == HALF
+    assert now.dataset.path == dataset
+    assert not now.draft.confirmed
+    assert not now.draft.can_undo
+
+
+def test_nothing_moves_before_the_sample_is_confirmed(program, dataset):
+    program.start()
+    program.do(program.rooms.open, dataset)
+    program.end()
+    program.start()
+    rooms = program.rooms
+    for verb, *args in ((rooms.move_to, Move(x_um=0.0)), (rooms.continue_scan,)):
+        with pytest.raises(PlanError, match="confirm the sample before anything moves"):
+            program.do(verb, *args)
+    program.do(rooms.drafting.confirm)
+    assert program.now.draft.confirmed
+    rooms.rig.start = lambda: pytest.fail("the rig was asked")
+    rooms.rig.require_idle = refuse
+    with pytest.raises(RigError, match="asked"):
+        program.do(rooms.move_to, Move(x_um=0.0))
+
+
+def refuse(what):
+    raise RigError(f"The rig is asked to {what}.")
+
+
+def test_what_is_half_typed_is_no_plan_until_it_is_mended(program):
+    program.start()
+    drafting = program.rooms.drafting
+    program.do(drafting.edit, small_job())
+    program.do(drafting.keep_typed, HALF)
+    with pytest.raises(PlanError, match="read 'quick'"):
+        program.do(drafting.ready)
+    program.do(drafting.edit, small_job(cols=3))
+    assert program.now.draft.typed is None
+    program.do(drafting.keep_typed, HALF)
+    program.do(drafting.undo)
+    assert program.now.draft.typed is None
+
+
+def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(program, dataset):
+    program.start()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.rooms.open, dataset)
+    program.end()
+    shutil.move(dataset, dataset.with_name("elsewhere.wafer"))
+    now = program.start()
+    assert now.dataset is None
+    assert now.draft.job == small_job()
+    assert "begun.wafer was open and is not there any more" in now.faults[0].text
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        (b"", "truncated"),
+        (b'{"version": 1, "dataset"', "truncated"),
+        (b"[1, 2]", "Expected `object`"),
+        (b'{"version": 99}', "version 99"),
+        (b'{"version": 1, "job": {"product": 3}}', "The plan"),
+        (b'{"version": 1, "dataset": "\xff"}', "utf-8"),
+    ],
+)
+def test_a_file_that_cannot_be_read_costs_the_memory_and_not_the_start(program, text, why):
+    kept_file(program).parent.mkdir()
+    kept_file(program).write_bytes(text)
+    now = program.start()
+    assert (now.dataset, now.draft.job, now.reopening) == (None, None, False)
+    (fault,) = now.faults
+    assert why.lower() in fault.text.lower()
+    assert fault.text.endswith("Nothing to do.")
+    assert not fault.needs_person
+    program.do(program.rooms.drafting.edit, small_job())
+    program.end()
+    assert program.start().draft.job == small_job()
+
+
+def test_a_closed_dataset_stays_closed(program, dataset):
+    program.start()
+    program.do(program.rooms.open, dataset)
+    program.do(program.rooms.close_dataset)
+    program.end()
+    assert program.start().dataset is None
+
+
+def test_the_file_is_small_and_plain(program):
+    program.start()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.end()
+    kept = msgspec.json.decode(kept_file(program).read_bytes())
+    assert set(kept) == {"version", "job"}
+    assert list(kept_file(program).parent.iterdir()) == [kept_file(program)]
+
+
+@pytest.mark.slow
+def test_a_scan_of_a_plan_that_was_opened_again_waits_for_a_look_at_the_sample(tmp_path, patience_s):
+    first = Session(tmp_path)
+    first.edit_job(small_job()).result()
+    first.close()
+    again = Session(tmp_path)
+    try:
+        again.wait_until(lambda now: now.rig.state == "ready", patience_s)
+        with pytest.raises(PlanError, match="not confirmed"):
+            again.start_scan("once").result(patience_s)
+        with pytest.raises(PlanError, match="confirm the sample"):
+            again.move_to(x_um=10.0).result(patience_s)
+        assert (again.snapshot.rig.x_um, again.snapshot.datasets) == (pytest.approx(0.0, abs=0.5), ())
+        again.jobs.confirm().result()
+        again.start_scan("once").result(patience_s)
+        again.stop_scan().result(patience_s)
+    finally:
+        again.close()
