@@ -224,7 +224,7 @@ def test_the_doctor_says_what_there_is(tmp_path):
 
 BAD_FLAGS = {
     "no such command": (("fly",), "There is no command 'fly'"),
-    "half a command": (("measure",), "measure step, measure profile"),
+    "half a command": (("measure",), "measure point, measure distance"),
     "an unknown flag": (("plan", "p.toml", "--colour", "red"), "--colour red"),
     "a missing argument": (("plan",), "Missing: "),
     "a missing flag": (("reconstruct", "x"), "--out"),

@@ -17,7 +17,14 @@ COMMANDS: dict[str, str] = {
     "import": "make a dataset of images taken elsewhere",
     "reconstruct": "make a surface of a focus stack or a dataset, as a file",
     "stitch": "make the stitched surface of a dataset",
+    "measure point": "the height at a point",
+    "measure distance": "the way between two points",
     "measure step": "the height of one region over another",
+    "measure angle": "the angle between two faces",
+    "measure radius": "the radius and the height of a bump or pit",
+    "measure volume": "area and volume over and under a plane",
+    "measure flatness": "the flatness of a face",
+    "measure texture": "the texture of a face",
     "measure profile": "a section along a line",
     "report": "write the report of a dataset as one HTML file that prints well",
     "why": "why a pixel has its height, or none",
@@ -91,9 +98,10 @@ def _call(name: str, rest: list[str]) -> int | None:
 
 
 def _function(name: str) -> Callable[..., int | None]:
-    from wafer_viewer import commands, surface_commands
+    from wafer_viewer import commands, measure_commands, surface_commands
 
-    return getattr(surface_commands, name, None) or getattr(commands, name)
+    rooms = (measure_commands, surface_commands, commands)
+    return next(found for room in rooms if (found := getattr(room, name, None)) is not None)
 
 
 def _overview() -> str:

@@ -7,7 +7,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.region import Region
 
 PlanFile = Annotated[Positional[Path], arg(metavar="PLAN.toml")]
 DatasetFolder = Annotated[Positional[Path], arg(metavar="NAME.wafer")]
@@ -21,6 +23,8 @@ Count = Annotated[int | None, arg(metavar="N")]
 Text = Annotated[str | None, arg(metavar="TEXT")]
 Rectangle = Annotated[tuple[float, float, float, float], arg(metavar="X0 Y0 X1 Y1")]
 Place = Annotated[tuple[float, float], arg(metavar="X Y")]
+Circle = Annotated[tuple[float, float, float], arg(metavar="X Y RADIUS")]
+Level = Annotated[tuple[str, ...], arg(metavar="WAY [NUMBER ...]")]
 NewFile = Annotated[Positional[Path], arg(metavar="FILE")]
 
 
@@ -28,3 +32,37 @@ def require_sources(src: tuple[Path, ...]) -> None:
     """Raises DatasetError where no image is named."""
     if not src:
         raise DatasetError("There are no images: give a folder of images, a multi-page TIFF or image files.")
+
+
+def levelling_from(words: tuple[str, ...]) -> Levelling:
+    """The way of levelling that a command line names, `plane`, `form [ORDER]`, `region X0 Y0 X1 Y1`, `points X Y …`.
+
+    Raises MeasureError for anything else.
+    """
+    if not words:
+        return Levelling()
+    way, numbers = words[0], _numbers(words[1:])
+    match way, len(numbers):
+        case "plane", 0:
+            return Levelling(by="plane")
+        case "form", 0:
+            return Levelling(by="form")
+        case "form", 1 if numbers[0].is_integer():
+            return Levelling(by="form", order=int(numbers[0]))
+        case "region", 4:
+            return Levelling(by="region", places=(Region.rectangle(*numbers),))
+        case "points", 6:
+            at = zip(numbers[::2], numbers[1::2], strict=True)
+            return Levelling(by="three points", places=tuple(Region.point(x, y) for x, y in at))
+        case _:
+            raise MeasureError(
+                f"--level cannot be '{' '.join(words)}': use plane, form, form ORDER, region X0 Y0 X1 Y1 or "
+                "points X Y X Y X Y."
+            )
+
+
+def _numbers(words: tuple[str, ...]) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in words)
+    except ValueError as fault:
+        raise MeasureError(f"--level takes numbers after its first word, not '{' '.join(words)}'.") from fault

@@ -93,30 +93,6 @@ def stitch(
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name not in OF_THE_PAGE})
 
 
-def measure_step(
-    src: Source,
-    upper: Rectangle,
-    lower: Rectangle,
-    field: int = 0,
-    result: str = "default",
-) -> None:
-    """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, .npz.
-        upper: Two opposite corners of the upper rectangle.
-        lower: Two opposite corners of the lower rectangle.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    from wafer_viewer.measure.step import step_height
-    from wafer_viewer.session.offline import measured_surface
-
-    surface, calibrated = measured_surface(src, field, result)
-    found = step_height(surface, Region.rectangle(*upper), Region.rectangle(*lower), calibration_valid=calibrated)
-    print_json(msgspec.to_builtins(found))
-
-
 def measure_profile(
     src: Source,
     line: Rectangle,

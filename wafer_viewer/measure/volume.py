@@ -36,7 +36,7 @@ OFFSET = np.array([0.0, 0.0, 1.0])
 Reference = Literal["border", "zero"]
 REFERENCES: dict[Reference, str] = {
     "border": "Reference: the plane through the border of the region.",
-    "zero": "Reference: the zero that heights are read from.",
+    "zero": "Reference: the zero that heights are read from. How sure it is is not known, so volumes have no U.",
 }
 
 

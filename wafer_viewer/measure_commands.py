@@ -1,0 +1,169 @@
+"""The commands that measure on a surface and print what they find as JSON; stage um.
+
+A signature is the command's flags, its docstring the help.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from wafer_viewer.arguments import Circle, Level, Place, Rectangle, Source, levelling_from
+from wafer_viewer.command_output import print_json
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import Mosaic
+
+
+def measure_point(src: Source, at: Place, level: Level = (), field: int = 0, result: str = "default") -> None:
+    """The height at a point, with its uncertainty, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        at: Where the point is.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("point", (Region.point(*at),), src, level, field, result)
+
+
+def measure_distance(
+    src: Source, start: Place, end: Place, level: Level = (), field: int = 0, result: str = "default"
+) -> None:
+    """The way between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        start: Where it begins.
+        end: Where it ends.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("distance", (Region.point(*start), Region.point(*end)), src, level, field, result)
+
+
+def measure_step(
+    src: Source, upper: Rectangle, lower: Rectangle, level: Level = (), field: int = 0, result: str = "default"
+) -> None:
+    """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        upper: Two opposite corners of the upper rectangle.
+        lower: Two opposite corners of the lower rectangle.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("step", (Region.rectangle(*upper), Region.rectangle(*lower)), src, level, field, result)
+
+
+def measure_angle(
+    src: Source, first: Rectangle, second: Rectangle, level: Level = (), field: int = 0, result: str = "default"
+) -> None:
+    """The angle between two faces, with its uncertainty, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        first: Two opposite corners of a rectangle on the one face.
+        second: The same on the other.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("angle", (Region.rectangle(*first), Region.rectangle(*second)), src, level, field, result)
+
+
+def measure_radius(src: Source, circle: Circle, level: Level = (), field: int = 0, result: str = "default") -> None:
+    """The radius of a bump or pit and the height of its top, with uncertainties, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        circle: Centre and radius of a circle round it.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("radius", (Region.circle(*circle),), src, level, field, result)
+
+
+def measure_volume(
+    src: Source,
+    region: Rectangle,
+    reference: Literal["border", "zero"] | None = None,
+    level: Level = (),
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """Area and volume over and under a plane, with uncertainties, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        region: Two opposite corners of a rectangle.
+        reference: The plane through the rectangle's border, or the zero of --level; that of --level where it is given.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.measure.volume import area_volume
+
+    surface, calibrated = _surface(src, level, field, result)
+    place = Region.rectangle(*region)
+    _print(area_volume(surface, place, reference=reference, calibration_valid=calibrated), field)
+
+
+def measure_flatness(
+    src: Source, region: Rectangle, level: Level = (), field: int = 0, result: str = "default"
+) -> None:
+    """Flatness of a face, FLTt and FLTq of ISO 12781, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        region: Two opposite corners of a rectangle.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("flatness", (Region.rectangle(*region),), src, level, field, result)
+
+
+def measure_texture(src: Source, region: Rectangle, level: Level = (), field: int = 0, result: str = "default") -> None:
+    """Texture of a face, the height parameters of ISO 25178 about its plane, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        region: Two opposite corners of a rectangle.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    _measure("texture", (Region.rectangle(*region),), src, level, field, result)
+
+
+def _measure(
+    tool: ToolName, places: tuple[Region, ...], src: Path, level: tuple[str, ...], field: int, result: str
+) -> None:
+    from wafer_viewer.measure.tools import measured
+
+    surface, calibrated = _surface(src, level, field, result)
+    _print(measured(surface, tool, places, calibrated), field)
+
+
+def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
+    """The surface with its heights over what --level says, and whether its calibration holds."""
+    from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.session.offline import measured_surface
+
+    levelling = levelling_from(level)
+    surface, calibrated = measured_surface(src, field, result)
+    return levelled(surface, levelling), calibrated
+
+
+def _print(found: AnyFinding, field: int) -> None:
+    print_json(msgspec.to_builtins(replace(found, show=field)))
