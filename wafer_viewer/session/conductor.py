@@ -13,6 +13,7 @@ from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.comparing import ComparingKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting, suggested_name
 from wafer_viewer.session.evidence import focus_curve
@@ -46,6 +47,7 @@ class Conductor:
         self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
         self.book = RecordBook(desk, self.library)
         self.notebook = NotebookKeeper(desk, self.library)
+        self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
         self.judge = Judge(desk, self.library, self.notices)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
@@ -175,6 +177,7 @@ class Conductor:
         """What was measured on the surface being looked at, and what was noted down about it."""
         self.book.open()
         self.notebook.open()
+        self.comparing.open()
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"

@@ -13,6 +13,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
 
+from wafer_viewer.model.comparison import Face
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.link import live_in_the_background
@@ -115,8 +116,11 @@ _STORE = _StoreShelf()
 
 @lru_cache(maxsize=12)
 def _surface(source: Source) -> Mosaic:
+    from wafer_viewer.session.subtraction import face_of
     from wafer_viewer.store.dataset import Dataset
 
+    if source.show < 0:
+        return face_of(source.dataset, source.result, Face(-source.show))
     dataset = Dataset.open(source.dataset)
     result = dataset.result(source.result)
     return result.mosaic() if source.show == 0 else result.surface(dataset.field(source.show))

@@ -12,6 +12,7 @@ from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.session.comparing import surface_of
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.state import Snapshot
@@ -42,7 +43,9 @@ class Questions:
         return self._library.result.surface(self._library.dataset.field(field_number))
 
     def surface_source(self, show: int) -> Mosaic:
-        """What a browser shows: 0 the stitched surface, else the field of that number."""
+        """What a browser shows: 0 the stitched surface, else the field of that number; below 0 a comparison."""
+        if show < 0:
+            return surface_of(self._snapshot(), show)
         return self.mosaic() if show == 0 else self.height_map(show)
 
     def poses(self) -> Poses | None:

@@ -23,6 +23,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
 from wafer_viewer.session.jobs import JobVerbs
@@ -52,6 +53,7 @@ class Session:
         self._questions = Questions(rooms.library, lambda: self.snapshot)
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
+        self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.sections = Sections(self._questions, lambda: self.snapshot)
         self.papers = Papers(self._do, rooms.library, rooms.files)

@@ -14,6 +14,7 @@ from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
+from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.hands import Hands
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.operating import Operating
@@ -249,6 +250,7 @@ class Snapshot:
     compute_ready: bool = False
     hands: Hands = Hands()
     notebook: NotebookState = NotebookState()
+    comparisons: tuple[Compared, ...] = ()
     comparisons: tuple[Compared, ...] = ()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""

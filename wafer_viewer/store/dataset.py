@@ -172,12 +172,22 @@ class Dataset:
 
     def results(self) -> tuple[str, ...]:
         """Names of the reconstructions."""
-        folder = self.path / RESULTS
-        return tuple(sorted(p.name for p in folder.iterdir() if p.is_dir())) if folder.is_dir() else ()
+        return tuple(sorted(kept.name for kept in self._results() if not kept.is_difference))
+
+    def differences(self) -> tuple[str, ...]:
+        """Names of the results that are two surfaces compared, the oldest first."""
+        found = [kept for kept in self._results() if kept.is_difference]
+        return tuple(kept.name for kept in sorted(found, key=lambda kept: kept.path.stat().st_mtime))
 
     def result(self, name: str = "default") -> Result:
         """A reconstruction by its name, made when something is first saved to it."""
         return Result.of(self.path / RESULTS, name)
+
+    def _results(self) -> list[Result]:
+        """Everything in the folder of results but what is still being written."""
+        folder = self.path / RESULTS
+        there = [p for p in folder.iterdir() if p.is_dir()] if folder.is_dir() else []
+        return [Result(p) for p in there if not p.name.startswith(".")]
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
         n_frames = self.scan.plan.sweep.n_frames

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from wafer_viewer.model.comparison import Comparison
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.plan import Field
@@ -19,7 +20,7 @@ from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import read_poses, write_poses
 
-RECIPE, SETTLED, FINDINGS = "recipe.json", "settled.json", "findings.json"
+RECIPE, SETTLED, FINDINGS, COMPARISON = "recipe.json", "settled.json", "findings.json", "comparison.json"
 SURFACES, THUMBNAILS, MOSAIC, POSES, DRAWING = (
     "surfaces",
     "thumbnails",
@@ -87,6 +88,15 @@ class Result:
     def surfaces_done(self, fields: Iterable[Field]) -> set[int]:
         """Numbers of those fields that have a surface."""
         return {f.number for f in fields if self._surface_file(f).exists()}
+
+    @property
+    def is_difference(self) -> bool:
+        """Whether it is two surfaces compared, and its mosaic their difference."""
+        return (self.path / COMPARISON).exists()
+
+    def comparison(self) -> Comparison:
+        """What was compared and how it came out. Raises DatasetError when it is no comparison."""
+        return decode(self._text(COMPARISON), Comparison, str(self.path / COMPARISON), "json")
 
     @property
     def mosaic_path(self) -> Path:
