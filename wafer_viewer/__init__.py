@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.sample import Sample
     from wafer_viewer.model.stack import FieldStack
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+    from wafer_viewer.reconstruct.compare import compare
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.reconstruct.why import focus_curve
@@ -61,6 +62,7 @@ _HOMES = {
     "Session": "session.session",
     "StepHeight": "model.findings",
     "WaferViewerError": "model.errors",
+    "compare": "reconstruct.compare",
     "compare_with_truth": "measure.quality",
     "export": "store.exporters",
     "focus_curve": "reconstruct.why",
@@ -100,6 +102,7 @@ __all__ = [
     "StepHeight",
     "WaferViewerError",
     "__version__",
+    "compare",
     "compare_with_truth",
     "export",
     "focus_curve",

@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "measure flatness": "the flatness of a face",
     "measure texture": "the texture of a face",
     "measure profile": "a section along a line",
+    "compare": "the second of two surfaces minus the first, aligned before",
     "report": "write the report of a dataset as one HTML file that prints well",
     "why": "why a pixel has its height, or none",
     "check": "test every checksum of a dataset and name missing frames",
@@ -98,9 +99,9 @@ def _call(name: str, rest: list[str]) -> int | None:
 
 
 def _function(name: str) -> Callable[..., int | None]:
-    from wafer_viewer import commands, measure_commands, surface_commands
+    from wafer_viewer import commands, compare_command, measure_commands, surface_commands
 
-    rooms = (measure_commands, surface_commands, commands)
+    rooms = (measure_commands, surface_commands, compare_command, commands)
     return next(found for room in rooms if (found := getattr(room, name, None)) is not None)
 
 

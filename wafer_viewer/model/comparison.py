@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.spec import Count, Fraction, NonNegative, Positive, Spec
 
-Heights = Literal["as made", "raw", "cleaned"]
+Heights = Literal["both", "raw", "cleaned"]
 """Of which of its two maps a surface gives heights: each of both, or one of them for both."""
 Align = Literal["auto", "images", "stage", "none"]
 ALIGN_TITLES: dict[Align, str] = {
@@ -33,7 +33,7 @@ class SurfaceName(Spec, frozen=True, kw_only=True):
     path: str
     result: str = "default"
     field: int = 0
-    heights: Heights = "as made"
+    heights: Heights = "both"
 
     @property
     def words(self) -> str:
@@ -41,7 +41,7 @@ class SurfaceName(Spec, frozen=True, kw_only=True):
         name = self.path.replace("\\", "/").rpartition("/")[2].removesuffix(".wafer")
         parts = [name, *([] if self.result == "default" else [self.result])]
         parts += [f"field {self.field}"] if self.field else []
-        parts += [] if self.heights == "as made" else [self.heights]
+        parts += [] if self.heights == "both" else [self.heights]
         return " · ".join(parts)
 
 

@@ -98,7 +98,7 @@ class Beside:
 
 
 def _paste(layers: dict[str, Any], part: HeightMap, col: int) -> None:
-    """Put a part into its columns of a window of as many rows; pictures of another depth are brought to the window's."""
+    """Put a part into its columns of a window of as many rows, its picture at the depth of the window's."""
     left, right = max(col, 0), min(col + part.shape[1], layers["z_um"].shape[1])
     for name, layer in layers.items():
         values = getattr(part, name)[: layer.shape[0], left - col : right - col]

@@ -62,4 +62,4 @@ class ReadAs:
 
 def read_as(surface: Mosaic, heights: Heights) -> Mosaic:
     """The surface with one map of heights, or as it was made."""
-    return surface if heights == "as made" else ReadAs(surface, heights)
+    return surface if heights == "both" else ReadAs(surface, heights)

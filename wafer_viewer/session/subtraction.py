@@ -18,6 +18,7 @@ from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import remove, replacing, write_text
+from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.result import COMPARISON, MOSAIC
 
 PREFIX = "difference-"
@@ -99,6 +100,18 @@ def subtract(
         comparison = tallied.comparison(first, second)
         write_text(beside / COMPARISON, encode(comparison, "json"))
     return comparison
+
+
+def keep_difference(
+    path: Path, name: str, first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool, tell: Progress
+) -> Comparison:
+    """Subtract two surfaces and keep what comes out with a dataset, which is held meanwhile."""
+    data = Dataset.open(path)
+    lock = Lock.take(data.path)
+    try:
+        return subtract(data.path, f"{PREFIX}{name.removeprefix(PREFIX)}", first, second, align, keep_z, progress=tell)
+    finally:
+        lock.release()
 
 
 def compare_files(
