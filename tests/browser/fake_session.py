@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tests.browser.fake_control import fake_control
+from tests.browser.fake_notebook import FakeNotebook, FakePapers
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
@@ -22,7 +23,7 @@ from wafer_viewer.model.poses import Doubt, Poses
 from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
-from wafer_viewer.rigs.virtual.rig import virtual_limits
+from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.state import (
     DatasetEntry,
     Draft,
@@ -51,6 +52,7 @@ class FakeSession:
         self.fails_with: Exception | None = None
         self._listeners: list[Callable[[Snapshot], None]] = []
         self.control = fake_control(self)
+        self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         self._listeners.append(listener)
@@ -118,7 +120,9 @@ def draft_of(job: Job | None) -> Draft:
         return Draft(job=job, problem=str(fault), can_undo=True, free_bytes=212_000_000_000)
 
 
-RIG = RigStatus(state="ready", x_um=-312.0, y_um=145.0, z_um=2043.1, limits=LIMITS)
+RIG = RigStatus(
+    state="ready", x_um=-312.0, y_um=145.0, z_um=2043.1, limits=LIMITS, calibration=CALIBRATION, setup=SETUP
+)
 
 
 def entries() -> tuple[DatasetEntry, ...]:

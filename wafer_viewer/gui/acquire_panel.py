@@ -14,8 +14,10 @@ from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import stop_dialog
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, outlined, set_prop
+from wafer_viewer.gui.operator_view import unfold
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.verdict_section import VerdictSection, awaited
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.stack import Image
 from wafer_viewer.session.state import LatestFrame, OpenDataset, ScanProgress, Snapshot
@@ -49,8 +51,11 @@ class AcquirePanel:
         set_prop(self._progress, "value", round(100 * _done(scan), 1) if scan else 0.0)
         self._show_buttons(snapshot, running)
         self._notes.show(self._page.notes(snapshot))
-        self._counters.show(_counters(scan) if scan else "")
-        self._show_frame(snapshot)
+        self._verdict.show(snapshot)
+        few = _few(snapshot, view)
+        self._more.show(f'<div class="wv-more-of">{unfold(not view.everything)}</div>' if _released(snapshot) else "")
+        self._counters.show(_counters(scan) if scan and not few else "")
+        self._show_frame(snapshot, few)
 
     def pause_or_resume(self) -> None:
         """Pause a running scan, go on with a paused one."""
@@ -73,20 +78,33 @@ class AcquirePanel:
             in_a_row(gui, [self._pause, self._stop], 40)
             Cell(gui, '<div class="wv-why">Stop ends the scan in software: it is no emergency stop.</div>')
         self._notes = Cell(gui)
+        self._verdict = VerdictSection(page)
+        self._more = Cell(gui)
         self._counters = Cell(gui)
         self._frame_head = Cell(gui)
         self._image = gui.add_image(np.zeros((3, 4, 3), np.uint8), format="jpeg", jpeg_quality=80, visible=False)
         self._frame_words = Cell(gui)
         self._why = Cell(gui)
         self._go_on = button(gui, "Continue the scan", viser.Icon.PLAYER_PLAY, self._continue())
-        self._look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
-        leading(gui, self._go_on)
-        leading(gui, self._look)
+        look = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
+        beside = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
+        self._look, self._look_beside = look, beside
+        self._next = button(gui, "Next wafer", viser.Icon.PLAYER_TRACK_NEXT, self._next_wafer())
+        outlined(gui, beside, 36)
+        for handle in (self._go_on, look, self._next):
+            leading(gui, handle)
 
     def _continue(self) -> Callable[..., None]:
         page = self._page
         return guarded(page, "The scan did not go on")(
             lambda _: page.ask("The scan did not go on", page.session.continue_scan())
+        )
+
+    def _next_wafer(self) -> Callable[..., None]:
+        """The same job again: back to the plan, where the wafer's id is asked for."""
+        page, failed = self._page, "The next wafer waits"
+        return guarded(page, failed)(
+            lambda _: page.ask(failed, page.session.jobs.next_wafer(), lambda _: page.change(step="plan"))
         )
 
     def _show_buttons(self, snapshot: Snapshot, running: bool) -> None:
@@ -102,12 +120,19 @@ class AcquirePanel:
         set_prop(self._go_on, "visible", unfinished)
         set_prop(self._go_on, "disabled", why is not None)
         self._why.show(f'<div class="wv-why">Not yet: {html.safe(html.micro(why))}</div>' if why else "")
-        set_prop(self._look, "visible", not running and not unfinished and snapshot.surface is not None)
+        done = not running and not unfinished and snapshot.surface is not None
+        onward = done and _released(snapshot) and not awaited(snapshot)
+        set_prop(self._look, "visible", done and not onward)
+        set_prop(self._look_beside, "visible", onward)
+        set_prop(self._next, "visible", onward)
 
-    def _show_frame(self, snapshot: Snapshot) -> None:
+    def _show_frame(self, snapshot: Snapshot, few: bool) -> None:
         frame = self._page.session.latest_frame
-        self._frame_head.show(_frame_head(frame))
-        set_prop(self._image, "visible", frame is not None)
+        self._frame_head.show("" if few else _frame_head(frame))
+        set_prop(self._image, "visible", frame is not None and not few)
+        if few:
+            self._frame_words.show("")
+            return
         if frame is None:
             self._frame_words.show(html.empty("The latest frame will be shown here."))
             return
@@ -115,6 +140,16 @@ class AcquirePanel:
         if frame is not self._frame_shown and time.monotonic() - self._frame_at > FRAME_EVERY_S:
             self._frame_shown, self._frame_at = frame, time.monotonic()
             self._image.image = picture(frame.image)
+
+
+def _released(snapshot: Snapshot) -> bool:
+    """Whether the scan is one of a released job."""
+    return snapshot.dataset is not None and snapshot.dataset.job.released
+
+
+def _few(snapshot: Snapshot, view: View) -> bool:
+    """Whether the operator sees the time left and the verdict alone."""
+    return _released(snapshot) and not view.everything
 
 
 def picture(image: Image) -> NDArray[np.uint8]:

@@ -14,7 +14,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.state import DatasetEntry
 
 EXPORT_KINDS = {
@@ -59,7 +59,7 @@ class Dialog:
     def _do(self, act: Callable[[], None], problem: Cell) -> None:
         try:
             act()
-        except DatasetError as fault:
+        except WaferViewerError as fault:
             problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
             return
         self.close()

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import size
-from wafer_viewer.gui import html
+from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui import plan_words as words
 from wafer_viewer.gui.dialogs import load_plan_dialog
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, start_dialog, take_up
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
+from wafer_viewer.gui.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_form import PlanForm, form_of, job_of, with_typed_range
+from wafer_viewer.gui.release_section import ReleaseSection
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.library import today
+from wafer_viewer.session.preflight import Check, look_round, stops
 from wafer_viewer.session.state import Draft, Snapshot
 
 
 class PlanPanel:
-    """Sample, field grid, focus sweep, strategy, price, start."""
+    """Sample, field grid, focus sweep, strategy, price, start; of a released job its operator's actions alone."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -35,6 +40,9 @@ class PlanPanel:
         with self._folder:
             self._build()
         page.on_pick("strategy", self._choose_strategy)
+        page.on_pick("job", lambda path: take_up(page, Path(path)))
+        page.on_pick("jobs", lambda _: jobs_dialog(page))
+        page.on_pick("confirm", lambda _: page.ask("The sample is not confirmed", page.session.jobs.confirm()))
         page.on_pick("cover", lambda _: self._cover())
         page.on_pick("undo", lambda _: page.ask("Nothing was undone", page.session.undo()))
         page.on_pick("redo", lambda _: page.ask("Nothing was redone", page.session.redo()))
@@ -44,25 +52,36 @@ class PlanPanel:
         set_prop(self._folder, "visible", view.step == "plan")
         if view.step != "plan":
             return
-        draft = snapshot.draft
-        if draft.job is not self._shown_job:
-            self._shown_job, self._problem = draft.job, None
-        if self._problem is None and not self._edits.under_way:
-            self._show_form(form_of(draft.job))
-        self._show_words(snapshot, draft)
-        self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
-        self._sweep_fields.visible = draft.job is not None
-        why = self.why_not(snapshot)
+        checks = self._checks(snapshot)
+        self._actions.show(snapshot, view, checks)
+        set_prop(self._form, "visible", not folded(snapshot, view))
+        if not folded(snapshot, view):
+            self._show_everything(snapshot, snapshot.draft, checks)
+        why = self._why_not(snapshot, checks)
         set_prop(self._start, "disabled", why is not None)
-        self._foot.show(words.foot(draft, why))
+        told = bool(stops(checks)) and folded(snapshot, view)
+        self._foot.show("" if told else words.foot(snapshot.draft, why))
 
     def start(self) -> None:
-        """Start the scan of the plan and look at it."""
-        page = self._page
-        page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
+        """Start the scan of the plan and look at it; what is not as it should be is asked about first."""
+        checks = self._checks(self._page.session.snapshot)
+        if all(check.state == "ok" for check in checks):
+            self._start_now()
+        else:
+            start_dialog(self._page, checks, self._start_now)
 
     def why_not(self, snapshot: Snapshot) -> str | None:
         """Why the scan cannot start now, or None."""
+        return self._why_not(snapshot, self._checks(snapshot))
+
+    def _start_now(self) -> None:
+        page = self._page
+        page.ask("The scan did not start", page.session.start_scan(), lambda _: page.change(step="acquire"))
+
+    def _checks(self, snapshot: Snapshot) -> tuple[Check, ...]:
+        return look_round(snapshot, self._page.session.latest_frame, today())
+
+    def _why_not(self, snapshot: Snapshot, checks: tuple[Check, ...]) -> str | None:
         draft, rig = snapshot.draft, snapshot.rig
         if snapshot.scanning:
             return "a scan is running."
@@ -72,18 +91,25 @@ class PlanPanel:
             return self._problem or "the sample has no size."
         if draft.problem or draft.plan is None:
             return draft.problem or "the plan is being priced."
-        if not rig.simulated and not draft.job.sample.name:
-            return "the sample has no name."
-        if draft.free_bytes is not None and draft.plan.bytes_on_disk > draft.free_bytes:
-            return f"the scan needs {size(draft.plan.bytes_on_disk)}, {size(draft.free_bytes)} are free."
-        return None
+        return next((f"{check.found} {check.mend}" for check in stops(checks)), None)
 
     # --- building
 
     def _build(self) -> None:
         gui = self._page.gui
+        self._actions = OperatorView(self._page)
+        self._form = gui.add_folder(None)
+        with self._form:
+            self._build_form()
+        self._foot = Cell(gui)
+        self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
+        leading(gui, self._start, 46)
+
+    def _build_form(self) -> None:
+        gui = self._page.gui
         self._title = Cell(gui)
         self._notes = Cell(gui)
+        self._jobs = Cell(gui)
         self._build_sample()
         self._build_grid()
         self._build_sweep()
@@ -91,9 +117,8 @@ class PlanPanel:
         save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self._save))
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
-        self._foot = Cell(gui)
-        self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
-        leading(gui, self._start, 46)
+        self._release = ReleaseSection(self._page)
+        self._preflight = Cell(gui)
 
     def _build_sample(self) -> None:
         gui = self._page.gui
@@ -116,7 +141,8 @@ class PlanPanel:
             self._centre = self._field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
             cover = button(gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid stays", self._cover))
             centre = button(gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid stays", self._to_stage))
-            in_a_row(gui, [cover, centre])
+            self._moves = (cover, centre)
+            in_a_row(gui, self._moves)
 
     def _build_sweep(self) -> None:
         gui = self._page.gui
@@ -129,6 +155,12 @@ class PlanPanel:
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
             self._depth = Cell(gui)
 
+    @property
+    def _prepared(self) -> tuple[Field[Any], ...]:
+        """What an engineer settles; the other fields are the wafer's names."""
+        places = (self._product, self._size, self._columns_rows, self._overlap, self._centre)
+        return (*places, self._range, self._step, self._exposures)
+
     def _field(self, handle: Any) -> Field[Any]:
         return Field(handle, lambda _: self._edits.made(), self._page, "The plan stays")
 
@@ -136,6 +168,22 @@ class PlanPanel:
         return guarded(self._page, name)(lambda _: verb())
 
     # --- the form
+
+    def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[Check, ...]) -> None:
+        if draft.job is not self._shown_job:
+            self._shown_job, self._problem = draft.job, None
+        if self._problem is None and not self._edits.under_way:
+            self._show_form(form_of(draft.job))
+        self._show_words(snapshot, draft)
+        self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
+        self._sweep_fields.visible = draft.job is not None
+        released = draft.job is not None and draft.job.released
+        for field in self._prepared:
+            field.enable(not released)
+        for handle in self._moves:
+            set_prop(handle, "disabled", released)
+        self._release.show(snapshot)
+        self._preflight.show(preflight_words.section(checks))
 
     def _show_form(self, form: PlanForm) -> None:
         self._name.show(form.name)
@@ -209,7 +257,12 @@ class PlanPanel:
             if draft.job
             else "Say how large the sample is; the grid follows."
         )
-        self._title.show(html.title("Plan the scan", below, words.history(draft)))
+        released = draft.job is not None and draft.job.released
+        title = f"{draft.job.product}, revision {draft.job.revision}" if draft.job and released else "Plan the scan"
+        below = "Released: only the names of the wafer can be typed." if released else below
+        self._title.show(html.title(title, below, unfold(False) if released else words.history(draft)))
+        jobs = snapshot.operating.jobs if draft.job is None else ()
+        self._jobs.show(job_table(jobs, "job") if jobs else "")
         self._notes.show(self._page.notes(snapshot))
         self._grid_head.show(words.grid(snapshot))
         self._sweep_head.show(words.sweep(draft))

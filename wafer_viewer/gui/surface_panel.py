@@ -17,6 +17,7 @@ from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.recipe_section import RecipeSection
 from wafer_viewer.gui.slice_section import SliceSection
 from wafer_viewer.gui.stitching_section import StitchingSection
+from wafer_viewer.gui.verdict_section import VerdictSection
 from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
@@ -57,6 +58,7 @@ class SurfacePanel:
         data, info = snapshot.dataset, snapshot.surface
         self._title.show(html.title("Surface", _below(data, info, view)))
         self._notes.show(self._page.notes(snapshot))
+        self._verdict.show(snapshot)
         self._show_look(data, view)
         self._show_colour(info, view)
         self._show_light(view)
@@ -85,6 +87,7 @@ class SurfacePanel:
         page, gui = self._page, self._page.gui
         self._title = Cell(gui)
         self._notes = Cell(gui)
+        self._verdict = VerdictSection(page)
         self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
         self._build_colour()

@@ -26,13 +26,15 @@ CLIPPED = 0.05
 class Check:
     """One line: what was looked at, how it is, what was found, and what mends it.
 
-    ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so.
+    ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so. to_confirm: a stop that ends once
+    a person says that the sample is the one that is named.
     """
 
     what: str
     state: State
     found: str
     mend: str = ""
+    to_confirm: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,15 +100,14 @@ def sample(now: Preflight) -> Check:
     """Whether it is known what lies under the objective."""
     who, released = now.job.sample, now.job.released
     if released and not who.wafer_id:
-        return Check("Sample", "stop", "The wafer has no id.", "Type it or scan its barcode.")
+        return Check("Sample", "stop", "The wafer has no id.", "Type or scan it.")
     if not now.simulated and not (who.name or who.wafer_id):
         return Check("Sample", "stop", "The sample has no name.", "Type a name or a wafer id.")
     named = who.wafer_id or who.name or "a sample without a name"
     of_lot = f"{named} of lot {who.lot}" if who.lot else named
     if not now.confirmed:
-        return Check(
-            "Sample", "stop", f"{of_lot}: not confirmed since the plan was opened again.", "Look, and confirm it."
-        )
+        found = f"{of_lot}: not confirmed since the plan was opened again."
+        return Check("Sample", "stop", found, "Look, and confirm it.", to_confirm=True)
     return Check("Sample", "ok", f"{of_lot}.")
 
 
@@ -119,9 +120,7 @@ def alignment(now: Preflight) -> Check:
         return Check("Alignment", state, "Without alignment: places are those of the stage.", mend)
     if found is None:
         state = "stop" if now.job.released else "attention"
-        return Check(
-            "Alignment", state, f"The wafer is not aligned: {len(marks.places)} corners to mark.", "Mark them."
-        )
+        return Check("Alignment", state, f"Not aligned: {len(marks.places)} corners to mark.", "Mark them.")
     fit = f"{found.n_marks} corners, residual {found.residual_um:.1f} um of {marks.limit_um:g} um"
     if found.residual_um > marks.limit_um:
         return Check("Alignment", "stop", f"{fit}: too large.", "Mark the corners again, the ones that are named.")

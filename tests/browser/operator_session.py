@@ -1,0 +1,107 @@
+"""An operator's day that stands still: a released job without and with its wafer, and wafers with every verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from tests.browser import fake_session as fake
+from tests.session.released import DIE, MARKS, release_of
+from wafer_viewer.measure.verdict import judge, overall, what_next
+from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.findings import Length
+from wafer_viewer.model.plan import Job
+from wafer_viewer.model.quantities import Contribution
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.session.operating import JobEntry, Operating
+from wafer_viewer.session.state import Snapshot
+
+JOBS = (
+    JobEntry(Path("/tmp/wafers/jobs/coupon-B.toml"), "Coupon 6 mm", "B", 9, 2),
+    JobEntry(Path("/tmp/wafers/jobs/coupon-A.toml"), "Coupon 6 mm", "A", 9, 1),
+)
+PAD = replace(DIE, name="pad over die", nominal_um=2.0, lower_limit_um=1.8, upper_limit_um=2.2)
+SEEN = ((-1996.0, 3.0), (2004.5, 2.0))
+
+
+class Verbs:
+    """A group of verbs of a session that stands still."""
+
+    def __init__(self, session: fake.FakeSession, group: str) -> None:
+        self._session, self._group = session, group
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *args, **kwargs: self._session._done(f"{self._group}.{name}", args, kwargs)
+
+
+class OperatorSession(fake.FakeSession):
+    """Remembers what it was asked of released jobs, too."""
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        super().__init__(snapshot)
+        self.jobs = Verbs(self, "jobs")
+
+
+def a_released_job(wafer_id: str = "", residual_um: float | None = None) -> Job:
+    job = replace(release_of(fake.a_job()), product="Coupon 6 mm", revision="B", features=(DIE, PAD))
+    lies = Alignment(rotation_rad=0.0003, shift_x_um=-4.2, shift_y_um=-2.5, n_marks=2, residual_um=residual_um or 0.0)
+    sample = replace(job.sample, wafer_id=wafer_id, lot="L2231" if wafer_id else "", operator="K. Adler")
+    return replace(job, sample=sample, marks=MARKS, alignment=None if residual_um is None else lies)
+
+
+def released(job: Job, seen: tuple[Any, ...] = (None, None)) -> Snapshot:
+    draft = dataclasses.replace(fake.draft_of(job), seen_um=seen)
+    return dataclasses.replace(fake.planned(), draft=draft, operating=Operating(jobs=JOBS))
+
+
+def waiting() -> Snapshot:
+    """The job was taken up; nothing is known of the wafer."""
+    return released(a_released_job())
+
+
+def aligned(residual_um: float = 1.2) -> Snapshot:
+    """All three is done, Start is next."""
+    return released(a_released_job("W07", residual_um), SEEN)
+
+
+def a_verdict(die_um: float, pad_um: float, u_um: float = 0.14) -> WaferVerdict:
+    def height(value_um: float, u_um: float) -> Length:
+        noise = Contribution(name="noise and form of the faces", u_um=u_um / 2)
+        return Length.evaluated(value_um, (Contribution(name="z scale", u_um=2e-4 * value_um), noise))
+
+    items = (judge(DIE, height(die_um, u_um)), judge(PAD, height(pad_um, 0.06)))
+    return WaferVerdict(
+        word=overall(items),
+        next=what_next(items),
+        items=items,
+        job="Coupon 6 mm B",
+        lot="L2231",
+        wafer_id="W07",
+        released=True,
+        simulated=True,
+        residual_um=1.2,
+    )
+
+
+def judged(verdict: WaferVerdict | None) -> Snapshot:
+    """The scan of a released job is over."""
+    done = fake.measured()
+    data = dataclasses.replace(done.dataset, job=a_released_job("W07", 1.2))
+    operating = Operating(jobs=JOBS, verdict=verdict, judging=verdict is None)
+    return dataclasses.replace(done, dataset=data, operating=operating, draft=aligned().draft)
+
+
+PASS, FAIL, OPEN = a_verdict(30.03, 2.01), a_verdict(31.2, 2.01), a_verdict(30.42, 2.01)
+SCREENS = {
+    "20-jobs": (lambda: dataclasses.replace(fake.empty(), operating=Operating(jobs=JOBS)), "plan"),
+    "21-operator": (waiting, "plan"),
+    "22-aligned": (aligned, "plan"),
+    "23-not-aligned": (lambda: aligned(14.6), "plan"),
+    "24-pass": (lambda: judged(PASS), "acquire"),
+    "25-fail": (lambda: judged(FAIL), "acquire"),
+    "26-inconclusive": (lambda: judged(OPEN), "acquire"),
+    "27-pass-surface": (lambda: judged(PASS), "surface"),
+}
+"""As in tests/browser/screens.py."""

@@ -1,0 +1,222 @@
+"""Questions about released jobs: which one, what corners and features it has, under which revision it is released."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.gui import html, preflight_words
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.verdict_words import RULES
+from wafer_viewer.model.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.findings import StepHeight
+from wafer_viewer.model.plan import Job
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.sample import Feature
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.operating import JobEntry
+from wafer_viewer.session.preflight import Check
+from wafer_viewer.session.state import Snapshot
+
+BY_HAND = "as typed below"
+
+
+def jobs_dialog(page: Page) -> None:
+    """Take up one of the released jobs."""
+    snapshot = page.session.snapshot
+    dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}. A file elsewhere: by its path.")
+    with dialog.modal:
+        Cell(page.gui, job_table(snapshot.operating.jobs, "job-in-dialog"))
+        path = page.gui.add_text("Path", "")
+
+    def listed(key: str) -> None:
+        dialog.close()
+        take_up(page, Path(key))
+
+    def typed() -> None:
+        if not path.value.strip():
+            raise PlanError("No job is chosen: click one, or type the path of its file.")
+        take_up(page, Path(path.value.strip()).expanduser())
+
+    page.on_pick("job-in-dialog", listed)
+    dialog.answers("Take it up", viser.Icon.FOLDER_OPEN, typed, "The job was not taken up")
+
+
+def take_up(page: Page, path: Path) -> None:
+    """A released job for the next wafer."""
+    page.ask("The job was not taken up", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
+
+
+def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
+    """The released jobs; a click on one picks `what`."""
+    if not entries:
+        return html.empty("No job is released yet.")
+
+    def line(entry: JobEntry) -> str:
+        name = f"{html.safe(entry.product)}<small>revision {html.safe(entry.revision)}</small>"
+        return html.row([name, str(entry.n_fields), str(entry.n_features)], " nn", html.pick(what, entry.path))
+
+    return html.table(["Released job", "Fields", "Features"], [line(entry) for entry in entries], " nn")
+
+
+def start_dialog(page: Page, checks: tuple[Check, ...], start: Callable[[], None]) -> None:
+    """What a person has to say is meant so, before the scan starts."""
+    open_ones = tuple(check for check in checks if check.state != "ok")
+    dialog = Dialog(page, "Start all the same?", "The scan can start. This is not as it should be:")
+    with dialog.modal:
+        Cell(page.gui, preflight_words.lines(open_ones))
+    dialog.answers("Start", viser.Icon.PLAYER_PLAY, start, "The scan did not start")
+
+
+def corners_dialog(page: Page) -> None:
+    """Name the two corners that wafers of this product are aligned by."""
+    job = required_job(page)
+    marks = job.marks or suggested_marks(page.session.snapshot.overview)
+    below = "Corners of dies, far apart, in wafer µm: the middle of the wafer is (0, 0), its notch points down."
+    dialog, gui = Dialog(page, "Corners to align by", below), page.gui
+    with dialog.modal:
+        rows = [
+            (gui.add_text(f"Corner {n + 1}", mark.name), gui.add_vector2("x, y, µm", (mark.x_um, mark.y_um), step=0.1))
+            for n, mark in enumerate(marks.places)
+        ]
+        limit = gui.add_number("Limit, µm", marks.limit_um, min=0.1, step=0.5)
+
+    def keep() -> None:
+        places = tuple(Mark(name=name.value.strip(), x_um=at.value[0], y_um=at.value[1]) for name, at in rows)
+        edit(page, marks=Marks(places=places, limit_um=limit.value), alignment=None)
+
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners stay")
+
+
+def feature_dialog(page: Page, n: int | None = None) -> None:
+    """A step height to be judged: where, and between which limits. n: one of the job's features, to be changed."""
+    job = required_job(page)
+    old = job.features[n] if n is not None else None
+    dialog, gui = Dialog(page, "Feature", "A step height, and when a wafer is good by it."), page.gui
+    steps = steps_of(page.session.snapshot)
+    with dialog.modal:
+        name = gui.add_text("Name", old.name if old else "")
+        nominal = gui.add_number("Nominal, µm", old.nominal_um if old else 0.0, step=0.01)
+        limits = gui.add_vector2(
+            "Limits, µm", (old.lower_limit_um, old.upper_limit_um) if old else (0.0, 0.0), step=0.01
+        )
+        rule = gui.add_dropdown(
+            "Rule", tuple(RULES.values()), initial_value=RULES[old.decision_rule if old else "guard_band"]
+        )
+        source = gui.add_dropdown("Regions", (BY_HAND, *steps)) if steps else None
+        upper = _corners(gui, "Upper", old.upper if old else None)
+        lower = _corners(gui, "Lower", old.lower if old else None)
+
+    def copy_step(_: Any) -> None:
+        if source is not None and (step := steps.get(source.value)) is not None:
+            _put(upper, step.upper)
+            _put(lower, step.lower)
+            nominal.value = round(step.height.value_um, 2)
+
+    if source is not None:
+        source.on_update(copy_step)
+
+    def keep() -> None:
+        made = Feature(
+            name=name.value.strip() or f"Step {len(job.features) + 1}",
+            nominal_um=nominal.value,
+            lower_limit_um=limits.value[0],
+            upper_limit_um=limits.value[1],
+            decision_rule=next(key for key, title in RULES.items() if title == rule.value),
+            upper=_region(upper),
+            lower=_region(lower),
+        )
+        kept = (*job.features, made) if n is None else (*job.features[:n], made, *job.features[n + 1 :])
+        edit(page, features=kept)
+
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "The feature stays")
+
+
+def release_dialog(page: Page) -> None:
+    """Release the plan under a product and a revision: from then on it stays as it is."""
+    job = required_job(page)
+    below = "Operators run it with four actions. Nothing of it can be changed any more; a change is another revision."
+    dialog = Dialog(page, "Release the job", below)
+    with dialog.modal:
+        product = page.gui.add_text("Product", job.product or job.sample.product)
+        revision = page.gui.add_text("Revision", job.revision)
+
+    def release() -> None:
+        if not (product.value.strip() and revision.value.strip()):
+            raise PlanError("Product and revision both need a name: an operator chooses by them.")
+        edit(page, then=write, product=product.value.strip(), revision=revision.value.strip())
+
+    def write(_: Any) -> None:
+        told = "The job was not released"
+        page.ask(told, page.session.jobs.release(), lambda path: page.say("Released", str(path)))
+
+    dialog.answers("Release", viser.Icon.LOCK, release, "The job was not released")
+
+
+def edit(page: Page, then: Callable[[Any], None] | None = None, **changes: Any) -> None:
+    """Change something of the plan."""
+    page.ask("The plan stays", page.session.edit_job(replace(required_job(page), **changes)), then)
+
+
+def required_job(page: Page) -> Job:
+    """The plan. Raises PlanError when there is none."""
+    if (job := page.session.snapshot.draft.job) is None:
+        raise PlanError("There is no plan yet: lay a field grid over the sample first.")
+    return job
+
+
+def suggested_marks(overview: Overview | None) -> Marks:
+    """The outer lower corners of the leftmost and the rightmost die, nearest to the middle; zeros without dies."""
+    dies = overview.dies_um if overview is not None else ()
+    if len(dies) < 2:
+        return Marks(places=(Mark(name="", x_um=0.0, y_um=0.0), Mark(name="", x_um=0.0, y_um=0.0)))
+    boxes = [Region.polygon(*die).bounds_um for die in dies]
+    left = min(boxes, key=lambda b: (round(b[0]), abs(b[1] + b[3])))
+    right = max(boxes, key=lambda b: (round(b[2]), -abs(b[1] + b[3])))
+    return Marks(
+        places=(
+            Mark(name="leftmost die, lower left corner", x_um=round(left[0], 1), y_um=round(left[1], 1)),
+            Mark(name="rightmost die, lower right corner", x_um=round(right[2], 1), y_um=round(right[1], 1)),
+        )
+    )
+
+
+def steps_of(snapshot: Snapshot) -> dict[str, StepHeight]:
+    """The step heights kept on the open surface, in wafer um, by what they are called."""
+    lies = snapshot.dataset.job.alignment if snapshot.dataset is not None else None
+    steps = [f for f in snapshot.findings if isinstance(f, StepHeight)]
+    return {f"{s.name} ({number(s.height.value_um, 2)})": _on_wafer(s, lies) for s in steps}
+
+
+def _on_wafer(step: StepHeight, lies: Alignment | None) -> StepHeight:
+    if lies is None:
+        return step
+    return replace(step, upper=_turned(step.upper, lies), lower=_turned(step.lower, lies))
+
+
+def _turned(region: Region, lies: Alignment) -> Region:
+    x0, y0, x1, y1 = region.bounds_um
+    return Region.rectangle(*lies.to_wafer(x0, y0), *lies.to_wafer(x1, y1))
+
+
+def _corners(gui: Any, name: str, region: Region | None) -> tuple[Any, Any]:
+    """Two opposite corners of a rectangle."""
+    x0, y0, x1, y1 = region.bounds_um if region is not None else (0.0, 0.0, 0.0, 0.0)
+    return gui.add_vector2(f"{name}, µm", (x0, y0), step=0.5), gui.add_vector2("– to, µm", (x1, y1), step=0.5)
+
+
+def _put(handles: tuple[Any, Any], region: Region) -> None:
+    x0, y0, x1, y1 = region.bounds_um
+    handles[0].value, handles[1].value = (round(x0, 1), round(y0, 1)), (round(x1, 1), round(y1, 1))
+
+
+def _region(handles: tuple[Any, Any]) -> Region:
+    return Region.rectangle(*handles[0].value, *handles[1].value)

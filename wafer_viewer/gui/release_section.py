@@ -1,0 +1,87 @@
+"""What an engineer adds to a plan so that operators can run it: corners, features with limits, and its release."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.gui import html
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.job_dialogs import corners_dialog, edit, feature_dialog, release_dialog, required_job
+from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.verdict_words import RULES
+from wafer_viewer.model.alignment import Marks
+from wafer_viewer.model.plan import Job
+from wafer_viewer.model.sample import Feature
+from wafer_viewer.session.state import Snapshot
+
+
+class ReleaseSection:
+    """Corners and features as tables, folded away until somebody wants them; of a released job to be read only."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        gui = page.gui
+        self._folder = gui.add_folder("For operators", expand_by_default=False, visible=False)
+        with self._folder:
+            self._words = Cell(gui)
+            self._buttons = [
+                self._button("Corners…", viser.Icon.MAP_PIN, corners_dialog),
+                self._button("Feature…", viser.Icon.STAIRS_UP, feature_dialog),
+                self._button("Release…", viser.Icon.LOCK, release_dialog),
+            ]
+            in_a_row(gui, self._buttons, 34)
+            self._copy = self._button("Copy to a new plan", viser.Icon.COPY, self._to_copy)
+            in_a_row(gui, [self._copy], 34)
+        page.on_pick("feature", lambda key: feature_dialog(page, int(key)))
+        page.on_pick("no-feature", lambda key: self._drop(int(key)))
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Bring the section up to date."""
+        job = snapshot.draft.job
+        set_prop(self._folder, "visible", job is not None)
+        if job is None:
+            return
+        self._words.show(_corners(job.marks) + _features(job))
+        for handle in self._buttons:
+            set_prop(handle, "visible", not job.released)
+        set_prop(self._copy, "visible", job.released)
+
+    def _button(self, name: str, icon: Any, ask: Any) -> Any:
+        return button(self._page.gui, name, icon, guarded(self._page, "The plan stays")(lambda _: ask(self._page)))
+
+    def _to_copy(self, page: Page) -> None:
+        page.ask("The job stays", page.session.jobs.copy(), lambda _: page.change(everything=False))
+
+    def _drop(self, n: int) -> None:
+        features = required_job(self._page).features
+        edit(self._page, features=(*features[:n], *features[n + 1 :]))
+
+
+def _corners(marks: Marks | None) -> str:
+    if marks is None:
+        return html.head("Alignment") + html.empty("Two corners of dies to align wafers by.")
+    rows = [html.row([html.safe(m.name), number(m.x_um, 1), number(m.y_um, 1)], " nn") for m in marks.places]
+    head = html.head("Alignment", f"residual at most {number(marks.limit_um, 1)} µm")
+    return head + html.table(["Corner, wafer µm", "x", "y"], rows, " nn")
+
+
+def _features(job: Job) -> str:
+    if not job.features:
+        return html.head("Features") + html.empty("A step height with its limits gives a verdict.")
+    rows = [_feature(n, feature, job.released) for n, feature in enumerate(job.features)]
+    return html.head("Features, µm") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
+
+
+def _feature(n: int, feature: Feature, released: bool) -> str:
+    place = "" if feature.has_place else " · no place"
+    name = f"{html.safe(feature.name)}<small>{RULES[feature.decision_rule]}{place}</small>"
+    limits = f"{number(feature.lower_limit_um, 2)} … {number(feature.upper_limit_um, 2)}"
+    away = (
+        f'<span class="wv-link" title="Take it off" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
+    )
+    cells = [name, number(feature.nominal_um, 2), limits, "" if released else away]
+    return html.row(cells, " nn ", "" if released else html.pick("feature", n))

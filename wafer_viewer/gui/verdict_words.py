@@ -1,0 +1,72 @@
+"""How a verdict reads: the word that is seen across the room, why, what to do next, every feature. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number, value_and_u
+from wafer_viewer.gui import html
+from wafer_viewer.model.sample import DecisionRule
+from wafer_viewer.model.verdict import Judged, WaferVerdict, Word
+
+LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
+    "pass": ("PASS", viser.Icon.CIRCLE_CHECK, "good"),
+    "fail": ("FAIL", viser.Icon.CIRCLE_X, "fault"),
+    "inconclusive": ("INCONCLUSIVE", viser.Icon.HELP_CIRCLE, "attention"),
+    "no verdict": ("NO VERDICT", viser.Icon.CIRCLE_DASHED, "busy"),
+}
+"""Word, sign and tone: each alone tells them apart."""
+RULES: dict[DecisionRule, str] = {"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"}
+
+
+def card(verdict: WaferVerdict) -> str:
+    """The word in the largest type of the page, with wafer and job, and what to do next."""
+    word, sign, tone = LOOKS[verdict.word]
+    simulated = '<em class="wv-sim">SIMULATED</em>' if verdict.simulated else ""
+    wafer = " · ".join(part for part in (verdict.wafer_id, verdict.lot, verdict.job) if part)
+    size = ' class="long"' if len(word) > 6 else ""
+    return (
+        f'<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'
+        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b></div>"
+        f"<p>{html.safe(wafer)}{simulated}</p><p><strong>{html.safe(html.micro(verdict.next))}</strong></p></div>"
+    )
+
+
+def features(verdict: WaferVerdict) -> str:
+    """Every feature: value ± U, limits, word; below each that is not good, why."""
+    if not verdict.items:
+        return ""
+    rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
+    rows = [_row(item) for item in verdict.items]
+    return html.head("Features, µm", f"U: k = 2 · {', '.join(rules)}") + html.table(
+        ["", "Value ± U", "Limits", ""], rows, " nn "
+    )
+
+
+def waiting(judging: bool) -> str:
+    """What stands there until there is a verdict."""
+    doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
+    return html.empty(doing)
+
+
+def _row(item: Judged) -> str:
+    feature, (word, sign, tone) = item.feature, LOOKS[item.word]
+    why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
+    limits = f"{_um(feature.lower_limit_um)} … {_um(feature.upper_limit_um)}"
+    told = f'<span style="color:var(--{tone})" title="{word}" aria-label="{word}">{html.icon(sign, 17)}</span>'
+    return html.row([f"{html.safe(feature.name)}{why}", _value(item), limits, told], " nn ")
+
+
+def _value(item: Judged) -> str:
+    if item.height is None:
+        return "not measured"
+    if item.height.expanded_um is None:
+        return f"{number(item.height.value_um, 2)}<small>no U</small>"
+    value, u = value_and_u(item.height.value_um, item.height.expanded_um)
+    return f"<b>{value}</b> ± {u}"
+
+
+def _um(value: float) -> str:
+    return number(value, max(0, len(f"{value:g}".partition(".")[2])))
