@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from tests.browser import fake_session as fake
 from tests.browser import seen_session as seen
-from wafer_viewer.gui import html, measure_words, memory, why_words
+from wafer_viewer.gui import html, measure_words, why_words
 from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.gui.guard import guarded
@@ -112,16 +112,6 @@ def test_a_step_is_possible_when_it_has_contents():
     assert of(fake.scanning()) == {"plan", "acquire", "surface"}
     assert of(fake.measured()) == {"plan", "acquire", "surface", "measure"}
     assert {step for step in STEPS if done(step, fake.measured())} == {"plan", "acquire", "surface"}
-
-
-@given(st.builds(View, step=st.sampled_from(STEPS), dark=st.booleans(), exaggeration=st.floats(1, 20)))
-def test_a_browser_remembers_what_it_chose(view):
-    assert memory.read(memory.write(view)) == view
-
-
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"step": "review"}', '{"dark": 3}', '{"unknown": 1}'])
-def test_a_memory_that_is_no_view_is_a_fresh_view(text):
-    assert memory.read(text) == View()
 
 
 def test_both_palettes_name_the_same_colours():

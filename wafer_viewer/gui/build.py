@@ -8,9 +8,11 @@ import viser
 
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.bottom import room_px
+from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import add_commands, looking
 from wafer_viewer.gui.guard import guarded, tell_failure
+from wafer_viewer.gui.hands import HandsOff
 from wafer_viewer.gui.header import Header, possible
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import add_keys_sheet
@@ -25,8 +27,10 @@ from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_legend import PoseLegend
 from wafer_viewer.gui.print_picture import PrintPicture
 from wafer_viewer.gui.profile_dock import ProfileDock
+from wafer_viewer.gui.reopened import Reopened
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.status_strip import StatusStrip
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
@@ -81,7 +85,7 @@ class PossibleStep:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Go to Plan where the step shown has nothing to show."""
-        if not possible(view.step, snapshot):
+        if not possible(view.step, snapshot) and not snapshot.reopening:
             self._page.change(step="plan")
 
 
@@ -92,18 +96,22 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.gui.main_panel.set_width(RIGHT_PX)
     frame = Frame(page)
     page.add_picks()
+    ear = BrowserEar(page)
     header = Header(page.gui, lambda step: page.change(step=step, why=None))
+    hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene)
     why, left = WhyPanel(page), LeftPanel(page)
+    ear.left = left.panel
     read_out = ReadOutBox(page)
     parts = [
         *(
             PossibleStep(page),
             frame,
+            ear,
             header,
             plan,
             acquire,
@@ -123,6 +131,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             WhyDock(page, why),
         ),
         Welcome(page),
+        StatusStrip(page),
+        reopened,
+        hands,
         Drawing(scene),
     ]
     left.results.on_chosen(scene.fly_to)

@@ -13,7 +13,8 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.gui.html import Tone
+from wafer_viewer.model.errors import HeldByAnother, WaferViewerError
 from wafer_viewer.session.state import Fault
 
 log = logging.getLogger("wafer_viewer.gui")
@@ -25,6 +26,10 @@ class Teller(Protocol):
 
     def tell(self, fault: Fault) -> None:
         """Show a note until it is dealt with."""
+        ...
+
+    def say(self, title: str, text: str, tone: Tone = "good") -> None:
+        """Show news that go by themselves."""
         ...
 
 
@@ -53,6 +58,9 @@ def guarded(page: Teller, name: str) -> Callable[[Callable[..., Any]], Callable[
 def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
     """Tell the operator, in the program's own sentence where it has one; what was called off needs no words."""
     if isinstance(fault, CancelledError):
+        return
+    if isinstance(fault, HeldByAnother):
+        page.say(name, str(fault), "attention")
         return
     if isinstance(fault, WaferViewerError):
         page.tell(_note(*_headline(name, str(fault))))

@@ -66,8 +66,30 @@ class Field(Generic[T]):
 
 def set_prop(handle: Any, name: str, value: Any) -> None:
     """Set a property of a viser handle, sending it only when it changes."""
-    if getattr(handle, name) != value:
+    if name == "disabled" and handle._impl.uuid in _barred:
+        _barred[handle._impl.uuid] = value
+    elif getattr(handle, name) != value:
         setattr(handle, name, value)
+
+
+_barred: dict[str, bool] = {}
+"""Widgets that their browser may not use now, with what their own part of the page says of them."""
+
+
+def bar(handle: Any) -> None:
+    """Disable a widget whatever its part of the page says, until `unbar`."""
+    if handle._impl.uuid not in _barred:
+        own = handle.disabled
+        set_prop(handle, "disabled", True)
+        _barred[handle._impl.uuid] = own
+
+
+def unbar(handle: Any) -> None:
+    """Leave a widget to its part of the page again."""
+    if handle._impl.uuid in _barred:
+        own = _barred.pop(handle._impl.uuid)
+        if not handle._impl.removed:
+            set_prop(handle, "disabled", own)
 
 
 def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:

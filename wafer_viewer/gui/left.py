@@ -24,7 +24,7 @@ class LeftPanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        panel = page.gui.add_panel()
+        self.panel = panel = page.gui.add_panel()
         with panel.add_tab("Sample"):
             self._map = Cell(page.gui)
             self._works = Cell(page.gui)

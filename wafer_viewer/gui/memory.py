@@ -1,47 +1,95 @@
-"""What a browser remembers over a reload: its step and the look it chose, kept in the browser itself."""
+"""What a browser remembers over a reload: who it is, its panels, its camera, and the look it chose.
+
+It is kept in the browser itself. What only makes sense on one dataset is given back for that dataset alone.
+"""
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
 
 import msgspec
 import viser
 
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.errors import WaferViewerError
 
-KEY = "wafer-viewer-view"
-KEPT = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
+VIEW_KEY, SELF_KEY = "wafer-viewer-view", "wafer-viewer-browser"
+EVERYWHERE = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
+"""What holds for every dataset; the rest of a view belongs to the one it was chosen for."""
+OF = "of"
 WAIT_S = 2.0
+Vector = tuple[float, float, float]
+T = TypeVar("T")
 
 
-def recall(client: viser.ClientHandle) -> View:
-    """The view this browser had; a fresh one when it has none, or does not answer."""
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Widths of the panels at the sides in pixels, and which of them are folded away."""
+
+    left_px: int | None = None
+    right_px: int | None = None
+    left_folded: bool = False
+    right_folded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Self:
+    """The browser itself: the key by which the session knows it, its name, its panels."""
+
+    key: str = ""
+    name: str = ""
+    layout: Layout = Layout()
+
+
+@dataclass(frozen=True, slots=True)
+class Remembered:
+    """What a browser had: itself, its view, and what it had chosen for the dataset `of`."""
+
+    browser: Self = Self()
+    view: View = View()
+    of: str = ""
+    chosen: dict[str, Any] = field(default_factory=dict)
+
+
+def recall(client: viser.ClientHandle) -> Remembered:
+    """What this browser remembers; nothing when it has nothing, or does not answer."""
     try:
-        text = client.local_storage.get_item(KEY, timeout=WAIT_S)
+        browser, view = (client.local_storage.get_item(key, timeout=WAIT_S) for key in (SELF_KEY, VIEW_KEY))
     except (RuntimeError, TimeoutError):
-        return View()
-    return read(text) if text else View()
+        return Remembered()
+    return replace(read(view or "{}"), browser=read_self(browser or "{}"))
 
 
-def read(text: str) -> View:
-    """A view from its text; what is not a view, from another version as a rule, is a fresh one."""
-    try:
-        kept = msgspec.json.decode(text, type=dict[str, Any])
-        return msgspec.convert({k: v for k, v in kept.items() if k in KEPT}, View)
-    except (msgspec.DecodeError, msgspec.ValidationError):
-        return View()
+def read(text: str) -> Remembered:
+    """A view from its text; what is not a choice of this version is left out."""
+    kept = _items(text)
+    chosen = {name: value for name, hint in _hints().items() if (value := _as(kept.get(name), hint)) is not None}
+    view = View(**{name: value for name, value in chosen.items() if name in EVERYWHERE})
+    rest = {name: value for name, value in chosen.items() if name not in EVERYWHERE}
+    return Remembered(view=view, of=str(kept.get(OF, "")), chosen=rest)
 
 
-def write(view: View) -> str:
-    """A view as text: what is kept of it."""
-    return msgspec.json.encode({name: getattr(view, name) for name in KEPT}).decode()
+def read_self(text: str) -> Self:
+    """A browser from its text."""
+    return _as(_items(text), Self) or Self()
 
 
-def keep(client: viser.ClientHandle, before: View, after: View) -> None:
-    """Have the browser remember, where something that is kept has changed."""
-    if write(before) != write(after):
-        client.local_storage.set_item(KEY, write(after))
+def write(view: View, of: str) -> str:
+    """A view as text, with the dataset it was chosen for."""
+    return msgspec.json.encode({**{f.name: getattr(view, f.name) for f in fields(View)}, OF: of}).decode()
+
+
+def keep(client: viser.ClientHandle, before: View, after: View, of: str) -> None:
+    """Have the browser remember its view, where that has changed."""
+    if before != after:
+        client.local_storage.set_item(VIEW_KEY, write(after, of))
+
+
+def keep_self(client: viser.ClientHandle, browser: Self) -> None:
+    """Have the browser remember itself."""
+    client.local_storage.set_item(SELF_KEY, msgspec.json.encode(asdict(browser)).decode())
 
 
 def changed(view: View, **changes: Any) -> View:
@@ -50,3 +98,23 @@ def changed(view: View, **changes: Any) -> View:
     if unknown:
         raise TypeError(f"A view has no {', '.join(sorted(unknown))}.")
     return replace(view, **changes)
+
+
+@cache
+def _hints() -> dict[str, Any]:
+    return get_type_hints(View)
+
+
+def _items(text: str) -> dict[str, Any]:
+    try:
+        return msgspec.json.decode(text, type=dict[str, Any])
+    except (msgspec.DecodeError, msgspec.ValidationError):
+        return {}
+
+
+def _as(value: Any, kind: type[T]) -> T | None:
+    """A value as its kind; None for what is no such thing, from another version as a rule."""
+    try:
+        return msgspec.convert(value, kind)
+    except (msgspec.ValidationError, WaferViewerError):
+        return None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import viser
@@ -12,10 +14,12 @@ import viser
 from wafer_viewer.gui import memory
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.guard import guarded, tell_failure
-from wafer_viewer.gui.html import icon, micro, note, pick, safe
+from wafer_viewer.gui.html import Tone, icon, micro, note, pick, safe
+from wafer_viewer.gui.memory import Remembered, Self
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.paint_request import Scale
+from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Fault, Snapshot
 
 if TYPE_CHECKING:
@@ -34,13 +38,19 @@ class Part(Protocol):
 
 
 class Page:
-    """What the parts of a page share: the session, this browser's view, and ways to tell the operator."""
+    """What the parts of a page share: the session, this browser's view, and ways to tell the operator.
+
+    browser: who this is, known from `begin` on. session: as this browser may use it; verbs that need the controls are
+    refused where another browser holds them.
+    """
 
     def __init__(self, client: viser.ClientHandle, session: Session) -> None:
         self.client = client
         self.gui = client.gui
-        self.session = session
+        self.session = seat(session, lambda: self.browser.key)
+        self.browser = Self()
         self.view = View()
+        self._to_restore: Remembered | None = None
         asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
         self._recalled = asking.submit(memory.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
@@ -50,7 +60,9 @@ class Page:
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
         self._at_close: list[Callable[[], None]] = []
-        self._told = {fault.id for fault in session.snapshot.faults}
+        self._told: dict[str, viser.NotificationHandle | None] = {
+            fault.id: None for fault in session.snapshot.faults if not fault.needs_person
+        }
         self._lock = threading.Lock()
         self._due = threading.Event()
         self._closed = False
@@ -60,7 +72,10 @@ class Page:
     def begin(self, parts: Sequence[Part]) -> None:
         """Start drawing; `parts` in the order in which they are drawn."""
         self._parts = parts
-        self.view = self._recalled.result()
+        self._to_restore = recalled = self._recalled.result()
+        self.view = recalled.view
+        self.remember(recalled.browser if recalled.browser.key else Self(secrets.token_hex(8)))
+        self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
         self._due.set()
         self._thread.start()
 
@@ -68,6 +83,8 @@ class Page:
         """Stop drawing: the browser has gone."""
         self._closed = True
         self._leave()
+        if self.browser.key:
+            self.session.control.leave(self.browser.key)
         self._due.set()
         for last in self._at_close:
             last()
@@ -82,8 +99,14 @@ class Page:
         """Choose something of the view, remember it, draw it."""
         with self._lock:
             before, self.view = self.view, memory.changed(self.view, **choices)
-        memory.keep(self.client, before, self.view)
+        data = self.session.snapshot.dataset
+        memory.keep(self.client, before, self.view, str(data.path) if data is not None else "")
         self._due.set()
+
+    def remember(self, browser: Self) -> None:
+        """Another name or layout for this browser, kept over a reload."""
+        self.browser = browser
+        memory.keep_self(self.client, browser)
 
     def redraw(self) -> None:
         """Draw what changed beside session and view."""
@@ -131,9 +154,9 @@ class Page:
         self._notify(fault)
         self._due.set()
 
-    def say(self, title: str, text: str) -> None:
+    def say(self, title: str, text: str, tone: Tone = "good") -> None:
         """News that needs nobody: a notification that goes by itself."""
-        self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE["good"])
+        self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE[tone])
 
     def dismiss(self, fault_id: str) -> None:
         """Take a note away, this page's own or one of the session's."""
@@ -150,8 +173,7 @@ class Page:
         return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
 
     def _notify(self, fault: Fault) -> None:
-        self._told.add(fault.id)
-        self.client.add_notification(
+        self._told[fault.id] = self.client.add_notification(
             fault.title,
             micro(fault.text),
             auto_close_seconds=None if fault.needs_person else 8.0,
@@ -182,12 +204,32 @@ class Page:
     def _draw(self) -> None:
         if self._closed:
             return
-        snapshot, view = self.session.snapshot, self.view
+        snapshot = self.session.snapshot
+        self._restore(snapshot)
+        self._tell_standing(snapshot)
+        view = self.view
+        for part in self._parts:
+            guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Give back what was chosen for the dataset that is open, once it is clear which one that is."""
+        remembered = self._to_restore
+        if remembered is None or snapshot.reopening:
+            return
+        self._to_restore = None
+        if snapshot.dataset is not None and str(snapshot.dataset.path) == remembered.of:
+            with self._lock:
+                self.view = replace(self.view, **remembered.chosen)
+
+    def _tell_standing(self, snapshot: Snapshot) -> None:
+        """A notification for every new note, those that need a person also after a reload; none for what is settled."""
+        standing = (*snapshot.faults, *self.notices)
         for fault in snapshot.faults:
             if fault.id not in self._told:
                 self._notify(fault)
-        for part in self._parts:
-            guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
+        for settled in set(self._told) - {fault.id for fault in standing}:
+            if (notification := self._told.pop(settled)) is not None:
+                notification.remove()
 
 
 def _note(fault: Fault) -> str:

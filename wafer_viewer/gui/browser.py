@@ -1,0 +1,118 @@
+"""What only the browser knows: its system, and how wide its side panels are; it tells through a hidden text field.
+
+viser never reads a layout back: widths are watched by a line of script and put back after a reload.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.html import safe
+from wafer_viewer.gui.memory import Layout
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.style import LEFT_PX, RIGHT_PX
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
+
+LEAST_PX, MOST_PX = 200, 720
+"""Widths outside of these are no panel's: a panel folded away, or on its way to be."""
+_SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
+_EVERY_MS = 600
+_SCRIPT = f"""
+clearInterval(window.wvTelling);
+let told = '';
+const side = edge => {{
+  const region = document.querySelector(`[data-dock-region=${{edge}}]`);
+  const folded = region && !!region.querySelector('[data-dock-minimize-all]');
+  return region && [Math.round(region.getBoundingClientRect().width), folded];
+}};
+window.wvTelling = setInterval(() => {{
+  const now = JSON.stringify({{system: navigator.platform, left: side('left'), right: side('right')}});
+  const field = document.querySelector('div:has(>.wv-tells)+div input');
+  if (now === told || !field) return;
+  told = now;
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, now);
+  field.dispatchEvent(new Event('input', {{bubbles: true}}));
+}}, {_EVERY_MS});
+"""
+
+
+class Told(msgspec.Struct, frozen=True):
+    """A browser's report: of each side panel its width in pixels, and whether it is folded away."""
+
+    system: str = ""
+    left: tuple[int, bool] | None = None
+    right: tuple[int, bool] | None = None
+
+
+class BrowserEar:
+    """Hears the reports of a page's browser: names it by its system, and keeps the layout.
+
+    `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._named = self._restored = False
+        self.left: Any = None
+        page.gui.add_html('<div class="wv-tells"></div>')
+        failed = "The layout is not remembered"
+        page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
+        page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Put the panels to where this browser had them, once."""
+        if not self._restored:
+            self._restored = True
+            restore(self._page.browser.layout, self.left, self._page.gui.main_panel)
+
+    def _hear(self, text: str) -> None:
+        page = self._page
+        if not self._restored:
+            return
+        told = msgspec.json.decode(text, type=Told)
+        layout = layout_of(told, page.browser.layout)
+        if layout != page.browser.layout:
+            page.remember(replace(page.browser, layout=layout))
+        if not self._named:
+            self._named = True
+            self._name_by(told.system)
+
+    def _name_by(self, system: str) -> None:
+        """A browser that nobody named is told from others by its system, too."""
+        name = self._page.session.snapshot.hands.name_of(self._page.browser.key)
+        if not self._page.browser.name and name and "·" not in name:
+            self._page.session.control.rename(self._page.browser.key, f"{name} · {system_name(system)}")
+
+
+def restore(layout: Layout, left: Any, right: Any) -> None:
+    """Put the panels back to where a browser had them; `left` and `right` are viser's panels."""
+    left.set_width(layout.left_px or LEFT_PX)
+    right.set_width(layout.right_px or RIGHT_PX)
+    if layout.left_folded:
+        left.minimize()
+    if layout.right_folded:
+        right.minimize()
+
+
+def layout_of(told: Told, before: Layout) -> Layout:
+    """The layout after a report; a panel that is folded away keeps the width it had."""
+    left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
+    right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
+    return Layout(left_px, right_px, left_folded, right_folded)
+
+
+def system_name(platform: str) -> str:
+    """A browser's `navigator.platform` as people say it."""
+    return next((name for sign, name in _SYSTEMS.items() if platform.startswith(sign)), platform or "unknown")
+
+
+def _side(told: tuple[int, bool] | None, before_px: int | None, before_folded: bool) -> tuple[int | None, bool]:
+    if told is None:
+        return before_px, before_folded
+    width_px, folded = told
+    return (width_px if not folded and LEAST_PX <= width_px <= MOST_PX else before_px), folded

@@ -1,0 +1,35 @@
+"""The note over the panels after a restart: what is open again, and that nothing moves before a person has looked."""
+
+from __future__ import annotations
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.status_strip import job_shown, sample
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
+
+
+class Reopened:
+    """Asks whether the sample on the stage is the one that is named, in the steps that move the rig."""
+
+    def __init__(self, page: Page) -> None:
+        self._note = Cell(page.gui)
+        failed = "The sample is not confirmed"
+        page.on_pick("confirm-sample", lambda _: page.ask(failed, page.session.jobs.confirm()))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the note as long as it holds."""
+        waits = not snapshot.draft.confirmed and view.step in ("plan", "acquire")
+        self._note.show(_words(snapshot, view) if waits else "")
+
+
+def _words(snapshot: Snapshot, view: View) -> str:
+    job = job_shown(snapshot, view)
+    name = sample(job)[0] if job is not None else "what is open"
+    said = f"This is open again from last time: {name}. Another sample may lie on the stage by now."
+    yes = f'<span class="wv-link" {html.pick("confirm-sample")}>It is this sample</span>'
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
+    return html.note("attention", "Nothing moves before you confirm the sample", said, yes, sign)

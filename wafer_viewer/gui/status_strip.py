@@ -1,0 +1,138 @@
+"""The line at the foot of the page, always in sight: what is under the objective, and what the numbers rest on."""
+
+from __future__ import annotations
+
+import datetime
+
+import viser
+
+from wafer_viewer.draw.numbers import share
+from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.plan import Job
+from wafer_viewer.session.hands import Hands
+from wafer_viewer.session.state import RigStatus, Snapshot, SurfaceInfo
+
+SOON_DAYS = 14
+"""A calibration that is due within so many days is drawn attention to."""
+_MOTION = {
+    "ready": "at rest",
+    "moving": "moving",
+    "scanning": "scanning",
+    "paused": "paused",
+    "stopping": "stopping",
+    "starting": "starting",
+    "fault": "at fault",
+    "absent": "not connected",
+}
+Words = tuple[str, str, str]
+"""What is said, in which tone ('' for none), and more of it for those who point at it."""
+
+
+class StatusStrip:
+    """Sample, rig, calibration, surface; and who holds the controls."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._strip = Cell(page.gui, padded=False)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the line up to date."""
+        today = datetime.date.today()
+        said = [
+            sample(job_shown(snapshot, view)),
+            motion(snapshot.rig),
+            calibration(snapshot, view, today),
+            *surface(snapshot.surface if view.on_surface else None),
+        ]
+        left = "".join(_item(*words) for words in said if words[0])
+        right = _controls(snapshot.hands, self._page.browser.key)
+        self._strip.show(f'<div class="wv-strip" role="contentinfo"><div>{left}</div>{right}</div>')
+
+
+def job_shown(snapshot: Snapshot, view: View) -> Job | None:
+    """The job of what is looked at: the plan in Plan, else the dataset's."""
+    if view.step == "plan" or snapshot.dataset is None:
+        return snapshot.draft.job
+    return snapshot.dataset.job
+
+
+def sample(job: Job | None) -> Words:
+    """Lot, wafer and revision of the job."""
+    if job is None:
+        return "", "", ""
+    names = [f"{word} {name}" for word, name in (("Lot", job.sample.lot), ("Wafer", job.sample.wafer_id)) if name] or [
+        job.sample.name or "Sample without a name"
+    ]
+    if job.product or job.revision:
+        names.append(" ".join(w for w in ("Job", job.product, job.revision and f"rev. {job.revision}") if w))
+    return " · ".join(names), "", "released" if job.released else "not released"
+
+
+def motion(rig: RigStatus) -> Words:
+    """Whether the axes know where they are, and whether they move."""
+    word = _MOTION[rig.state]
+    if rig.state in ("fault", "absent"):
+        return f"Rig {word}", "fault", rig.message
+    if rig.homed is False:
+        return f"Not homed · {word}", "attention", "The axes do not know where they are: home them before a move."
+    return (f"Homed · {word}" if rig.homed else f"Rig {word}"), "busy" if rig.state != "ready" else "", rig.message
+
+
+def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
+    """How long the calibration holds: the dataset's where one is looked at, else the rig's."""
+    data = snapshot.dataset
+    if view.on_surface and data is not None and data.calibration_problem is not None:
+        return "Uncalibrated", "fault", f"Lengths have no U and no verdict: {data.calibration_problem}."
+    if snapshot.rig.state in ("starting", "absent"):
+        return "", "", ""
+    return due(snapshot.rig.calibration, today)
+
+
+def due(made: Calibration | None, today: datetime.date) -> Words:
+    """Days left until a calibration is due."""
+    if made is None:
+        return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
+    days = (datetime.date.fromisoformat(made.due) - today).days
+    more = f"Calibrated on {made.made} against {made.against}, due on {made.due}."
+    if days < 0:
+        return f"Calibration overdue by {_days(-days)}", "fault", more
+    if days <= SOON_DAYS:
+        return f"Calibration due {'today' if days == 0 else f'in {_days(days)}'}", "attention", more
+    return f"Calibrated, due in {_days(days)}", "", more
+
+
+def surface(info: SurfaceInfo | None) -> tuple[Words, Words]:
+    """What was done to the heights shown, and how many are missing."""
+    if info is None:
+        return ("", "", ""), ("", "", "")
+    smooth = info.settled is not None and info.settled.levy.mode != "none"
+    done = "Smoothed heights" if smooth else "Raw heights"
+    filled = f", {share(info.filled_fraction)} filled" if info.filled_fraction else ", none filled"
+    reasons = ", ".join(f"{why} {share(part)}" for why, part in info.unmeasured)
+    missing = 1.0 - info.measured_fraction - info.filled_fraction
+    return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
+
+
+def _days(days: int) -> str:
+    return f"{days} day{'' if days == 1 else 's'}"
+
+
+def _item(words: str, tone: str, more: str) -> str:
+    return f'<span class="{tone}" title="{html.safe(html.micro(more))}">{html.safe(words)}</span>'
+
+
+def _controls(hands: Hands, key: str) -> str:
+    """Who holds the controls; a click says who is there."""
+    if hands.browser(key) is None:
+        return ""
+    watching = len([b for b in hands.browsers if b.present]) - (1 if hands.holder else 0)
+    others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and hands.holds(key) else ""
+    who = "You hold the controls" if hands.holds(key) else (hands.why_not(key) or "").rstrip(".")
+    sign = html.icon(viser.Icon.HAND_STOP if hands.holds(key) else viser.Icon.EYE, 14)
+    look = "mine" if hands.holds(key) else "theirs"
+    told = f'title="{html.safe(who)}: who is there, your name, and the way to the controls" {html.pick("hands")}'
+    return f'<span class="wv-hand {look}" {told}>{sign}{html.safe(who + others)}</span>'
