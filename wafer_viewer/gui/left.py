@@ -13,6 +13,7 @@ from wafer_viewer.gui.field_map import field_map
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.results import ResultList
+from wafer_viewer.gui.review_words import review_list
 from wafer_viewer.gui.saved_views import views_html
 from wafer_viewer.gui.style import LEFT_PX
 from wafer_viewer.gui.view import View
@@ -29,6 +30,7 @@ class LeftPanel:
             self._map = Cell(page.gui)
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
+            self._review = Cell(page.gui)
             self._build_datasets()
             self.results = ResultList(page)
         panel.dock_left()
@@ -42,6 +44,7 @@ class LeftPanel:
         self._map.show(html.head("Map", first=True) + field_map(snapshot, view))
         self._works.show(_works(snapshot, view))
         self._views.show(views_html(snapshot, view))
+        self._review.show(review_list(snapshot, view))
         set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
         opened = snapshot.dataset.path if snapshot.dataset else None
         self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))

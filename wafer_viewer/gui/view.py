@@ -14,6 +14,7 @@ Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
 Tool = Literal["none"] | ToolName
+ReviewFilter = Literal["all", "open", "rejected"]
 Below = Literal["none", "profile", "why"]
 
 
@@ -53,6 +54,8 @@ class View:
     levelling: Levelling = Levelling()
     selected: int | None = None
     why: tuple[float, float] | None = None
+    review: str | None = None
+    review_filter: ReviewFilter = "all"
     everything: bool = False
 
     @property

@@ -1,0 +1,93 @@
+"""The groups of verbs for the notebook and for papers, as a session that stands still has them."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
+from wafer_viewer.model.report import PARTS, ReportOrder
+from wafer_viewer.model.spec import replace
+
+
+class FakeNotebook:
+    """Remembers what it is asked and changes the notebook of the snapshot at once."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+        self._before: list[Notebook] = []
+
+    @property
+    def _book(self) -> Notebook:
+        return self._session.snapshot.notebook.book
+
+    def save_view(self, view: SavedView) -> Future[Any]:
+        number = len(self._book.views) + 1
+        kept = replace(view, number=number, name=view.name or f"View {number}")
+        return self._put("save_view", kept, views=(*self._book.views, kept))
+
+    def rename_view(self, number: int, name: str) -> Future[Any]:
+        views = tuple(replace(v, name=name) if v.number == number else v for v in self._book.views)
+        return self._put("rename_view", None, views=views)
+
+    def delete_view(self, number: int) -> Future[Any]:
+        return self._put("delete_view", None, views=tuple(v for v in self._book.views if v.number != number))
+
+    def judge(self, key: str, verdict: Any = None, note: str | None = None) -> Future[Any]:
+        old = self._book.judgement(key)
+        new = Judgement(key=key, verdict=verdict or old.verdict, note=old.note if note is None else note)
+        others = tuple(j for j in self._book.judgements if j.key != key)
+        return self._put("judge", None, judgements=(*others, new))
+
+    def undo(self) -> Future[Any]:
+        if self._before:
+            self._show(self._before.pop())
+        return self._session._done("notebook.undo", (), {})
+
+    def redo(self) -> Future[Any]:
+        return self._session._done("notebook.redo", (), {})
+
+    def _put(self, verb: str, came_to: Any, **changes: Any) -> Future[Any]:
+        self._before.append(self._book)
+        self._show(replace(self._book, **changes))
+        self._session._done(f"notebook.{verb}", (), changes)
+        return done(came_to)
+
+    def _show(self, book: Notebook) -> None:
+        state = dataclasses.replace(self._session.snapshot.notebook, book=book, can_undo=bool(self._before))
+        self._session.change(notebook=state)
+
+
+class FakePapers:
+    """Pictures and reports go to a folder of a test."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+        self.folder = Path()
+        self.fails_with: Exception | None = None
+
+    def contents(self) -> Future[Any]:
+        return done({part: f"what there is of {part}" for part in PARTS})
+
+    def keep_picture(self, png: bytes) -> Future[Path]:
+        path = self.folder / "coupon-07-picture-1.png"
+        path.write_bytes(png)
+        return done(path)
+
+    def write_report(self, order: ReportOrder) -> Future[Path]:
+        self._session._done("write_report", (order,), {})
+        if self.fails_with is not None:
+            failed: Future[Path] = Future()
+            failed.set_exception(self.fails_with)
+            return failed
+        path = self.folder / "coupon-07-report-1.html"
+        path.write_text(f"<h1>{order.title}</h1>")
+        return done(path)
+
+
+def done(came_to: Any) -> Future[Any]:
+    answer: Future[Any] = Future()
+    answer.set_result(came_to)
+    return answer

@@ -1,0 +1,154 @@
+"""What is under review: results and, of a released job, its features, all as one kind of item.
+
+Another kind of thing to be judged, such as a defect, joins by a function in `SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import viser
+
+from wafer_viewer.gui.kept_places import Box, bounds_of
+from wafer_viewer.gui.measure_words import letter, list_text, of_what, sign_colour, value_texts
+from wafer_viewer.gui.view import ReviewFilter
+from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.notebook import Judgement, key_of_result
+from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.verdict import Judged
+from wafer_viewer.session.state import Snapshot
+
+Row = tuple[str, str, str, str]
+"""Name, value, U, unit."""
+VERDICTS = {"open": "open", "accepted": "accepted", "rejected": "rejected"}
+VERDICT_LOOKS = {
+    "open": (viser.Icon.CIRCLE_DASHED, "ink3"),
+    "accepted": (viser.Icon.CIRCLE_CHECK, "good"),
+    "rejected": (viser.Icon.CIRCLE_X, "fault"),
+}
+"""Sign and colour of each judgement; its word stands beside them."""
+FILTERS: tuple[tuple[ReviewFilter, str], ...] = (("all", "All"), ("open", "Open"), ("rejected", "Rejected"))
+_QUANTITIES = {"pt": "Pt", "flt_t": "FLTt", "flt_q": "FLTq", "dz": "Δz"}
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewItem:
+    """One thing to be judged: its sign, where it is, its numbers, what the instrument says, what people say.
+
+    value: what the list shows, HTML. show: the surface it was measured on; number: of the result it is, if it is one.
+    """
+
+    key: str
+    sign: str
+    colour: str
+    title: str
+    below: str
+    value: str
+    rows: tuple[Row, ...]
+    judgement: Judgement
+    box_um: Box | None = None
+    show: int = 0
+    levelling: Levelling = Levelling()
+    number: int | None = None
+    said: str = ""
+
+
+def review_items(snapshot: Snapshot, only: ReviewFilter = "all") -> tuple[ReviewItem, ...]:
+    """Everything under review, of which `only` what is still open, or was rejected."""
+    items = tuple(item for source in SOURCES for item in source(snapshot))
+    return items if only == "all" else tuple(item for item in items if item.judgement.verdict == only)
+
+
+def chosen_item(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
+    """The item of a key; the first one where none was chosen or it is gone."""
+    items = review_items(snapshot)
+    return next((item for item in items if item.key == key), items[0] if items else None)
+
+
+def neighbour(items: tuple[ReviewItem, ...], key: str | None, by: int) -> ReviewItem | None:
+    """The item `by` places on from the one of a key, round the ends of the list."""
+    if not items:
+        return None
+    at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
+    return items[(at + by) % len(items)]
+
+
+def _results(snapshot: Snapshot) -> Iterator[ReviewItem]:
+    for finding in snapshot.findings:
+        key = key_of_result(finding.number)
+        yield ReviewItem(
+            key=key,
+            sign=letter(finding),
+            colour=sign_colour(finding),
+            title=finding.name or letter(finding),
+            below=_kind(finding),
+            value=list_text(finding),
+            rows=tuple(_rows(finding)),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=bounds_of(finding),
+            show=finding.show,
+            levelling=finding.levelling,
+            number=finding.number,
+        )
+
+
+def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
+    verdict, data = snapshot.operating.verdict, snapshot.dataset
+    if verdict is None or data is None:
+        return
+    for k, judged in enumerate(verdict.items):
+        key = f"feature {judged.feature.name}"
+        places = [place for place in (judged.feature.upper, judged.feature.lower) if place is not None]
+        yield ReviewItem(
+            key=key,
+            sign=f"F{k + 1}",
+            colour="",
+            title=judged.feature.name,
+            below="Feature of the released job" if verdict.released else "Feature of the job",
+            value=f"<b>{judged.word.upper()}</b>",
+            rows=_feature_rows(judged),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=_box_on_stage(places, data.job.alignment),
+            said=f"{judged.word.upper()}. {judged.why}",
+        )
+
+
+SOURCES: tuple[Callable[[Snapshot], Iterator[ReviewItem]], ...] = (_features, _results)
+
+
+def _kind(finding: AnyFinding) -> str:
+    titles = {tool: made.title for tool, made in TOOLS.items()}
+    tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
+    words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), f"{finding.surface} heights")
+    return " · ".join(word for word in words if word)
+
+
+def _rows(finding: AnyFinding) -> Iterator[Row]:
+    for name in finding.__struct_fields__:
+        held = getattr(finding, name)
+        if isinstance(held, Length | Quantity):
+            quantity = held.quantity if isinstance(held, Length) else held
+            yield (_QUANTITIES.get(name, name.replace("_", " ").capitalize()), *value_texts(quantity))
+
+
+def _feature_rows(judged: Judged) -> tuple[Row, ...]:
+    feature = judged.feature
+    limits = (("Lower limit", feature.lower_limit_um), ("Upper limit", feature.upper_limit_um))
+    measured = (("Height", *value_texts(judged.height.quantity)),) if judged.height is not None else ()
+    named = (("Nominal", feature.nominal_um), *limits)
+    return (*measured, *((name, f"{um:.2f}", "", "µm") for name, um in named))
+
+
+def _box_on_stage(places: list[Region], alignment: Alignment | None) -> Box | None:
+    """The upright rectangle on the stage round places on the wafer; None round no places."""
+    boxes = [place.bounds_um for place in places]
+    corners = [(x, y) for x0, y0, x1, y1 in boxes for x in (x0, x1) for y in (y0, y1)]
+    if alignment is not None:
+        corners = [alignment.to_stage(x, y) for x, y in corners]
+    xs, ys = [x for x, _ in corners], [y for _, y in corners]
+    return (min(xs), min(ys), max(xs), max(ys)) if corners else None

@@ -1,0 +1,155 @@
+"""The step Review: one thing after the other, with its picture, its numbers, what is thought of it, by keyboard."""
+
+from __future__ import annotations
+
+import base64
+from concurrent.futures import Future
+from typing import TYPE_CHECKING, Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.edits import Edits
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.review_items import ReviewItem, chosen_item, neighbour, review_items
+from wafer_viewer.gui.review_words import numbers, picture, progress
+from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.notebook import Verdict
+from wafer_viewer.session.paint_request import PaintRequest
+from wafer_viewer.session.state import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.gui.scene import SceneView
+
+JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accept"), ("rejected", "Reject"))
+ROUND_A_PLACE, LEAST_PX = 2.2, 160
+"""Of the surface so much more than the places is shown, and at least so many of its pixels."""
+ASPECT = 4 / 3
+
+
+class ReviewPanel:
+    """The item under review; the list of all is in the left panel."""
+
+    def __init__(self, page: Page, scene: SceneView) -> None:
+        self._page, self._scene = page, scene
+        self._pictures: dict[PaintRequest, Future[bytes]] = {}
+        self._note_of = ""
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+        self._edits = Edits(self._commit_note, guarded(page, "The note stays"))
+        page.on_pick("review", self.go_to)
+        page.on_pick("review-filter", lambda key: page.change(review_filter=key))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        there = view.step == "review" and not view.explains
+        set_prop(self._folder, "visible", there)
+        item = chosen_item(snapshot, view.review) if there else None
+        if item is None:
+            return
+        self._title.show(html.title(f"{item.sign} · {item.title}", item.below))
+        self._notes.show(self._page.notes(snapshot))
+        self._picture.show(picture(item, self._painted(item, snapshot)))
+        self._numbers.show(numbers(item))
+        self._judgement.show(item.judgement.verdict)
+        self._done.show(progress(review_items(snapshot)))
+        if not self._edits.under_way:
+            self._note_of = item.key
+            self._note.show(item.judgement.note)
+
+    def commands(self) -> list[Command]:
+        """By keyboard alone: on, back, accept, reject."""
+        icon = viser.Icon
+        return [
+            Command("Next under review", "pagedown", lambda: self.step(1), icon.ARROW_RIGHT, group="Review"),
+            Command("Previous under review", "pageup", lambda: self.step(-1), icon.ARROW_LEFT, group="Review"),
+            Command("Accept", "Y", lambda: self.judge("accepted"), icon.CHECK, group="Review"),
+            Command("Reject", "N", lambda: self.judge("rejected"), icon.X, group="Review"),
+        ]
+
+    def step(self, by: int) -> None:
+        """Go on to the next item of those listed, or back."""
+        page, view = self._page, self._page.view
+        if view.step != "review":
+            return
+        snapshot = page.session.snapshot
+        now = chosen_item(snapshot, view.review)
+        item = neighbour(review_items(snapshot, view.review_filter), now.key if now else None, by)
+        if item is not None:
+            self._look_at(item)
+
+    def go_to(self, key: str) -> None:
+        """Look at one item."""
+        item = chosen_item(self._page.session.snapshot, key)
+        if item is not None:
+            self._look_at(item)
+
+    def judge(self, verdict: Verdict) -> None:
+        """Accept or reject the item; the same once more opens it again."""
+        page, item = self._page, chosen_item(self._page.session.snapshot, self._page.view.review)
+        if page.view.step == "review" and item is not None:
+            new: Verdict = "open" if item.judgement.verdict == verdict else verdict
+            page.ask("The judgement stays", page.session.notebook.judge(item.key, new))
+
+    def _build(self) -> None:
+        page, gui = self._page, self._page.gui
+        self._title, self._notes, self._picture, self._numbers = (Cell(gui) for _ in range(4))
+        Cell(gui, html.head("Judgement", "keys Y and N"))
+        self._judgement = Choice(gui, "It is", JUDGEMENTS, self.judge)
+        note = gui.add_text("Note", "", hint="Kept with the judgement; it stands in the report")
+        self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note stays")
+        undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, lambda _: self._take_back("undo"))
+        redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, lambda _: self._take_back("redo"))
+        in_a_row(gui, [undo, redo], 30)
+        self._done = Cell(gui)
+        on = button(gui, "Next", viser.Icon.ARROW_RIGHT, lambda _: self.step(1))
+        leading(gui, on)
+
+    def _take_back(self, verb: str) -> None:
+        page = self._page
+        page.ask(f"Nothing was {verb}ne", getattr(page.session.notebook, verb)())
+
+    def _look_at(self, item: ReviewItem) -> None:
+        """Show the item as it was measured, and fly there."""
+        page, view, snapshot = self._page, self._page.view, self._page.session.snapshot
+        changes: dict[str, Any] = {"review": item.key, "selected": item.number, "why": None}
+        if (item.show, item.levelling) != (view.show, view.levelling):
+            changes |= {"show": item.show, "levelling": item.levelling, "range_um": None}
+            changes |= {"frame_k": None, "slice_z_um": None}
+        page.change(**changes)
+        if item.box_um is not None:
+            self._scene.draw(snapshot, page.view)  # before the camera moves: another surface is framed anew
+            self._scene.fly_to(framed(item, snapshot))
+
+    def _commit_note(self) -> Future[Any] | None:
+        page = self._page
+        answer = page.session.notebook.judge(self._note_of, note=self._note.value)
+        page.ask("The note stays", answer)
+        return answer
+
+    def _painted(self, item: ReviewItem, snapshot: Snapshot) -> str:
+        """The picture as a data URL; empty until it is painted, and the page is drawn again when it is."""
+        source = source_of(snapshot, item.show)
+        if source is None or item.box_um is None:
+            return ""
+        request = PaintRequest(source, "picture", box_um=framed(item, snapshot))
+        future = self._pictures.get(request)
+        if future is None or future.cancelled():
+            future = self._pictures[request] = self._page.session.paint(request)
+            future.add_done_callback(lambda _: self._page.redraw())
+        data = future.result() if future.done() and future.exception() is None else b""
+        return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}" if data else ""
+
+
+def framed(item: ReviewItem, snapshot: Snapshot) -> tuple[float, float, float, float]:
+    """The part of the surface to be shown for an item, as wide for its height as its picture."""
+    x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
+    least_um = LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)
+    width = max(ROUND_A_PLACE * max(x1 - x0, (y1 - y0) * ASPECT), least_um)
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2

@@ -1,0 +1,70 @@
+"""The step Review as HTML: the list of what is under review, an item's picture and its numbers."""
+
+from __future__ import annotations
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.review_items import FILTERS, VERDICT_LOOKS, VERDICTS, ReviewItem, chosen_item, review_items
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
+
+
+def review_list(snapshot: Snapshot, view: View) -> str:
+    """The list in the left panel, with the filter over it; nothing in other steps."""
+    if view.step != "review":
+        return ""
+    everything, listed = review_items(snapshot), review_items(snapshot, view.review_filter)
+    now = chosen_item(snapshot, view.review)
+    judged = sum(item.judgement.verdict != "open" for item in everything)
+    rows = [_row(item, now is not None and item.key == now.key) for item in listed]
+    empty = html.empty("Nothing is left open." if view.review_filter == "open" else "Nothing was rejected.")
+    body = html.table([], rows, "  n ") if rows else empty
+    head = html.head("Under review", f"{judged} of {len(everything)} judged")
+    return f'{head}{_filters(view)}{body}<div style="height:6px"></div>'
+
+
+def picture(item: ReviewItem, url: str) -> str:
+    """The picture of an item; a sentence where it has no place on the surface."""
+    if item.box_um is None:
+        return html.empty("It has no place on the surface.")
+    inside = f'<img alt="{html.safe(item.title)}" src="{url}">' if url else ""
+    return f'<div class="wv-review-picture">{inside}</div>'
+
+
+def numbers(item: ReviewItem) -> str:
+    """Every number of an item with its U; what the instrument says of it."""
+    rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
+    said = f'<div class="wv-sub" style="margin-top:6px">{html.safe(html.micro(item.said))}</div>' if item.said else ""
+    table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
+    return html.head("Numbers") + table + said
+
+
+def progress(items: tuple[ReviewItem, ...]) -> str:
+    """How much is judged, in words."""
+    left = sum(item.judgement.verdict == "open" for item in items)
+    rejected = sum(item.judgement.verdict == "rejected" for item in items)
+    said = f"{left} still open" if left else "Everything is judged"
+    return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · Page Down goes on</div>'
+
+
+def _row(item: ReviewItem, chosen: bool) -> str:
+    word = VERDICTS[item.judgement.verdict]
+    sign, colour = VERDICT_LOOKS[item.judgement.verdict]
+    told = f'<span style="color:var(--{colour})" title="{word}">{html.icon(sign, 17)}</span>'
+    name = (
+        f'<span class="wv-cut wv-short" title="{html.safe(item.title)}">{html.safe(item.title)}</span>'
+        f'<small style="color:var(--{colour})">{word}</small>'
+    )
+    attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {word}")}"'
+    return html.row(
+        [html.chip(item.sign, item.colour), name, item.value, told], "  n ", attributes, "sel" if chosen else ""
+    )
+
+
+def _filters(view: View) -> str:
+    chosen = view.review_filter
+    buttons = "".join(
+        f'<span class="{"on" if key == chosen else ""}" aria-pressed="{str(key == chosen).lower()}" '
+        f"{html.pick('review-filter', key)}>{name}</span>"
+        for key, name in FILTERS
+    )
+    return f'<div class="wv-segments">{buttons}</div>'
