@@ -13,6 +13,7 @@ import numpy as np
 
 from tests.browser.fake_control import fake_control
 from tests.browser.fake_notebook import FakeNotebook, FakePapers
+from tests.browser.fake_notebook import FakeNotebook, FakePapers
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
@@ -52,6 +53,7 @@ class FakeSession:
         self.fails_with: Exception | None = None
         self._listeners: list[Callable[[Snapshot], None]] = []
         self.control = fake_control(self)
+        self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:

@@ -28,6 +28,8 @@ from wafer_viewer.gui.pose_legend import PoseLegend
 from wafer_viewer.gui.print_picture import PrintPicture
 from wafer_viewer.gui.profile_dock import ProfileDock
 from wafer_viewer.gui.reopened import Reopened
+from wafer_viewer.gui.report_panel import ReportPanel
+from wafer_viewer.gui.review_panel import ReviewPanel
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.status_strip import StatusStrip
@@ -104,6 +106,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene)
+    review, report = ReviewPanel(page, scene), ReportPanel(page)
     why, left = WhyPanel(page), LeftPanel(page)
     ear.left = left.panel
     read_out = ReadOutBox(page)
@@ -117,6 +120,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             acquire,
             surface,
             measure,
+            review,
+            report,
             why,
             left,
             Toolbar(page),
@@ -145,6 +150,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_scene(page, scene, read_out, why)
     views = SavedViews(page, scene)
     looks = [*looking(look), *views.commands(), *PrintPicture(page, scene).commands()]
+    looks += [*review.commands(), *report.commands()]
     commands = [*looks, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     add_commands(page, [*commands, add_keys_sheet(page, commands)])
     page.on_close(measure.close)
