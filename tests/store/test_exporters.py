@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 
 import numpy as np
@@ -12,11 +10,9 @@ import trimesh
 
 from tests.store.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Contribution, Findings, Length, StepHeight
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.store.exporters import EXPORTERS, caveats, export, findings_csv
+from wafer_viewer.store.exporters import EXPORTERS, caveats, export
 from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.npz import read_npz
 
@@ -162,32 +158,6 @@ def test_a_failed_export_leaves_the_old_file(tmp_path):
     assert (tmp_path / "a.stl").read_text() == "old"
     with pytest.raises(DatasetError, match="its folder does not exist"):
         export(blind, tmp_path / "nowhere/a.csv")
-
-
-def test_findings_are_a_table_with_uncertainties():
-    height = Length.evaluated(399.8812, (Contribution(name="z scale", u_um=0.1),))
-    step = {
-        "definition": "common plane",
-        "upper": Region.rectangle(0, 0, 1, 1),
-        "lower": Region.rectangle(2, 0, 3, 1),
-        **{f"{side}_{what}": 1.0 for side in ("upper", "lower") for what in ("mean_um", "sq_um")},
-        "upper_points": 10,
-        "lower_points": 10,
-    }
-    bare = Length(value_um=1.5, status="uncalibrated")
-    text = findings_csv(
-        Findings(
-            items=(
-                StepHeight(number=1, name='block, "A"', height=height, simulated=True, **step),
-                StepHeight(number=2, height=bare, **step),
-            )
-        )
-    )
-    first, second = csv.DictReader(io.StringIO(text))
-    assert first["name"] == 'block, "A"'
-    assert (first["kind"], first["quantity"], first["value_um"]) == ("step_height", "height", "399.881")
-    assert (first["U_um"], first["k"], first["simulated"]) == ("0.2", "2", "SIMULATED")
-    assert (second["U_um"], second["status"]) == ("", "uncalibrated")
 
 
 def test_a_mosaic_is_written_like_a_map(tmp_path):

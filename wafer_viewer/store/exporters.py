@@ -1,15 +1,13 @@
-"""Height maps and findings as files that other programs read. The ending picks the format.
+"""Height maps as files that other programs read. The ending picks the format.
 
 Every format that can hold a text says what is simulated or uncalibrated.
 """
 
 from __future__ import annotations
 
-import csv
 import datetime
-import io
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -17,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import AnyFinding, Findings, Length
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Provenance
 from wafer_viewer.store.files import replacing
 from wafer_viewer.store.npz import write_npz
@@ -132,39 +129,6 @@ EXPORTERS: dict[str, Callable[[HeightMap, Path], None]] = {
     ".csv": write_csv,
 }
 """How a surface is written, by the ending of the file."""
-
-
-def findings_csv(findings: Findings) -> str:
-    """Findings as a table: a line for each length, with its expanded uncertainty (k = 2) or why it has none."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(
-        ["number", "name", "kind", "quantity", "value_um", "U_um", "k", "status", "surface", "filter", "simulated"]
-    )
-    for finding in findings.items:
-        for quantity, length in _lengths(finding):
-            table.writerow([*_who(finding), quantity, *_cells(length), *_on_what(finding)])
-    return text.getvalue()
-
-
-def _lengths(finding: AnyFinding) -> Iterator[tuple[str, Length]]:
-    for name in finding.__struct_fields__:
-        if isinstance(value := getattr(finding, name), Length):
-            yield name, value
-
-
-def _who(finding: AnyFinding) -> list[object]:
-    return [finding.number, finding.name, finding.__struct_config__.tag]
-
-
-def _cells(length: Length) -> list[object]:
-    if length.expanded_um is None:
-        return [f"{length.value_um:.6g}", "", "", length.status]
-    return [f"{length.value_um:.6g}", f"{length.expanded_um:.2g}", 2, length.status]
-
-
-def _on_what(finding: AnyFinding) -> list[object]:
-    return [finding.surface, finding.filter, "SIMULATED" if finding.simulated else ""]
 
 
 def _heading(surface: HeightMap) -> list[str]:

@@ -1,0 +1,95 @@
+"""Findings as a table for a spreadsheet: a line for each number, with its unit, its U or why it has none, and where."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from wafer_viewer.model.findings import AnyFinding, Finding, Findings
+from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.region import Region
+
+COLUMNS = (
+    *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),
+    *("x_um", "y_um", "surface", "filter", "levelled by", "show", "simulated"),
+)
+UNITS = ("um2", "um3", "um", "deg", "mrad")
+"""How the name of a plain number ends that has a unit; a number without one is a count or a ratio, unit 1."""
+OF_ALL = frozenset(Finding.__struct_fields__)
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """One number of a finding; status empty where no uncertainty is asked of it."""
+
+    name: str
+    value: float
+    unit: str
+    expanded: float | None = None
+    status: str = ""
+
+
+def findings_csv(findings: Findings) -> str:
+    """The table; U is expanded (k = 2). x_um and y_um are the middle of the first place, show 0 the whole surface."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    for finding in findings.items:
+        for number in _numbers(finding):
+            table.writerow([*_who(finding), *_cells(number), *_where(finding), *_on_what(finding)])
+    return text.getvalue()
+
+
+def _numbers(finding: AnyFinding) -> Iterator[Number]:
+    """The main one first."""
+    found = [n for name in finding.__struct_fields__ if name not in OF_ALL and (n := _number(finding, name))]
+    main = finding.main
+    return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
+
+
+def _number(finding: AnyFinding, name: str) -> Number | None:
+    match getattr(finding, name):
+        case Length() as length:
+            return _of_quantity(name, length.quantity)
+        case Quantity() as quantity:
+            return _of_quantity(name, quantity)
+        case int() | float() as value:
+            unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
+            return Number(name.removesuffix(f"_{unit}") if unit else name, value, unit or "1")
+        case _:
+            return None
+
+
+def _of_quantity(name: str, quantity: Quantity) -> Number:
+    return Number(name, quantity.value, quantity.unit, quantity.expanded, quantity.status)
+
+
+def _who(finding: AnyFinding) -> list[object]:
+    return [finding.number, finding.name, finding.__struct_config__.tag]
+
+
+def _cells(number: Number) -> list[object]:
+    known = number.expanded is not None
+    return [
+        number.name,
+        f"{number.value:.6g}",
+        f"{number.expanded:.2g}" if known else "",
+        number.unit,
+        2 if known else "",
+        number.status,
+    ]
+
+
+def _where(finding: AnyFinding) -> list[str]:
+    places = (getattr(finding, name) for name in finding.__struct_fields__)
+    bounds = next((place.bounds_um for place in places if isinstance(place, Region)), None)
+    if bounds is None:
+        return ["", ""]
+    return [f"{(bounds[0] + bounds[2]) / 2:.2f}", f"{(bounds[1] + bounds[3]) / 2:.2f}"]
+
+
+def _on_what(finding: AnyFinding) -> list[object]:
+    simulated = "SIMULATED" if finding.simulated else ""
+    return [finding.surface, finding.filter, finding.levelling.by, finding.show, simulated]
