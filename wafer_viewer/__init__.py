@@ -12,15 +12,35 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from wafer_viewer.measure.angle import face_angle
+    from wafer_viewer.measure.flatness import flatness
+    from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.measure.point import distance, point_height
     from wafer_viewer.measure.profile import profile
     from wafer_viewer.measure.quality import Quality, compare_with_truth
+    from wafer_viewer.measure.radius import bump_radius
     from wafer_viewer.measure.step import step_height
+    from wafer_viewer.measure.texture import texture
+    from wafer_viewer.measure.volume import area_volume
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.errors import WaferViewerError
     from wafer_viewer.model.evidence import FocusCurve
-    from wafer_viewer.model.findings import Length, Profile, ProfileCurve, StepHeight
+    from wafer_viewer.model.findings import (
+        AreaVolume,
+        Distance,
+        FaceAngle,
+        Flatness,
+        PointHeight,
+        Profile,
+        ProfileCurve,
+        Radius,
+        StepHeight,
+        Texture,
+    )
+    from wafer_viewer.model.levelling import Levelling
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
     from wafer_viewer.model.poses import Poses
+    from wafer_viewer.model.quantities import Length, Quantity
     from wafer_viewer.model.recipe import Recipe
     from wafer_viewer.model.region import Region
     from wafer_viewer.model.sample import Sample
@@ -38,22 +58,30 @@ if TYPE_CHECKING:
     from wafer_viewer.store.npz import read_npz
 
 _HOMES = {
+    "AreaVolume": "model.findings",
     "Calibration": "model.calibration",
     "Dataset": "store.dataset",
+    "Distance": "model.findings",
+    "FaceAngle": "model.findings",
     "Field": "model.plan",
     "FieldGrid": "model.plan",
     "FieldStack": "model.stack",
+    "Flatness": "model.findings",
     "FocusCurve": "model.evidence",
     "FocusSweep": "model.plan",
     "HeightMap": "model.surface",
     "Job": "model.plan",
-    "Length": "model.findings",
+    "Length": "model.quantities",
+    "Levelling": "model.levelling",
     "Mosaic": "model.surface",
     "Origin": "model.surface",
+    "PointHeight": "model.findings",
     "Poses": "model.poses",
     "Profile": "model.findings",
     "ProfileCurve": "model.findings",
     "Quality": "measure.quality",
+    "Quantity": "model.quantities",
+    "Radius": "model.findings",
     "Recipe": "model.recipe",
     "Region": "model.region",
     "RigConfig": "rigs.config",
@@ -61,38 +89,55 @@ _HOMES = {
     "ScanPlan": "model.plan",
     "Session": "session.session",
     "StepHeight": "model.findings",
+    "Texture": "model.findings",
     "WaferViewerError": "model.errors",
+    "area_volume": "measure.volume",
+    "bump_radius": "measure.radius",
     "compare": "reconstruct.compare",
     "compare_with_truth": "measure.quality",
+    "distance": "measure.point",
     "export": "store.exporters",
+    "face_angle": "measure.angle",
+    "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
     "import_dataset": "store.importers",
+    "levelled": "measure.levelled",
     "open_stack": "store.importers",
+    "point_height": "measure.point",
     "profile": "measure.profile",
     "read_npz": "store.npz",
     "reconstruct": "reconstruct.field",
     "step_height": "measure.step",
     "stitch": "reconstruct.stitch",
+    "texture": "measure.texture",
 }
 """Where each public name lives."""
 
 __all__ = [
+    "AreaVolume",
     "Calibration",
     "Dataset",
+    "Distance",
+    "FaceAngle",
     "Field",
     "FieldGrid",
     "FieldStack",
+    "Flatness",
     "FocusCurve",
     "FocusSweep",
     "HeightMap",
     "Job",
     "Length",
+    "Levelling",
     "Mosaic",
     "Origin",
+    "PointHeight",
     "Poses",
     "Profile",
     "ProfileCurve",
     "Quality",
+    "Quantity",
+    "Radius",
     "Recipe",
     "Region",
     "RigConfig",
@@ -100,19 +145,28 @@ __all__ = [
     "ScanPlan",
     "Session",
     "StepHeight",
+    "Texture",
     "WaferViewerError",
     "__version__",
+    "area_volume",
+    "bump_radius",
     "compare",
     "compare_with_truth",
+    "distance",
     "export",
+    "face_angle",
+    "flatness",
     "focus_curve",
     "import_dataset",
+    "levelled",
     "open_stack",
+    "point_height",
     "profile",
     "read_npz",
     "reconstruct",
     "step_height",
     "stitch",
+    "texture",
 ]
 
 
