@@ -177,5 +177,3 @@ def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
     assert not draft(desk).confirmed
     drafting.confirm()
     assert stops(look_round(desk.now, None, "2026-11-21")) == ()
-    drafting.reopen(None)
-    assert draft(desk).confirmed

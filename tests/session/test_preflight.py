@@ -76,7 +76,7 @@ MARKED = replace(small_job(), marks=MARKS)
         ("Clearance", {"job": replace(small_job(), z_start_um=8954.4), "z_um": 9000.0}, "ok", "mm at least"),
         ("Clearance", {"job": HIGHER, "z_um": 9000.0}, "stop", "the safe height 9000"),
         ("Light", {"job": replace(small_job(), light_fraction=0.0)}, "stop", "off"),
-        ("Light", {"clipped_fraction": 0.05}, "ok", "5.0%"),
+        ("Light", {"clipped_fraction": 0.05}, "ok", "5.0 %"),
         ("Light", {"clipped_fraction": 0.051}, "attention", "too bright"),
     ],
 )  # fmt: skip

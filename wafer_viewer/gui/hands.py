@@ -26,11 +26,13 @@ HANDS_ON = frozenset(
         *("Cover the sample", "Move to stage", "Save plan", "Load plan…", "Start scan"),
         *("Pause", "Go on", "Continue the scan"),
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
+        *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo"),
     }
 )
 """By their labels: the widgets that move the rig, or change the plan, the dataset or the results."""
-PICKS = ("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm-sample")
+OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
+PICKS = ("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm-sample", *OF_JOBS)
 """Elements of HTML that do the same."""
 _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
 _STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"

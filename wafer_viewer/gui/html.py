@@ -21,8 +21,8 @@ def safe(text: object) -> str:
 
 
 def micro(text: str) -> str:
-    """A sentence of the program as the page writes it: its errors say um, so that any terminal can show them."""
-    return re.sub(r"\bum\b", "µm", text)
+    """A sentence of the program as the page writes it: its errors say um and us, so that any terminal can show them."""
+    return re.sub(r"\bu([ms])\b", r"µ\1", text)
 
 
 def icon(name: Any, size_px: int = 16) -> str:

@@ -17,14 +17,14 @@ from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, start_dialog, t
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
 from wafer_viewer.gui.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.plan_form import PlanForm, form_of, job_of, with_typed_range
+from wafer_viewer.gui.plan_form import PlanForm, form_of, half_typed, job_of, text_of, with_typed_range
 from wafer_viewer.gui.release_section import ReleaseSection
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.library import today
 from wafer_viewer.session.preflight import Check, look_round, stops
-from wafer_viewer.session.state import Draft, Snapshot
+from wafer_viewer.session.state import Draft, Snapshot, Typed
 
 
 class PlanPanel:
@@ -32,8 +32,6 @@ class PlanPanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._problem: str | None = None
-        self._shown_job: Any = None
         self._edits = Edits(self._commit, guarded(page, "The plan stays"))
         self._typed_range_um: tuple[float, float] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
@@ -42,7 +40,6 @@ class PlanPanel:
         page.on_pick("strategy", self._choose_strategy)
         page.on_pick("job", lambda path: take_up(page, Path(path)))
         page.on_pick("jobs", lambda _: jobs_dialog(page))
-        page.on_pick("confirm", lambda _: page.ask("The sample is not confirmed", page.session.jobs.confirm()))
         page.on_pick("cover", lambda _: self._cover())
         page.on_pick("undo", lambda _: page.ask("Nothing was undone", page.session.undo()))
         page.on_pick("redo", lambda _: page.ask("Nothing was redone", page.session.redo()))
@@ -87,8 +84,8 @@ class PlanPanel:
             return "a scan is running."
         if rig.state != "ready":
             return rig.message or f"the rig is {rig.state}."
-        if self._problem or draft.job is None:
-            return self._problem or "the sample has no size."
+        if draft.typed is not None or draft.job is None:
+            return draft.typed.problem if draft.typed else "the sample has no size."
         if draft.problem or draft.plan is None:
             return draft.problem or "the plan is being priced."
         return next((f"{check.found} {check.mend}" for check in stops(checks)), None)
@@ -170,10 +167,8 @@ class PlanPanel:
     # --- the form
 
     def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[Check, ...]) -> None:
-        if draft.job is not self._shown_job:
-            self._shown_job, self._problem = draft.job, None
-        if self._problem is None and not self._edits.under_way:
-            self._show_form(form_of(draft.job))
+        if not self._edits.under_way:
+            self._show_form(half_typed(draft.typed) or form_of(draft.job))
         self._show_words(snapshot, draft)
         self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
         self._sweep_fields.visible = draft.job is not None
@@ -221,17 +216,14 @@ class PlanPanel:
 
     def _commit(self) -> Future[Any] | None:
         page, snapshot = self._page, self._page.session.snapshot
+        typed = self._read_form()
         try:
-            form = with_typed_range(self._read_form(), snapshot.draft.job, self._typed_range_um)
+            form = with_typed_range(typed, snapshot.draft.job, self._typed_range_um)
             job = job_of(form, snapshot.draft.job, snapshot.rig.limits)
         except PlanError as fault:
-            self._problem = str(fault)
-            page.redraw()
-            return None
-        self._problem = None
+            return page.session.keep_typed(Typed(text_of(typed), str(fault)))
         if job == snapshot.draft.job:
-            page.redraw()
-            return None
+            return page.session.keep_typed(None)
         answer = page.session.edit_job(job)
         page.ask("The plan stays", answer)
         return answer

@@ -26,15 +26,13 @@ CLIPPED = 0.05
 class Check:
     """One line: what was looked at, how it is, what was found, and what mends it.
 
-    ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so. to_confirm: a stop that ends once
-    a person says that the sample is the one that is named.
+    ``stop``: no scan as it is; ``attention``: a person has to say that it is meant so.
     """
 
     what: str
     state: State
     found: str
     mend: str = ""
-    to_confirm: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +105,7 @@ def sample(now: Preflight) -> Check:
     of_lot = f"{named} of lot {who.lot}" if who.lot else named
     if not now.confirmed:
         found = f"{of_lot}: not confirmed since the plan was opened again."
-        return Check("Sample", "stop", found, "Look, and confirm it.", to_confirm=True)
+        return Check("Sample", "stop", found, "Look, and confirm it.")
     return Check("Sample", "ok", f"{of_lot}.")
 
 
@@ -177,12 +175,12 @@ def clearance(now: Preflight) -> Check:
 def light(now: Preflight) -> Check:
     """Whether frames will be bright enough and not too bright."""
     times = ", ".join(f"{t:g}" for t in now.plan.exposures_us)
-    words = f"{now.job.light_fraction:.0%} at {times} us"
+    words = f"{100 * now.job.light_fraction:.0f} % at {times} us"
     if now.job.light_fraction == 0:
         return Check("Light", "stop", "The light is off.", "Set a share of the light over 0.")
     if now.clipped_fraction is None:
         return Check("Light", "ok", f"{words}; no frame was seen yet.")
-    words = f"{words}; {now.clipped_fraction:.1%} of the last frame is too bright"
+    words = f"{words}; {100 * now.clipped_fraction:.1f} % of the last frame is too bright"
     if now.clipped_fraction > CLIPPED:
         return Check("Light", "attention", f"{words}.", "Expose for a shorter time, or add a shorter exposure.")
     return Check("Light", "ok", f"{words}.")
