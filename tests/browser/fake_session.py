@@ -36,6 +36,7 @@ from wafer_viewer.session.state import (
     ScanProgress,
     Snapshot,
     SurfaceInfo,
+    Typed,
     Work,
 )
 
@@ -68,6 +69,10 @@ class FakeSession:
     def edit_job(self, job: Job | None) -> Future[None]:
         self.change(draft=draft_of(job))
         return self._done("edit_job", (job,), {})
+
+    def keep_typed(self, typed: Typed | None) -> Future[None]:
+        self.change(draft=dataclasses.replace(self.snapshot.draft, typed=typed))
+        return self._done("keep_typed", (typed,), {})
 
     def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)

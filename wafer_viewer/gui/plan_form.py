@@ -6,11 +6,14 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
+import msgspec
+
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.state import Typed
 
 FIRST_FRAMES = 31
 """Frames of the first sweep laid over a sample of which only the size is known."""
@@ -54,6 +57,19 @@ def form_of(job: Job | None) -> PlanForm:
         step_um=sweep.z_step_um,
         exposures_us=", ".join(f"{e:g}" for e in job.exposures_us),
     )
+
+
+def text_of(form: PlanForm) -> str:
+    """A form as text, to be kept while it makes no plan."""
+    return msgspec.json.encode(form).decode()
+
+
+def half_typed(typed: Typed | None) -> PlanForm | None:
+    """The form that was kept; None where there is none, or one of another version."""
+    try:
+        return msgspec.json.decode(typed.form, type=PlanForm) if typed is not None else None
+    except (msgspec.DecodeError, msgspec.ValidationError):
+        return None
 
 
 def job_of(form: PlanForm, old: Job | None, limits: RigLimits | None) -> Job:
