@@ -69,18 +69,18 @@ def test_a_gap_in_a_curve_is_a_gap_in_the_drawing():
     z = hill()
     z[1000:1500] = np.nan
     section = section_of(z)
-    html = profile_plot_html([section], frame_of([section]), (), 200)
+    html = profile_plot_html([section], frame_of([section]), ())
     assert paths(html)["A"].count("M") == 2
 
 
 def test_every_line_has_its_colour_and_what_is_compared_lies_over_it_in_dashes():
     sections = [section_of(hill()), section_of(hill(), 0, cleaned=True), section_of(hill(2000), 1)]
-    html = profile_plot_html(sections, frame_of(sections), (100.0, 9000.0), 200)
+    html = profile_plot_html(sections, frame_of(sections), (100.0, 9000.0))
     assert curves(html) == ["A", "B", "A+"]
     strokes = dict(re.findall(r'data-curve="([^"]*)" d="[^"]*" stroke="([^"]*)"', html))
     assert (strokes["A"], strokes["B"]) == PROFILE_COLOURS[:2]
     assert PROFILE_COLOURS[0] in strokes["A+"]
-    assert html.count("stroke-dasharray") == 2
+    assert html.count("stroke-dasharray") == 1
     assert html.count("wv-cursor") == 1
     assert len(html) < 60_000
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from wafer_viewer.model.cuts import across, column_line, gap, nearest, number_of, numbered, row_line
+from wafer_viewer.model.cuts import across, column_line, gap, nearest, numbered, row_line
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import ProfileCurve
 from wafer_viewer.model.region import Region
@@ -33,16 +33,16 @@ def test_a_row_runs_through_its_pixel_centres_from_edge_to_edge():
 
 @pytest.mark.parametrize(("along", "count"), [("row", 1000), ("column", 2000)])
 def test_there_are_so_many_rows_and_no_more(along, count):
-    assert number_of(LATTICE, along, numbered(LATTICE, along, count - 1)) == count - 1
+    last = numbered(LATTICE, along, count - 1).points[0]
+    assert nearest(LATTICE, along, last.x_um, last.y_um) == count - 1
     for number in (-1, count):
         with pytest.raises(MeasureError, match=f"no {along} {number}: the surface has the {along}s 0 to {count - 1}"):
             numbered(LATTICE, along, number)
 
 
-def test_a_place_names_the_nearest_row_and_any_other_line_none():
+def test_a_place_names_the_nearest_row_of_the_surface():
     assert nearest(LATTICE, "row", 0.0, 279.8) == 40
     assert nearest(LATTICE, "column", 1e6, 0.0) == 1999
-    assert number_of(LATTICE, "row", Region.line(-100, 280, 800, 281)) is None
 
 
 def test_a_line_across_another_has_its_middle_and_length_and_stays_on_the_surface():

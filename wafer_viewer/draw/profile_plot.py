@@ -23,14 +23,14 @@ _DASHES = 'stroke-dasharray="5 3"'
 
 
 def profile_plot_html(
-    sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float], height_px: int, over: str = ""
+    sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float], over: str = ""
 ) -> str:
-    """The plot at `height_px`; `over` is HTML that lies on the area of the curves."""
+    """The plot, as high as its place; `over` is HTML that lies on the area of the curves."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
     curves = "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
     drawn = f"{_grid(frame)}<g>{curves}</g>{''.join(_cursor(frame, at) for at in cursors_um)}"
     return (
-        f'<div class="wv-plot wv-profiles" style="height:{height_px}px"><div style="position:absolute;{place}">'
+        f'<div class="wv-plot wv-profiles"><div style="position:absolute;{place}">'
         f'<svg viewBox="0 0 {_SIDE} {_SIDE}" preserveAspectRatio="none" role="img" aria-label="Profiles">{drawn}</svg>'
         f'{_words(frame)}{over}</div><span class="wv-plot-y">z, µm</span>'
         '<span class="wv-plot-x">Distance along the profile, µm</span></div>'
@@ -68,7 +68,7 @@ def _cursor(frame: ProfileFrame, at_um: float) -> str:
     if not 0 <= across <= 1:
         return ""
     upright = f"M{_SIDE * across:.0f} 0V{_SIDE}"
-    return f'<path class="wv-cursor" d="{upright}" stroke="var(--ink)" stroke-width="1.2" {_DASHES}/>'
+    return f'<path class="wv-cursor" d="{upright}" stroke="var(--ink)" stroke-width="1.2"/>'
 
 
 def _words(frame: ProfileFrame) -> str:

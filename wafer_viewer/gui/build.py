@@ -11,6 +11,7 @@ from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import add_commands, looking
+from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff
 from wafer_viewer.gui.header import Header, possible
@@ -104,8 +105,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
+    curves = Curves(page)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
-    surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene)
+    surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene, curves)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
     why, left = WhyPanel(page), LeftPanel(page)
     ear.left = left.panel
@@ -119,6 +121,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             plan,
             acquire,
             surface,
+            curves,
             measure,
             review,
             report,
@@ -132,7 +135,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             PoseLegend(page, poses, scene.um_per_pixel),
             ScaleBar(page, scene),
             read_out,
-            ProfileDock(page, measure),
+            ProfileDock(page, curves),
             WhyDock(page, why),
         ),
         Welcome(page),

@@ -17,6 +17,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.region import Region
 
+_CURSOR = rgb("15202B")
 Told = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
@@ -54,6 +55,36 @@ class LineTool:
             part.remove()
 
 
+class Cursors:
+    """The plot's cursors on the active line; one that stands at an end is that end's handle."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self._scene = scene
+        self._knobs: dict[int, Knob] = {}
+        self.line, self.shares = 0, (0.0, 1.0)
+
+    def draw(self, line: Region, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+        """Stand on the surface as it is drawn now."""
+        first, last = ((p.x_um, p.y_um) for p in line.points)
+        points, _ = land.draped(first, last, 6.5 * mm_per_pixel)
+        for number, share in enumerate(self.shares):
+            if not 0 < share < 1:
+                self._take_away(number)
+                continue
+            if number not in self._knobs:
+                self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, 5.0)
+            self._knobs[number].place(points[round(share * (len(points) - 1))], mm_per_pixel, towards)
+
+    def remove(self) -> None:
+        """Take them out of the scene."""
+        for number in list(self._knobs):
+            self._take_away(number)
+
+    def _take_away(self, number: int) -> None:
+        if (knob := self._knobs.pop(number, None)) is not None:
+            knob.remove()
+
+
 class LineTools:
     """All lines. What a view asks for is laid, unless it is only an echo of what was told from here."""
 
@@ -62,6 +93,7 @@ class LineTools:
         self._tools: list[LineTool] = []
         self._seen: tuple[Region, ...] = ()
         self._echoes: deque[tuple[Region, ...]] = deque(maxlen=64)
+        self._cursors = Cursors(scene)
 
     def show(self, view: View, land: Land, near: Place) -> None:
         """Have the lines of a view; one that has none gets a first one near a place."""
@@ -73,6 +105,7 @@ class LineTools:
             first, last = first_line(land, near)
             self._lay((Region.line(*first, *last),))
             self._told(0)
+        self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
 
     def drag(self, name: str, to: Place) -> None:
         """Move the end of the handle of that name, ``profile/LINE/END``."""
@@ -85,9 +118,12 @@ class LineTools:
         """Lie on the surface as it is drawn now, all of them."""
         for tool in self._tools:
             tool.draw(land, mm_per_pixel, towards)
+        if self._cursors.line < len(self._tools):
+            self._cursors.draw(self._tools[self._cursors.line].line, land, mm_per_pixel, towards)
 
     def remove(self) -> None:
         """Take them all out of the scene."""
+        self._cursors.remove()
         for tool in self._tools:
             tool.remove()
         self._tools, self._seen = [], ()

@@ -35,7 +35,7 @@ def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um
     """A slider as large as the plot for each cursor within its ends; only the lines themselves take the pointer."""
     tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR)
     return "".join(
-        f'<input type="range" class="wv-scrub wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
+        f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
         f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="any" data-step="{step_um!r}" value="{at!r}" '
         f'oninput="{html.safe(tell)}" onkeydown="{_KEYS}">'
         for k, at in enumerate(at_um)

@@ -1,154 +1,130 @@
-"""The bottom panel: the profile as a curve in µm, live while its handles move. The scene makes room for it."""
+"""The bottom panel: the profiles as curves in µm, live while a handle moves. The scene makes room for it."""
 
 from __future__ import annotations
 
-import itertools
-from typing import Any
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from wafer_viewer.draw.numbers import number, with_unit
-from wafer_viewer.draw.ticks import round_step
-from wafer_viewer.gui import html
+from wafer_viewer.draw.profile_frame import Ends, ProfileFrame, frame_of
+from wafer_viewer.draw.profile_plot import profile_plot_html
+from wafer_viewer.gui import plot_pointer as pointer
+from wafer_viewer.gui import profile_words as words
 from wafer_viewer.gui.bottom import BottomPanel
+from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.kit import Cell
-from wafer_viewer.gui.measure_panel import MeasurePanel
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.gui.measure_words import averaging
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.style import PROFILE_PX, palette
+from wafer_viewer.gui.plot_view import with_cursor
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.model.cuts import Gap, gap
+from wafer_viewer.model.sections import Section
 from wafer_viewer.session.state import Snapshot
 
-MOST_POINTS = 1500
-"""More than the plot has pixels; longer curves are thinned by their extremes."""
-MOST_PIECES, PIECES_STEP = 40, 8
-"""Most measured pieces that are drawn apart, and the steps in which their number grows: each is a series."""
-PLOT_MARGIN_PX = 48
+STILL_S = 0.6
+"""While curves follow each other faster, a handle is being moved: the heights of the plot stay as they are."""
+LEAST_ZOOM_SHARE = 0.01
+"""A shorter drag is a click."""
 
 
 class ProfileDock:
-    """Head with the figures, and the plot."""
+    """Head with the figures, the plot, and two cursors on the active line's curve."""
 
-    def __init__(self, page: Page, measure: MeasurePanel) -> None:
-        self._page, self._measure = page, measure
-        self._drawn: object = None
+    def __init__(self, page: Page, curves: Curves) -> None:
+        self._page, self._curves = page, curves
+        self._lock = threading.Lock()
+        self._frame = frame_of([])
+        self._sections: Sequence[Section] = ()
+        self._changed_s = 0.0
+        self._slid: tuple[float, float] | None = None
+        self._slider = (self._frame.x_um, (0.0, 1.0))
         self._panel = BottomPanel(page, "profile")
         with self._panel.tab:
-            self._head = Cell(page.gui)
-            self._body = page.gui.add_folder(None)
-            self._plot: Any = None
-            self._plot_kind = False, 0
+            self._plot = Cell(page.gui)
+            self._sliders = Cell(page.gui)
+        page.on_pick("line", lambda place: page.change(line=int(place), selected=None))
+        page.on_pick(pointer.ZOOM, self._pointed)
+        page.on_pick(pointer.CURSOR, self._slide)
+        curves.on_news(lambda: self._draw(page.view))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Bring the curve up to date."""
-        if not self._panel.show(view):
+        """Bring the curves up to date."""
+        if self._panel.show(view):
+            self._draw(view)
+
+    def _draw(self, view: View) -> None:
+        """From the page's thread, and at once from the one that measured."""
+        with self._lock:
+            sections, active = self._curves.sections, self._curves.active
+            if not sections:
+                self._show_below(self._head(view, None))
+                self._sliders.show("")
+                return
+            self._frame = self._framed(sections, view.plot.span_um)
+            read = gap(active.curve, view.plot.cursors) if active is not None else None
+            at_um = read.at_um if read is not None else ()
+            plot = profile_plot_html(sections, self._frame, at_um, pointer.zoom_area())
+            self._show_below(self._head(view, read) + plot)
+            self._show_sliders(view, active)
+
+    def _show_below(self, content: str) -> None:
+        self._plot.show(f'<div class="wv-below">{content}</div>')
+
+    def _framed(self, sections: Sequence[Section], span_um: Ends | None) -> ProfileFrame:
+        """What the plot shows; its heights are held while curves follow each other, and fitted once they rest."""
+        now_s = time.monotonic()
+        moving = now_s - self._changed_s < STILL_S
+        if sections != self._sections:
+            self._sections, self._changed_s = sections, now_s
+        fitted = frame_of(sections, span_um)
+        return fitted.holding(self._frame.z_um) if moving else fitted
+
+    def _head(self, view: View, read: Gap | None) -> str:
+        zoomed = view.plot.span_um is not None
+        return words.head(self._curves.sections, self._curves.problems, len(view.lines), view.line, read, zoomed)
+
+    def _show_sliders(self, view: View, active: Section | None) -> None:
+        """Sent anew only where something else than a slider moved a cursor: it would slip out of the hand."""
+        if active is None:
+            self._sliders.show("")
             return
-        answer = self._measure.answer
-        profile = answer.finding if isinstance(answer.finding, Profile) else None
-        self._head.show(_head(profile, answer.problem))
-        if answer.curve is not None and (answer.curve, view.dark) != self._drawn:
-            self._drawn = (answer.curve, view.dark)
-            self._draw(answer.curve, view.dark)
+        length_um = float(active.curve.distance_um[-1])
+        if view.plot.cursors != self._slid or self._slider[0] != self._frame.x_um:
+            self._slid, self._slider = None, (self._frame.x_um, view.plot.cursors)
+        ends_um, shares = self._slider
+        step_um = length_um / max(1, len(active.curve.z_um) - 1)
+        sliders = pointer.cursor_sliders([share * length_um for share in shares], ends_um, step_um)
+        self._sliders.show(f'<div class="wv-slides">{sliders}</div>')
 
-    def _draw(self, curve: ProfileCurve, dark: bool) -> None:
-        distance, z = thinned(curve.distance_um, curve.z_um, MOST_POINTS)
-        data = (distance, *pieces(z))
-        scales: Any = {"x": {"time": False, "range": _x_range(distance)}, "y": {"range": y_range(z)}}
-        if self._plot is not None and self._plot_kind == (dark, len(data)):
-            self._plot.data = data
-            self._plot.scales = scales
+    # ---------------------------------------------------------------- what the operator does
+
+    def _pointed(self, key: str) -> None:
+        plot = self._page.view.plot
+        if key == pointer.WHOLE:
+            self._page.change(plot=replace(plot, span_um=None))
             return
-        if self._plot is not None:
-            self._plot.remove()
-        self._plot_kind = dark, len(data)
-        line: Any = {"label": "z", "stroke": PROFILE_COLOURS[0], "width": 1.8, "points": {"show": False}}
-        with self._body:
-            self._plot = self._page.gui.add_uplot(
-                data=data,
-                series=({}, *[line] * (len(data) - 1)),
-                scales=scales,
-                axes=(_axis("Distance along the profile, µm", 34, dark), _axis("z, µm", 56, dark)),
-                legend={"show": False},
-                height=PROFILE_PX - PLOT_MARGIN_PX,
-                padding=(8, 18, 0, 0),
-                cursor={"drag": {"x": True, "y": False}},
-            )
+        low, high = self._frame.x_um
+        first, last = (low + share * (high - low) for share in pointer.told_shares(key))
+        if abs(last - first) > LEAST_ZOOM_SHARE * (high - low):
+            self._page.change(plot=replace(plot, span_um=(min(first, last), max(first, last))))
+        else:
+            self._put_nearer(last)
 
+    def _put_nearer(self, at_um: float) -> None:
+        """Put the cursor that stands nearer to a place there."""
+        active = self._curves.active
+        if active is not None:
+            share = at_um / float(active.curve.distance_um[-1])
+            first, second = self._page.view.plot.cursors
+            self._put_cursor(0 if abs(first - share) <= abs(second - share) else 1, share, slid=False)
 
-def thinned(
-    x: NDArray[np.float64], z: NDArray[np.float64], most: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A curve with at most `most` points that keeps every peak, valley and gap.
+    def _slide(self, key: str) -> None:
+        number, at_um = pointer.told_cursor(key)
+        active = self._curves.active
+        if active is not None:
+            self._put_cursor(number, at_um / float(active.curve.distance_um[-1]), slid=True)
 
-    Each stretch is shown by its lowest and its highest point; one without a measured point stays a gap (NaN).
-    """
-    if len(z) <= most:
-        return x, z
-    stretches = most // 2
-    edges = np.linspace(0, len(z), stretches + 1).astype(int)
-    xs, zs = np.empty(2 * stretches), np.empty(2 * stretches)
-    for k, (first, last) in enumerate(itertools.pairwise(edges)):
-        part = z[first:last]
-        picked = (
-            np.sort([np.nanargmin(part), np.nanargmax(part)])
-            if np.isfinite(part).any()
-            else np.array([0, len(part) - 1])
-        )
-        xs[2 * k : 2 * k + 2], zs[2 * k : 2 * k + 2] = x[first + picked], part[picked]
-    return xs, zs
-
-
-def pieces(z: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """The measured pieces of a curve, each alone in a series and NaN elsewhere: within one a gap is drawn over.
-
-    Where there are more than `MOST_PIECES`, the narrowest gaps are drawn over; empty series make a round number.
-    """
-    good = np.flatnonzero(np.isfinite(z))
-    jumps = np.flatnonzero(np.diff(good) > 1)
-    widest = np.sort(jumps[np.argsort(-np.diff(good)[jumps], kind="stable")][: MOST_PIECES - 1])
-    runs = np.split(good, widest + 1) if good.size else []
-    apart = [np.full(len(z), np.nan) for _ in range(max(1, -(-len(runs) // PIECES_STEP)) * PIECES_STEP)]
-    for piece, run in zip(apart, runs, strict=False):
-        piece[run] = z[run]
-    return apart
-
-
-def y_range(z: NDArray[np.float64]) -> tuple[float, float]:
-    """Round ends around the heights that stay put while a handle moves a little."""
-    if not np.isfinite(z).any():
-        return -1.0, 1.0
-    low, high = float(np.nanmin(z)), float(np.nanmax(z))
-    step = round_step(max((high - low) / 4, 0.05))
-    return step * np.floor(low / step - 0.15), step * np.ceil(high / step + 0.15)
-
-
-def _x_range(distance: NDArray[np.float64]) -> tuple[float, float]:
-    return (0.0, float(distance[-1])) if len(distance) > 1 else (0.0, 1.0)
-
-
-def _axis(label: str, size_px: int, dark: bool) -> Any:
-    colours, font = palette(dark), "12px Inter, Segoe UI, sans-serif"
-    return {
-        "label": label,
-        "size": size_px,
-        "labelSize": 20,
-        "font": font,
-        "labelFont": font,
-        "stroke": colours["ink2"],
-        "grid": {"stroke": colours["line"], "width": 1},
-        "ticks": {"stroke": colours["line"], "width": 1, "size": 5},
-    }
-
-
-def _head(profile: Profile | None, problem: str) -> str:
-    if profile is None:
-        text = html.micro(problem) or "The curve comes as soon as the line lies on the surface."
-        return f'<div class="wv-dock"><b>Profile</b><span class="dim">{html.safe(text)}</span></div>'
-    sign = html.chip(f"P{profile.number or ''}", PROFILE_COLOURS[0])
-    line = f"{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide"
-    pt = f'<span>{sign}&ensp;Pt <b>{with_unit(profile.pt.value_um, 2)}</b>&ensp;<span class="dim">{line}</span></span>'
-    rise = f"Δx <b>{number(profile.length_um, 1)}</b>&ensp;Δz <b>{with_unit(profile.rise.value_um, 2, signed=True)}</b>"
-    return f'<div class="wv-dock"><b>Profile</b>{pt}<span class="wv-end">{rise}</span></div>'
+    def _put_cursor(self, number: int, share: float, *, slid: bool) -> None:
+        plot = with_cursor(self._page.view.plot, number, share)
+        self._slid = plot.cursors if slid else None
+        self._page.change(plot=plot)

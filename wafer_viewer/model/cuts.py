@@ -69,13 +69,6 @@ def nearest(outline: Outline, along: Along, x_um: float, y_um: float) -> int:
     return min(max(round(at / outline.pixel_um), 0), outline.shape[along == "column"] - 1)
 
 
-def number_of(outline: Outline, along: Along, line: Region) -> int | None:
-    """The row or the column that a line runs along; None for any other line."""
-    x_um, y_um = line.points[0].x_um, line.points[0].y_um
-    number = nearest(outline, along, x_um, y_um)
-    return number if numbered(outline, along, number, line.width_um) == line else None
-
-
 def across(line: Region, outline: Outline) -> Region:
     """A line through the middle of another, at a right angle to it, as long and as wide, within a surface."""
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
