@@ -26,8 +26,8 @@ def verbs(session: fake.FakeSession) -> list[str]:
 def test_a_key_works_while_a_ticked_checkbox_has_the_focus(serve: Serve):
     page = serve(fake.FakeSession(fake.measured()))
     go_to(page, "Surface")
-    page.get_by_label("One frame").click()
-    expect(page.get_by_label("One frame")).to_be_focused()
+    page.get_by_label("One z").click()
+    expect(page.get_by_label("One z")).to_be_focused()
     page.keyboard.press("k")
     title_is(page, "Step height")
 

@@ -41,6 +41,6 @@ def test_every_tool_for_measuring_has_a_key():
 def test_the_sheet_lists_every_key_and_says_it_as_people_do():
     commands = all_commands()
     text = sheet_html(commands)
-    assert all(c.spoken_key in text for c in commands if c.key)
+    assert all(c.spoken_key in text for c in commands if c.key and c.listed)
     assert spoken("Z", "cmd/ctrl+shift") == "Ctrl + Shift + Z"
     assert spoken("pagedown") == "Page Down"

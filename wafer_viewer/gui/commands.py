@@ -18,7 +18,10 @@ _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """One thing to do, its key, what it is called in the palette, and under which head it stands there."""
+    """One thing to do, its key, what it is called in the palette, and under which head it stands there.
+
+    listed: whether the sheet of keys has a line for it.
+    """
 
     name: str
     key: Any
@@ -26,6 +29,7 @@ class Command:
     icon: Any = None
     modifier: Any = None
     group: Group = "Page"
+    listed: bool = True
 
     @property
     def spoken_key(self) -> str:

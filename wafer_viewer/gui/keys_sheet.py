@@ -20,15 +20,15 @@ BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
         ("Next, previous field or button", "Tab"),
         ("Leave a field that is typed into", "Enter or Esc"),
     ),
-    "Look": (("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
+    "Look": (("Saved view 1 … 9", "Shift + 1 … 9"), ("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
 }
-"""Keys that no command of ours stands for."""
+"""Keys that no command of ours stands for, and such as stand for many."""
 
 
 def sheet_html(commands: Sequence[Command]) -> str:
     """All keys, under the heads of their groups."""
     groups = [(group, _rows(group, commands)) for group in get_args(Group)]
-    return f'<div class="wv-sheet">{"".join(_group(group, rows) for group, rows in groups if rows)}</div>'
+    return f'<div class="wv-sheet"><div>{"".join(_group(group, rows) for group, rows in groups if rows)}</div></div>'
 
 
 def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
@@ -47,7 +47,7 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
 
 
 def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
-    named = [(c.name, c.spoken_key) for c in commands if c.group == group and c.key]
+    named = [(c.name, c.spoken_key) for c in commands if c.group == group and c.key and c.listed]
     return [*named, *BESIDE_THE_TABLE.get(group, ())]
 
 

@@ -25,7 +25,7 @@ from wafer_viewer.session.state import Snapshot
 if TYPE_CHECKING:
     from wafer_viewer.gui.scene import SceneView
 
-JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accept"), ("rejected", "Reject"))
+JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accepted"), ("rejected", "Rejected"))
 ROUND_A_PLACE, LEAST_PX = 2.2, 160
 """Of the surface so much more than the places is shown, and at least so many of its pixels."""
 ASPECT = 4 / 3

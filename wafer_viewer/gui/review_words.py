@@ -17,7 +17,7 @@ def review_list(snapshot: Snapshot, view: View) -> str:
     judged = sum(item.judgement.verdict != "open" for item in everything)
     rows = [_row(item, now is not None and item.key == now.key) for item in listed]
     empty = html.empty("Nothing is left open." if view.review_filter == "open" else "Nothing was rejected.")
-    body = html.table([], rows, "  n ") if rows else empty
+    body = html.table([], rows, "  n") if rows else empty
     head = html.head("Under review", f"{judged} of {len(everything)} judged")
     return f'{head}{_filters(view)}{body}<div style="height:6px"></div>'
 
@@ -49,15 +49,12 @@ def progress(items: tuple[ReviewItem, ...]) -> str:
 def _row(item: ReviewItem, chosen: bool) -> str:
     word = VERDICTS[item.judgement.verdict]
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
-    told = f'<span style="color:var(--{colour})" title="{word}">{html.icon(sign, 17)}</span>'
     name = (
         f'<span class="wv-cut wv-short" title="{html.safe(item.title)}">{html.safe(item.title)}</span>'
-        f'<small style="color:var(--{colour})">{word}</small>'
+        f'<small style="color:var(--{colour})">{html.icon(sign, 14)} {word}</small>'
     )
     attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {word}")}"'
-    return html.row(
-        [html.chip(item.sign, item.colour), name, item.value, told], "  n ", attributes, "sel" if chosen else ""
-    )
+    return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
 
 
 def _filters(view: View) -> str:

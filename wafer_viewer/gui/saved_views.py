@@ -41,7 +41,7 @@ class SavedViews:
     def commands(self) -> list[Command]:
         """Save a view, and the first views by their number."""
         going = [
-            Command(f"Saved view {n}", f"{n}", lambda n=n: self.go_to(n), viser.Icon.BOOKMARK, "shift", "Look")
+            Command(f"Saved view {n}", f"{n}", lambda n=n: self.go_to(n), viser.Icon.BOOKMARK, "shift", "Look", False)
             for n in range(1, WITH_KEYS + 1)
         ]
         return [Command("Save view…", "V", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look"), *going]
@@ -116,7 +116,8 @@ def views_html(snapshot: Snapshot, view: View) -> str:
     state = snapshot.notebook
     rows = [_row(kept) for kept in state.book.views]
     listed = html.table([], rows) if rows else ""
-    undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if state.can_undo else ""
+    undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
+    undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if undone else ""
     save = f'<span class="wv-link" title="Key Shift + V" {html.pick("view-save")}>Save view…</span>'
     told = "3000 px wide, with scale and colours · Key P"
     picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
