@@ -16,6 +16,7 @@ COMMANDS: dict[str, str] = {
     "scan": "scan without the browser, or go on with an unfinished scan",
     "import": "make a dataset of images taken elsewhere",
     "reconstruct": "make a surface of a focus stack or a dataset, as a file",
+    "release": "make a plan a job that operators run with four actions",
     "stitch": "make the stitched surface of a dataset",
     "measure point": "the height at a point",
     "measure distance": "the way between two points",
@@ -26,6 +27,7 @@ COMMANDS: dict[str, str] = {
     "measure flatness": "the flatness of a face",
     "measure texture": "the texture of a face",
     "measure profile": "a section along a line",
+    "measure verdict": "whether a wafer is good by the features of its job",
     "compare": "the second of two surfaces minus the first, aligned before",
     "report": "write the report of a dataset as one HTML file that prints well",
     "why": "why a pixel has its height, or none",
@@ -99,9 +101,9 @@ def _call(name: str, rest: list[str]) -> int | None:
 
 
 def _function(name: str) -> Callable[..., int | None]:
-    from wafer_viewer import commands, compare_command, measure_commands, surface_commands
+    from wafer_viewer import commands, compare_command, measure_commands, operator_commands, surface_commands
 
-    rooms = (measure_commands, surface_commands, compare_command, commands)
+    rooms = (measure_commands, surface_commands, operator_commands, compare_command, commands)
     return next(found for room in rooms if (found := getattr(room, name, None)) is not None)
 
 

@@ -17,7 +17,9 @@ from wafer_viewer.model.plan import ScanPlan
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from wafer_viewer.model.verdict import Judged, WaferVerdict
     from wafer_viewer.session.doctor import Check
+    from wafer_viewer.session.preflight import Check as LookedAt
     from wafer_viewer.session.state import SurfaceInfo
     from wafer_viewer.store.dataset import CheckReport, Dataset
 
@@ -54,6 +56,29 @@ def plan_facts(plan: ScanPlan) -> dict[str, Any]:
         "bytes_on_disk": plan.bytes_on_disk,
         "prices": msgspec.to_builtins(plan.prices),
     }
+
+
+def print_preflight(checks: Iterable[LookedAt]) -> None:
+    """The lines of the look round before a scan."""
+    for check in checks:
+        print(f"{check.state:<9} {check.what}: {check.found} {check.mend}".rstrip(), flush=True)
+
+
+def print_verdict(verdict: WaferVerdict) -> int:
+    """Every feature, the word for the wafer, and what to do next; 0 for a pass, 1 for any other word."""
+    for item in verdict.items:
+        limits = f"{item.feature.lower_limit_um:g} to {item.feature.upper_limit_um:g} um"
+        print(f"{item.word.upper():<12} {item.feature.name}: {_height(item)}, limits {limits}. {item.why}")
+    simulated = " SIMULATED" if verdict.simulated else ""
+    print(f"{verdict.word.upper()}{simulated}: {verdict.next}")
+    return 0 if verdict.word == "pass" else 1
+
+
+def _height(item: Judged) -> str:
+    if item.height is None:
+        return "not measured"
+    u = item.height.expanded_um
+    return f"{item.height.value_um:.3f} um" + (f" +- {u:.2g} um (k = 2)" if u is not None else ", no uncertainty")
 
 
 def print_surface(out: Path, info: SurfaceInfo) -> None:

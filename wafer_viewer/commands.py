@@ -9,7 +9,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.arguments import DatasetFolder, File, Folder, Out, PlanFile, Sources, Text, Um, require_sources
+from wafer_viewer.arguments import (
+    DatasetFolder,
+    File,
+    Folder,
+    Numbers,
+    Out,
+    PlanFile,
+    Sources,
+    Text,
+    Um,
+    require_sources,
+)
 from wafer_viewer.command_output import (
     plan_facts,
     print_check,
@@ -17,13 +28,18 @@ from wafer_viewer.command_output import (
     print_cluster,
     print_json,
     print_plan,
+    print_preflight,
+    print_verdict,
     progress,
+    warn,
 )
 from wafer_viewer.model.errors import PlanError, RigError
 
 if TYPE_CHECKING:
     from wafer_viewer.model.devices import Rig
+    from wafer_viewer.model.plan import Job
     from wafer_viewer.rigs.config import RigConfig
+    from wafer_viewer.session.preflight import Check
 
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
@@ -75,24 +91,59 @@ def plan(plan_file: PlanFile, rig: File = None, json: bool = False) -> None:
     print_json(plan_facts(priced)) if json else print_plan(priced)
 
 
-def scan(plan_file: PlanFile, out: Out, rig: File = None) -> int:
+def scan(
+    plan_file: PlanFile,
+    out: Out,
+    rig: File = None,
+    wafer: Text = None,
+    lot: Text = None,
+    operator: Text = None,
+    corners: Numbers = (),
+    yes: bool = False,
+) -> int:
     """Scan without the browser. An unfinished dataset of the same plan is gone on with. Ctrl-C stops the rig.
 
+    Prints the look round before the start; what forbids the scan ends it there. A released job goes on to the surface
+    and the verdict: status 0 is pass, 1 any other word.
+
     Args:
-        plan_file: The plan.
+        plan_file: The plan, or a released job.
         out: The dataset, NAME.wafer.
         rig: RIG.toml of the instrument; the virtual rig without it.
+        wafer: Id of the wafer.
+        lot: Its lot.
+        operator: Who scans it.
+        corners: Where on the stage each corner was seen that the job aligns by, x and y, in the job's order.
+        yes: Start although something is not as it should be, as long as nothing forbids the scan.
     """
-    from wafer_viewer.session.drafting import read_job
+    from wafer_viewer.session.preflight import require_go
+    from wafer_viewer.session.release_command import job_of_wafer
     from wafer_viewer.session.scan_command import scan_to
 
-    job = read_job(plan_file)
+    job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
+
+    def ready(checks: tuple[Check, ...]) -> None:
+        print_preflight(checks)
+        require_go(checks, confirmed=yes)
+
     with _opened(rig) as device, progress("Scan") as tell:
-        ended = scan_to(out, job, device, tell)
+        ended = scan_to(out, job, device, tell, ready)
     if ended.error is not None:
         raise RigError(ended.error)
     print(f"{out}: {ended.words}")
-    return INTERRUPTED if ended.stopped else 0
+    if ended.stopped:
+        return INTERRUPTED
+    return _judged(out, job) if job.released else 0
+
+
+def _judged(out: Path, job: Job) -> int:
+    """Make the surface of a released job and judge it."""
+    from wafer_viewer.session.offline import make_surface
+    from wafer_viewer.session.release_command import verdict_kept_in
+
+    with progress("Surface") as tell:
+        make_surface(out, job.recipe, "default", again=False, tell=tell, warn=warn)
+    return print_verdict(verdict_kept_in(out, "default"))
 
 
 def import_(

@@ -12,8 +12,10 @@ from typing import Any
 from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
-from wafer_viewer.session.drafting import plan_of
+from wafer_viewer.session.drafting import free_bytes, plan_of
+from wafer_viewer.session.library import today
 from wafer_viewer.session.messages import Scan, Taken
+from wafer_viewer.session.preflight import Check, Preflight, preflight
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
 from wafer_viewer.store.dataset import Dataset
@@ -28,9 +30,18 @@ class Ended:
     error: str | None
 
 
-def scan_to(path: Path, job: Job, rig: Rig, tell: Callable[[float], None]) -> Ended:
-    """Take a job into a dataset. Raises DatasetError when it cannot be written, PlanError when it is of another job."""
-    scan = _goes_on(path, job) if path.exists() else Scan(path, plan_of(job, rig.limits), job)
+def scan_to(
+    path: Path, job: Job, rig: Rig, tell: Callable[[float], None], ready: Callable[[tuple[Check, ...]], None]
+) -> Ended:
+    """Take a job into a dataset, or go on with it; `ready` hears of the look round before, and may raise.
+
+    Raises DatasetError when it cannot be written, PlanError when it is of another job.
+    """
+    if path.exists():
+        scan = _goes_on(path, job)
+    else:
+        scan = Scan(path, plan_of(job, rig.limits), job)
+        ready(_look_round(scan, rig))
     steering = Steering()
 
     def report(event: Any) -> None:
@@ -52,6 +63,22 @@ def _goes_on(path: Path, job: Job) -> Scan:
     if not data.missing():
         raise DatasetError(f"{path} has all its frames: choose another name.")
     return Scan(path, data.scan.plan, job, goes_on=True)
+
+
+def _look_round(scan: Scan, rig: Rig) -> tuple[Check, ...]:
+    return preflight(
+        Preflight(
+            job=scan.job,
+            plan=scan.plan,
+            limits=rig.limits,
+            simulated=rig.simulated,
+            calibration=rig.calibration,
+            setup=rig.setup,
+            free_bytes=free_bytes(scan.path.absolute().parent),
+            z_um=rig.stage.position().z_um,
+            today=today(),
+        )
+    )
 
 
 @contextmanager
