@@ -29,7 +29,7 @@ class Answering:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._worker = Latest("measure")
-        self._asked: object = None
+        self._asked: tuple[object, ...] | None = None
         self.answer = Answer()
 
     def follow(self, snapshot: Snapshot, view: View) -> None:
@@ -37,21 +37,25 @@ class Answering:
         asked = (view.tool, _places(view), view.levelling, view.show, _stamp(snapshot, view.show))
         if asked == self._asked:
             return
+        if self._asked is None or asked[0] != self._asked[0]:
+            self.answer = Answer()
         self._asked = asked
         if asked[-1] is None or not _places(view):
             self.answer = Answer()
             return
-        self._worker.ask(lambda: guarded(self._page, "The measurement stopped")(self._measure)(view))
+        self._worker.ask(lambda: guarded(self._page, "The measurement stopped")(self._measure)(view, asked))
 
     def close(self) -> None:
         """Stop measuring: the browser has gone."""
         self._worker.close()
 
-    def _measure(self, view: View) -> None:
+    def _measure(self, view: View, asked: tuple[object, ...]) -> None:
         try:
-            self.answer = self._measured(view)
+            answer = self._measured(view)
         except WaferViewerError as fault:
-            self.answer = Answer(problem=str(fault))
+            answer = Answer(problem=str(fault))
+        if self._asked is not None and asked[0] == self._asked[0]:
+            self.answer = answer  # of the tool in use: one that came too late would stand under another's title
         self._page.redraw()
 
     def _measured(self, view: View) -> Answer:

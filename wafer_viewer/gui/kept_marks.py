@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import Rgb, rgb
 from wafer_viewer.gui.handles import CasedLine, Sign
-from wafer_viewer.gui.kept_places import places_of
+from wafer_viewer.gui.kept_places import drawn_of
 from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.measure_words import letter, sign_colour
 from wafer_viewer.gui.place_handles import Towards
@@ -23,8 +23,8 @@ from wafer_viewer.model.region import Region
 
 MOST_SIGNS = 60
 """Of more results only the newest are marked: signs on top of each other tell nothing."""
-_LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.6, 20, 6.0, 1.2
-_ROUND = np.linspace(0, 2 * np.pi, 25)
+_LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.8, 20, 6.0, 1.2
+_ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class KeptMarks:
         """Lie on the surface as it is drawn now."""
         for colour, line in self._lines.items():
             drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
-            line.lay(np.concatenate([_outline(p, land, mm_per_pixel) for p in drawn]), None, 1.2 * mm_per_pixel)
+            line.lay(np.concatenate([_outline(p, land, mm_per_pixel) for p in drawn]), None, 1.6 * mm_per_pixel)
         for one, sign in zip(self._kept, self._signs, strict=True):
             _place(sign, one.places[0], land, mm_per_pixel)
 
@@ -75,11 +75,11 @@ class KeptMarks:
 def _kept(finding: AnyFinding, view: View) -> _Kept:
     chosen = finding.number == view.selected
     colour = colours(view.dark).mark if chosen else rgb(sign_colour(finding)[1:])
-    return _Kept(places_of(finding), letter(finding), colour, chosen)
+    return _Kept(drawn_of(finding), letter(finding), colour, chosen)
 
 
 def _outline(region: Region, land: Land, mm_per_pixel: float) -> NDArray[np.float32]:
-    """The pieces of an outline, [n, 2, 3]: a line is draped, a point gets a ring, a face lies just over itself."""
+    """The pieces of an outline, [n, 2, 3]: a line is draped, a point gets a ring."""
     lift = _UP_PX * mm_per_pixel
     if region.kind == "line":
         first, last = ((p.x_um, p.y_um) for p in region.points)
@@ -89,9 +89,7 @@ def _outline(region: Region, land: Land, mm_per_pixel: float) -> NDArray[np.floa
     if len(corners) == 0:
         ring_um, at = _RING_PX * 1e3 * mm_per_pixel, region.points[0]
         corners = np.stack([at.x_um + ring_um * np.cos(_ROUND), at.y_um + ring_um * np.sin(_ROUND)], axis=1)
-    z = land.on_show.scene_z(land.highest_um(*region.bounds_um)) + lift
-    points = np.column_stack([corners * 1e-3, np.full(len(corners), z)]).astype(np.float32)
-    return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
+    return land.laid_round(corners, lift)
 
 
 def _place(sign: Sign, region: Region, land: Land, mm_per_pixel: float) -> None:

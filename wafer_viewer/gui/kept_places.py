@@ -71,6 +71,19 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
             return (finding.outline,)
 
 
+def drawn_of(finding: AnyFinding) -> tuple[Region, ...]:
+    """What is drawn of a result: its places, and the way from one to the other of a distance."""
+    return (
+        (*places_of(finding), way_between(*places_of(finding))) if isinstance(finding, Distance) else places_of(finding)
+    )
+
+
+def way_between(start: Region, end: Region) -> Region:
+    """The line from one point to another."""
+    (a,), (b,) = start.points, end.points
+    return Region.line(a.x_um, a.y_um, b.x_um, b.y_um)
+
+
 def bounds_of(finding: AnyFinding, least_um: float = 0.0) -> Box:
     """The upright rectangle round all places of a result, at least so wide and high."""
     boxes = [place.bounds_um for place in places_of(finding)]

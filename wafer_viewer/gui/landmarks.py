@@ -13,8 +13,8 @@ PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
 """Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
 _BUMP_SHARES = (1 / 3, 1 / 4, 1 / 6, 1 / 9, 1 / 14, 1 / 22)
 _LEAST_PATCH_PX, _ROOM_ROUND_BUMP = 4, 1.25
-_FLAT, SAME_LEVEL, _APART = 0.04, 0.12, 0.25
-"""Shares of the range of heights: within which a patch is flat, patches are level with each other, or are not."""
+_FLAT, _LEAST_FLAT, SAME_LEVEL, _APART = 0.04, 0.002, 0.12, 0.25
+"""Shares of the range of heights: within which a patch is flat (for certain), patches are level, or are not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,25 +95,49 @@ def _worth(land: Land, x_um: Floats, y_um: float) -> float:
 
 
 def plateaus(land: Land, near: Place) -> tuple[Place, Place, float]:
-    """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both."""
+    """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both.
+
+    They are on the two levels that most of the surface lies on, so that a bump on the upper one is none of them.
+    """
     for share in PATCH_SHARES:
         found = patches(land, share)
-        flat = found.only(found.spread <= _FLAT * span_um(land))
-        if len(flat) < 2 or np.ptp(flat.level) < _APART * span_um(land):
+        flat = found.only(_small(found.spread, land))
+        levels = _two_levels(flat.level, span_um(land))
+        if levels is None:
             continue
-        reach = SAME_LEVEL * np.ptp(flat.level)
-        high, low = flat.only(flat.level >= flat.level.max() - reach), flat.only(flat.level <= flat.level.min() + reach)
+        low, high = (flat.only(np.abs(flat.level - level) <= SAME_LEVEL / 2 * span_um(land)) for level in levels)
         upper = high.middle(high.nearest(land.inner(near)))
         return upper, low.middle(low.nearest(upper)), flat.side_um
     (x, y), side_um = land.inner(near), _least_side(land)
     return (x, y + 2 * side_um), (x, y - 2 * side_um), side_um
 
 
+def _small(spread: Floats, land: Land) -> NDArray[np.bool_]:
+    """Which spreads are those of flat patches: about as small as the smallest, which are noise alone."""
+    if len(spread) == 0:
+        return np.zeros(0, bool)
+    noise, span = float(np.percentile(spread, 10)), span_um(land)
+    return spread <= min(_FLAT * span, max(2 * noise, _LEAST_FLAT * span))
+
+
+def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
+    """The level that most values lie at, and of those well apart from it the fullest; lower first."""
+    if len(levels) < 2:
+        return None
+    full = np.count_nonzero(np.abs(levels[:, None] - levels[None, :]) <= SAME_LEVEL / 2 * span, axis=1)
+    first = float(levels[np.argmax(full)])
+    apart = np.abs(levels - first) >= _APART * span
+    if not apart.any():
+        return None
+    second = float(levels[np.argmax(np.where(apart, full, 0))])
+    return min(first, second), max(first, second)
+
+
 def face(land: Land, near: Place) -> tuple[Place, float]:
     """The middle of a flat face near a place, and the side of a square that fits on it."""
     for share in PATCH_SHARES:
         found = patches(land, share)
-        flat = found.only(found.rough <= _FLAT * span_um(land))
+        flat = found.only(_small(found.rough, land))
         if len(flat):
             return flat.middle(flat.nearest(land.inner(near))), flat.side_um
     return land.inner(near), _least_side(land)
@@ -123,7 +147,7 @@ def two_faces(land: Land, near: Place) -> tuple[Place, Place, float]:
     """Middles of the steepest even face and of the levellest one beside it, and the side of the squares."""
     for share in PATCH_SHARES[1:]:
         found = patches(land, share)
-        even = found.only(found.rough <= _FLAT * span_um(land))
+        even = found.only(_small(found.rough, land))
         if len(even) < 2:
             continue
         steep = even.middle(int(np.argmax(even.tilt)))

@@ -20,6 +20,7 @@ LEAST_IN_SIGHT_PX = 40
 
 _RAY_STEPS = 1500
 _HALVINGS = 14
+_ROUND_PIECES = 160
 
 
 class Land:
@@ -68,10 +69,8 @@ class Land:
         z, there = self._z_um[rows, cols], self._there[rows, cols]
         if min(z.shape) < LEAST_IN_SIGHT_PX or not there.any():
             return self
-        at = self.place(rows.start, cols.start)
-        part = Relief(
-            *z.shape, r.pixel_um, *at, np.ascontiguousarray(z).tobytes(), np.ascontiguousarray(there).tobytes()
-        )
+        x, y = self.place(rows.start, cols.start)
+        part = Relief(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), there.tobytes())
         return Land(part, self.on_show, self._holes)
 
     def clamped(self, place: Place) -> Place:
@@ -115,17 +114,32 @@ class Land:
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
         return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
-    def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """A line from a to b on the surface as points [n, 3], and which of its pieces [n - 1] are measured.
+    def seen_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """Places on what is seen there, through a hole the ground, as scene points, float32 [n, 3]."""
+        z = (self.seen_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
+        return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
 
-        It runs over narrow pits instead of diving through their walls.
-        """
+    def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """A line from a to b on the surface as points [n, 3], and which of its pieces [n - 1] are measured."""
         t = np.linspace(0, 1, 480)
         x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
-        points, there = self.scene_points(x, y, lift_mm), self.measured(x, y)
+        there = self.measured(x, y)
+        return self.laid(x, y, lift_mm), there[:-1] & there[1:]
+
+    def laid(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """A way on the surface as points [n, 3]; it runs over narrow pits instead of diving through their walls."""
+        points = self.scene_points(x_um, y_um, lift_mm)
         padded = np.pad(points[:, 2], 2, mode="edge")
         points[:, 2] = np.max([padded[k : k + len(points)] for k in range(5)], axis=0)
-        return points, there[:-1] & there[1:]
+        return points
+
+    def laid_round(self, corners_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """The outline through corners [n, 2] on the surface, as pieces [m, 2, 3]."""
+        ends = np.roll(corners_um, -1, axis=0)
+        t = np.linspace(0, 1, max(1, _ROUND_PIECES // len(corners_um)), endpoint=False)[:, None]
+        way = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
+        points = self.laid(way[:, 0], way[:, 1], lift_mm)
+        return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
 
     def highest_um(self, x0: float, y0: float, x1: float, y1: float) -> float:
         """Nearly the highest height within a rectangle, a spike aside."""

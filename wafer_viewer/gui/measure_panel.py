@@ -18,6 +18,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.gui.profile_section import ProfileSection
 from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.thumbnails import painted
 from wafer_viewer.gui.tool_icons import tool_cards
 from wafer_viewer.gui.view import Tool, View
 from wafer_viewer.model.findings import AnyFinding
@@ -27,6 +28,8 @@ from wafer_viewer.session.state import Snapshot
 
 __all__ = ["Answer", "MeasurePanel"]
 
+PICTURE_WAIT_S = 1.5
+"""A result is kept without a small picture where the painter is busy for longer."""
 WAITS = "The answer comes as soon as the handles lie on the surface."
 
 
@@ -118,7 +121,8 @@ class MeasurePanel:
             self._name.value = ""
             page.change(selected=result.number)
 
-        page.ask("The result was not kept", page.session.keep(replace(finding, name=name)), kept)
+        picture = painted(page, finding, PICTURE_WAIT_S)
+        page.ask("The result was not kept", page.session.keep(replace(finding, name=name), picture), kept)
 
 
 _GAP = '<div style="height:8px"></div>'

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.findings import AnyFinding, AreaVolume, Profile, StepHeight
+from wafer_viewer.model.findings import AnyFinding, AreaVolume, Defect, GaugeCheck, Profile
 from wafer_viewer.model.quantities import Quantity
 
 REGION_COLOUR = "#15202B"
@@ -88,7 +88,7 @@ def sign_colour(finding: AnyFinding) -> str:
     """Its colour, the same in list, curve and scene."""
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
-    return REGION_COLOUR if isinstance(finding, StepHeight) else OTHER_COLOUR
+    return OTHER_COLOUR if isinstance(finding, GaugeCheck | Defect) else REGION_COLOUR
 
 
 def of_what(finding: AnyFinding) -> str:
@@ -101,8 +101,8 @@ def of_what(finding: AnyFinding) -> str:
 def list_text(finding: AnyFinding) -> str:
     """Value, uncertainty and unit for the list, as HTML."""
     value, u, unit = value_texts(finding.main, signed=_tag(finding) in _SIGNED)
-    beside = f"± {u} {unit}" if finding.main.expanded is not None else f"{unit} · {NO_U.get(finding.main.status, '')}"
-    return f"<b>{value}</b><small>{html.safe(beside)}</small>"
+    beside = f"± {u}" if finding.main.expanded is not None else NO_U.get(finding.main.status, "")
+    return f"<b>{value}</b>{with_unit_sign('', unit)}<small>{html.safe(beside)}</small>"
 
 
 def answer(name: str, quantity: Quantity, signed: bool = False) -> str:

@@ -18,6 +18,8 @@ Towards = NDArray[np.float64]
 """Unit vector from the sample towards the camera."""
 _WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
 _SIGN_PX, _BESIDE_PX, _WORD_PX = 26, 12, 90
+_ENDS_OF_A_WAY = ("point", "point")
+"""Two points and no more are joined by a line."""
 
 
 class PlaceHandle:
@@ -42,15 +44,14 @@ class PlaceHandle:
         self.region = self._shape.pulled(self.region, hold, to, land)
 
     def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
-        """Lie just over the surface within it; a point stands on what is seen there."""
-        corners = self._shape.outline(self.region)
-        z = self._level(land) + 2 * mm_per_pixel
+        """Lie on the surface as it is drawn now."""
         if self._outline is not None:
-            points = np.column_stack([corners * 1e-3, np.full(len(corners), z)]).astype(np.float32)
-            self._outline.lay(np.stack([points, np.roll(points, -1, axis=0)], axis=1), None, 1.6 * mm_per_pixel)
+            pieces = land.laid_round(self._shape.outline(self.region), 2 * mm_per_pixel)
+            self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
-            self._knobs[hold].place(np.array([x * 1e-3, y * 1e-3, z], np.float32), mm_per_pixel, towards)
-        self._place_sign(land, mm_per_pixel, z)
+            at = land.seen_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            self._knobs[hold].place(at, mm_per_pixel, towards)
+        self._place_sign(land, mm_per_pixel)
 
     def remove(self) -> None:
         """Take it out of the scene."""
@@ -58,18 +59,12 @@ class PlaceHandle:
             if part is not None:
                 part.remove()
 
-    def _level(self, land: Land) -> float:
-        x0, y0, x1, y1 = self.region.bounds_um
-        if self._outline is not None:
-            return land.on_show.scene_z(land.highest_um(x0, y0, x1, y1))
-        return land.on_show.scene_z(float(land.seen_um(np.array([x0]), np.array([y0]))[0]))
-
-    def _place_sign(self, land: Land, mm_per_pixel: float, z: float) -> None:
+    def _place_sign(self, land: Land, mm_per_pixel: float) -> None:
         """The sign lies beside the place: over whatever is there, or a wall would hide it."""
         x0, y0, _, y1 = self.region.bounds_um
         left, reach = x0 - _BESIDE_PX * 1e3 * mm_per_pixel, _WORD_PX * 1e3 * mm_per_pixel
-        beside = land.on_show.scene_z(land.highest_um(left - reach, y0, left, y1)) + 2 * mm_per_pixel
-        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, max(z, beside)), _SIGN_PX * mm_per_pixel)
+        z = land.on_show.scene_z(land.highest_um(left - reach, y0, x0, y1)) + 4 * mm_per_pixel
+        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, z), _SIGN_PX * mm_per_pixel)
 
 
 class Places:
@@ -81,6 +76,7 @@ class Places:
         self._kinds: tuple[str, ...] = ()
         self._colour: Rgb | None = None
         self._handles: list[PlaceHandle] = []
+        self._way: CasedLine | None = None
 
     @property
     def regions(self) -> tuple[Region, ...]:
@@ -99,6 +95,8 @@ class Places:
             PlaceHandle(self._scene, f"{self._name}/{k}", title, region, colour, self._dragged)
             for k, (title, region) in enumerate(zip(titles, regions, strict=True))
         ]
+        if kinds == _ENDS_OF_A_WAY:
+            self._way = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
 
     def move(self, regions: Sequence[Region]) -> None:
         """Be where these regions, of the same kinds, are."""
@@ -115,9 +113,16 @@ class Places:
         """Lie on the surface as it is drawn now."""
         for handle in self._handles:
             handle.draw(land, mm_per_pixel, towards)
+        if self._way is not None:
+            start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
+            points, measured = land.draped(start, end, 1.5 * mm_per_pixel)
+            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * mm_per_pixel)
 
     def remove(self) -> None:
         """Take them out of the scene."""
         for handle in self._handles:
             handle.remove()
+        if self._way is not None:
+            self._way.remove()
+            self._way = None
         self._handles, self._titles, self._kinds, self._colour = [], (), (), None

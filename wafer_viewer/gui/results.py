@@ -12,7 +12,7 @@ from wafer_viewer.gui.dialogs import rename_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kept_places import Box, bounds_of, places_of, tool_of
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
-from wafer_viewer.gui.measure_source import ZERO, where
+from wafer_viewer.gui.measure_source import where
 from wafer_viewer.gui.measure_words import letter, list_text, sign_colour
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.thumbnails import Thumbnails
@@ -132,7 +132,7 @@ def _row(finding: AnyFinding, view: View, thumbnail: str) -> str:
 def _elsewhere(finding: AnyFinding, view: View) -> list[str]:
     """What a result was measured on where that is not what is shown."""
     told = [where(finding)] if finding.show != view.show else []
-    return told + ([f"from {ZERO[finding.levelling.by]}"] if finding.levelling != view.levelling else [])
+    return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
 
 
 def _as_measured(finding: AnyFinding, view: View) -> dict[str, Any]:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import base64
 import math
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 
 import numpy as np
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.kept_places import Box, bounds_of, places_of
+from wafer_viewer.gui.kept_places import Box, bounds_of, drawn_of
 from wafer_viewer.gui.measure_words import sign_colour
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_shapes import outline_of
 from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import PaintRequest
@@ -33,15 +34,10 @@ class Thumbnails:
 
     def of(self, finding: AnyFinding, snapshot: Snapshot) -> str:
         """The picture of a result, its places outlined in its colour, as HTML."""
-        box = framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
-        return f'<span class="wv-thumb">{self._image(finding, snapshot, box)}{outlines(finding, box)}</span>'
-
-    def _image(self, finding: AnyFinding, snapshot: Snapshot, box: Box) -> str:
-        source = source_of(snapshot, finding.show)
-        if source is None:
-            return ""
-        data = self._painted(PaintRequest(source, "picture", box_um=box))
-        return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(data).decode()}">' if data else ""
+        request = picture_of(finding, snapshot)
+        data = self._painted(request) if request is not None else b""
+        image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(data).decode()}">' if data else ""
+        return f'<span class="wv-thumb">{image}{outlines(finding, box_of(finding, snapshot))}</span>'
 
     def _painted(self, request: PaintRequest) -> bytes:
         future = self._asked.get(request)
@@ -49,6 +45,28 @@ class Thumbnails:
             future = self._asked[request] = self._page.session.paint(request)
             future.add_done_callback(lambda _: self._page.redraw())
         return future.result() if future.done() and future.exception() is None else b""
+
+
+def painted(page: Page, finding: AnyFinding, wait_s: float) -> bytes | None:
+    """The picture to be kept with a result, as JPEG; None where there is none in time. Never on a page's own thread."""
+    request = picture_of(finding, page.session.snapshot)
+    if request is None:
+        return None
+    try:
+        return page.session.paint(request).result(wait_s) or None
+    except (TimeoutError, CancelledError, WaferViewerError):
+        return None
+
+
+def picture_of(finding: AnyFinding, snapshot: Snapshot) -> PaintRequest | None:
+    """What to ask the painter for; None while the surface that a result was measured on is not there."""
+    source = source_of(snapshot, finding.show)
+    return None if source is None else PaintRequest(source, "picture", box_um=box_of(finding, snapshot))
+
+
+def box_of(finding: AnyFinding, snapshot: Snapshot) -> Box:
+    """What the picture of a result takes in, in um."""
+    return framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
 
 
 def framed(bounds: Box) -> Box:
@@ -61,7 +79,7 @@ def framed(bounds: Box) -> Box:
 
 def outlines(finding: AnyFinding, box: Box) -> str:
     """The places of a result over the picture of a box, as SVG."""
-    paths = "".join(_path(place, box) for place in places_of(finding))
+    paths = "".join(_path(place, box) for place in drawn_of(finding))
     style = f'style="--tone:{html.safe(sign_colour(finding))}"'
     return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'
 
