@@ -78,9 +78,7 @@ def test_what_is_missing_ends_it_before_anything_moves(tmp_path, flags, line, se
 def test_an_engineer_releases_a_plan_with_a_good_dataset(judged, tmp_path):
     job = decode(JOB.read_bytes(), Job, JOB.name)
     plan = tmp_path / "plan.toml"
-    fresh = replace(
-        job, released=False, strategy="auto", recipe=type(job.recipe)(), sample=Sample(lot="L9"), revision=""
-    )
+    fresh = replace(job, released=False, strategy="auto", recipe=Recipe(), sample=Sample(lot="L9"), revision="")
     plan.write_text(encode(fresh))
     words = ("release", plan, "--good", judged[0], "--data", tmp_path)
     assert "no revision" in viewer(*words).stderr
