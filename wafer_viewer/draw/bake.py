@@ -46,6 +46,7 @@ VALUES: dict[Quantity, Callable[[HeightMap, Plane], NDArray[np.float32]]] = {
     "overlap": lambda part, plane: overlap_um(part),
     "grey": lambda part, plane: grey_image(part),
     "origin": lambda part, plane: part.origin.astype(np.float32),
+    "difference": lambda part, plane: part.z_um,
 }
 """What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
 

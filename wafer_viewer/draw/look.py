@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 
-Quantity = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
+Quantity = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin", "difference"]
 Plane = tuple[float, float, float]
 
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
@@ -21,6 +21,7 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "overlap": ("Difference", "µm"),
     "grey": ("Grey", ""),
     "origin": ("Origin", ""),
+    "difference": ("Second − first", "µm"),
 }
 """Title of the colour bar and unit of each quantity a surface can be coloured by."""
 

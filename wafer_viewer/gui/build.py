@@ -153,7 +153,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_scene(page, scene, read_out, why)
     views = SavedViews(page, scene)
     looks = [*looking(look), *views.commands(), *PrintPicture(page, scene).commands()]
-    looks += [*review.commands(), *report.commands()]
+    looks += [*review.commands(), *report.commands(), *left.compare.commands()]
     commands = [*looks, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     add_commands(page, [*commands, add_keys_sheet(page, commands)])
     page.on_close(measure.close)

@@ -7,6 +7,7 @@ from wafer_viewer.draw.look import QUANTITIES
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.session.paint_request import Scale
 from wafer_viewer.session.state import Snapshot
@@ -16,7 +17,7 @@ MOST_BAR_PX, LEAST_BAR_PX = 320, 110
 BELOW_PX = 96
 """Room left under the bar for the read-out."""
 ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
-SIGNED = ("height", "deviation")
+SIGNED = ("height", "deviation", "difference")
 
 
 class ColourLegend:
@@ -55,7 +56,7 @@ def _origins_px(rows: int) -> int:
 
 def _bar(scale: Scale, view: View, quantity: ColourBy, bar_px: int) -> str:
     title, unit = QUANTITIES[quantity]
-    colours = "grey" if quantity == "grey" else view.colours
+    colours = OWN_COLOURS.get(quantity, view.colours)
     return colour_bar_html(
         title,
         unit,

@@ -188,11 +188,11 @@ def export_dialog(page: Page) -> None:
     snapshot, field = page.session.snapshot, page.view.show or None
     data = snapshot.dataset
     stem = data.path.stem if data else "surface"
-    what = f"field {field}" if field else "the stitched surface"
+    what = "the comparison" if field and field < 0 else f"field {field}" if field else "the stitched surface"
     dialog = Dialog(page, "Export the surface", f"Writes {what} in full resolution.")
     with dialog.modal:
         kind = page.gui.add_dropdown("Format", tuple(EXPORT_KINDS))
-        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{f'-field{field}' if field else ''}.tif"))
+        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{_ending_of(field)}.tif"))
         kind.on_update(lambda _: setattr(path, "value", str(Path(path.value).with_suffix(EXPORT_KINDS[kind.value]))))
 
     def write() -> None:
@@ -201,6 +201,11 @@ def export_dialog(page: Page) -> None:
         page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
 
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+
+
+def _ending_of(field: int | None) -> str:
+    """What tells the file of a field, or of a comparison, from the dataset's."""
+    return "" if not field else f"-field{field}" if field > 0 else "-compared"
 
 
 def stop_dialog(page: Page) -> None:

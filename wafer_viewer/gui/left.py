@@ -8,6 +8,7 @@ import viser
 
 from wafer_viewer.draw.numbers import share
 from wafer_viewer.gui import html
+from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
 from wafer_viewer.gui.field_map import field_map
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
@@ -31,6 +32,7 @@ class LeftPanel:
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self._review = Cell(page.gui)
+            self.compare = CompareSection(page)
             self._build_datasets()
             self.results = ResultList(page)
         panel.dock_left()
@@ -45,6 +47,7 @@ class LeftPanel:
         self._works.show(_works(snapshot, view))
         self._views.show(views_html(snapshot, view))
         self._review.show(review_list(snapshot, view))
+        self.compare.show(snapshot, view)
         set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
         opened = snapshot.dataset.path if snapshot.dataset else None
         self._list.show(html.head("Datasets", _shortened(snapshot.data_folder)) + self._dataset_rows(snapshot, opened))

@@ -122,6 +122,8 @@ class Page:
 
     def coloured_by(self, view: View) -> ColourBy:
         """What colours the surface on show: its height where it does not have what was chosen."""
+        if view.shows_difference and view.colour_by == "height":
+            return "difference"
         return "height" if view.colour_by == "overlap" and not self.has_overlaps else view.colour_by
 
     def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:

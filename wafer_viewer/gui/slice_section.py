@@ -32,7 +32,7 @@ class SliceSection:
         self._head.show(html.head("Pictures", _where(plan, view)))
         set_prop(self._on.handle, "label", "One frame" if single else "One z")
         self._on.show(on)
-        self._on.enable(plan is not None)
+        self._on.enable(plan is not None and view.show >= 0)
         set_prop(self._frame.handle, "visible", single and on)
         set_prop(self._z.handle, "visible", not single and on)
         if plan is None:
@@ -57,7 +57,7 @@ class SliceSection:
         middle = data.plan.sweep.n_frames // 2
         if not event.target.value:
             page.change(frame_k=None, slice_z_um=None)
-        elif page.view.show:
+        elif page.view.show > 0:
             page.change(frame_k=middle, slice_z_um=None)
         else:
             low, _ = _z_range(data.plan)
@@ -78,7 +78,7 @@ def _z_range(plan: ScanPlan) -> tuple[float, float]:
 def _where(plan: ScanPlan | None, view: View) -> str:
     if plan is None:
         return ""
-    if view.show and view.frame_k is not None:
+    if view.show > 0 and view.frame_k is not None:
         z_um = plan.sweep.z_um(plan.field(view.show), view.frame_k)
         return f"frame {view.frame_k + 1} of {plan.sweep.n_frames} · z {with_unit(z_um, 1, signed=True)}"
     if not view.show and view.slice_z_um is not None:

@@ -31,7 +31,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Picture in focus": "grey",
     "Origin": "origin",
 }
-TITLES_OF_COLOUR_BY = {key: name for name, key in COLOUR_BY.items()}
+TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
 NEVER_NEGATIVE = ("confidence", "slope", "overlap")
 STITCHED = "Stitched surface"
 FULL_BLEND = 0.4
@@ -169,7 +169,7 @@ class SurfacePanel:
         self._by.show(TITLES_OF_COLOUR_BY[by])
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
-        self._colours.enable(in_colours)
+        self._colours.enable(in_colours and by != "difference")
         whole = self._whole(info, view)
         ranged = in_colours and whole is not None and scale is not None
         for widget in (self._range, self._by_hand):

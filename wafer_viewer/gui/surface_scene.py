@@ -20,6 +20,7 @@ from wafer_viewer.gui.steady import Steady, as_planned
 from wafer_viewer.gui.terrain import heights_of
 from wafer_viewer.gui.tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.session.changes import stamp_of
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
@@ -31,6 +32,9 @@ def source_of(snapshot: Snapshot, show: int) -> Source | None:
     data = snapshot.dataset
     if data is None:
         return None
+    if (asked := comparison_of(show)) is not None:
+        found = next((c for c in snapshot.comparisons if c.number == asked[0]), None)
+        return None if found is None else Source(data.path, found.name, -asked[1], found.stamp)
     if show:
         stamp = data.stamps.get(show)
         return None if stamp is None else Source(data.path, result_of(snapshot), show, stamp)
@@ -50,11 +54,12 @@ def surface_contents(
     book: Book, steady: Steady, poses: PoseBook, snapshot: Snapshot, view: View, source: Source
 ) -> Contents:
     """The block with its surface, and over it its fields. Raises NotYet when the painter is still to tell of it."""
-    datum = book.datum(source, view.levelling)
-    told = book.facts(source, datum)
+    basis = _basis(source)
+    datum = book.datum(basis, view.levelling)
+    told = book.facts(basis, datum)
     view = _with_what_there_is(view, told)
-    shown = _shown(snapshot, source, steady.facts(source, view, told), datum)
-    facts, scale = shown.facts, steady.scale(source, view, book.scale(source, view, datum))
+    shown = _shown(snapshot, source, steady.facts(basis, view, told), datum)
+    facts, scale = shown.facts, steady.scale(basis, view, book.scale(basis, view, datum))
     z0 = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     on_show = OnShow(source, facts, scale, z0, view.exaggeration, datum)
     box, solid = bounds_mm(facts), view.look == "surface"
@@ -66,7 +71,7 @@ def surface_contents(
         seen=tiled.items,
         rough=(*tiled.first_items(), *ground),
         corners_mm=corners_of(_with_figures(box), -plinth_mm(box), 0.0 if view.look == "plan" else _top(on_show)),
-        place=("surface", source.dataset, source.show, view.look == "plan"),
+        place=("surface", source.dataset, _standing(snapshot, view.show), view.look == "plan"),
         preset="top" if view.look == "plan" else "iso",
         stretch=view.exaggeration,
         on_show=on_show,
@@ -89,9 +94,23 @@ def _shown(snapshot: Snapshot, source: Source, facts: Facts, datum: Datum | None
 
 
 def _with_what_there_is(view: View, facts: Facts) -> View:
-    """The view, coloured by height where it asks for a quantity that this surface does not have."""
+    """The view, coloured by height where this surface does not have the quantity asked for; a difference as one."""
+    if view.shows_difference and view.colour_by == "height":
+        return replace(view, colour_by="difference")
     lacks = view.colour_by == "overlap" and not facts.has_overlaps
     return replace(view, colour_by="height", range_um=None) if lacks else view
+
+
+def _basis(source: Source) -> Source:
+    """What a surface is drawn by: the second of a comparison like the first, in the same colours and the same light."""
+    return replace(source, show=-Face.FIRST) if source.show == -Face.SECOND else source
+
+
+def _standing(snapshot: Snapshot, show: int) -> int:
+    """What the camera stands before: a comparison lies where its first surface does, but for both side by side."""
+    asked = comparison_of(show)
+    found = next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
+    return show if asked is None or found is None or asked[1] is Face.BESIDE else found.comparison.first.field
 
 
 def _fields(poses: PoseBook, snapshot: Snapshot, view: View, on_show: OnShow) -> list[Item]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import viser
 
+from wafer_viewer.draw.colours import DIVERGING
 from wafer_viewer.draw.look import Light, Look
 from wafer_viewer.gui.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
 from wafer_viewer.gui.sight import Sight
@@ -26,6 +27,8 @@ MOST_TILES: dict[Way, int] = {"surface": 40, "points": 10, "plan": 40}
 """No texel in sight is larger on the screen, as far as so many tiles go."""
 _STEP, _FLAT_STEP = 4, 64
 """Pixels from vertex to vertex, of a tile in its own level."""
+OWN_COLOURS = {"grey": "grey", "difference": DIVERGING}
+"""The map of a quantity that has one of its own."""
 LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
 """How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
 _TILE_PX = 320
@@ -88,7 +91,7 @@ def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
 
 def look_of(view: View, scale: Scale) -> Look:
     """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
-    colours = "grey" if view.colour_by == "grey" else view.colours
+    colours = OWN_COLOURS.get(view.colour_by, view.colours)
     shade = view.hillshade * LIGHT_ON.get(view.colour_by, 1.0)
     return Look(view.colour_by, colours, scale.low, scale.high, shade, view.all_in_focus)
 

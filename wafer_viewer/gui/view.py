@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from wafer_viewer.gui.plot_view import PlotView
+from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 
 Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
 Look = Literal["surface", "points", "plan"]
-ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin"]
+ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin", "difference"]
 Tool = Literal["none"] | ToolName
 ReviewFilter = Literal["all", "open", "rejected"]
 Below = Literal["none", "profile", "why"]
@@ -22,7 +23,8 @@ Below = Literal["none", "profile", "why"]
 class View:
     """Camera presets aside, everything a browser may choose for itself.
 
-    show: 0 is the stitched surface, a running number is that field. range_um None: the surface's own 0.5 - 99.5 %.
+    show: 0 is the stitched surface, a running number is that field, one below 0 a comparison. range_um None: its own
+    0.5 - 99.5 %.
     frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
     fields: whether fields and overlaps are drawn over the stitched surface.
     places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
@@ -67,6 +69,12 @@ class View:
     def shows_fields(self) -> bool:
         """Whether the page shows how the fields were placed."""
         return self.fields and self.step == "surface" and self.show == 0
+
+    @property
+    def shows_difference(self) -> bool:
+        """Whether two surfaces compared are looked at, the second minus the first."""
+        asked = comparison_of(self.show)
+        return asked is not None and asked[1] is Face.DIFFERENCE
 
     @property
     def active_line(self) -> Region | None:

@@ -96,7 +96,7 @@ class WhyPanel:
             return
         self._asked, self._of = asked, surface_of(snapshot, view)
         self.evidence = replace(self.evidence, reading=True, problem="")
-        answer = self._page.session.focus_curve(*view.why, view.show)
+        answer = self._page.session.focus_curve(*view.why, max(0, view.show))
         answer.add_done_callback(lambda done: self._answered(asked, done))
 
     def _answered(self, asked: Hashable, done: Future[FocusCurve]) -> None:

@@ -7,6 +7,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.comparison import comparison_of
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
@@ -30,9 +31,12 @@ class FileWork:
         return self._work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
 
     def export_surface(self, path: Path, field_number: int | None) -> Future[Path]:
-        """Write the mosaic, or a field's surface, to a file; done with its path."""
-        dataset = self._library.dataset
-        args = (dataset.path, self._library.result_name, field_number, path.absolute())
+        """Write the mosaic, a field's surface, or what is shown of a comparison, to a file; done with its path."""
+        dataset, result = self._library.dataset, self._library.result_name
+        if (asked := comparison_of(field_number or 0)) is not None:
+            result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
+            field_number = -asked[1]
+        args = (dataset.path, result, field_number, path.absolute())
         return self._work(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:

@@ -74,7 +74,7 @@ def scale(shelf: Shelf, request: PaintRequest) -> bytes:
 
 
 def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
-    """Shares run from 0 to 1, slopes and differences from 0, a deviation is symmetric; else 0.5 to 99.5 %.
+    """Shares run from 0 to 1, slopes and overlaps from 0, what has a sign is symmetric; else 0.5 to 99.5 %.
 
     The ends are at least 0.2 apart.
     """
@@ -84,7 +84,7 @@ def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
         return 0.0, max(high, 1.0)
     if quantity == "overlap":
         return 0.0, max(high, 0.1)
-    if quantity == "deviation":
+    if quantity in ("deviation", "difference"):
         most = max(abs(low), abs(high), 0.1)
         return -most, most
     middle, half = (low + high) / 2, max((high - low) / 2, 0.1)

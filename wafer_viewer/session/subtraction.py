@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -69,6 +70,15 @@ def face_of(dataset: Path, result: str, face: Face) -> Mosaic:
     return laid if face is Face.SECOND else Beside(laid)
 
 
+def comparisons_of(data: Dataset) -> dict[str, Comparison]:
+    """The comparisons that lie with a dataset by the names of their results; those that cannot be read are left out."""
+    found: dict[str, Comparison] = {}
+    for name in data.differences():
+        with suppress(DatasetError):
+            found[name] = data.result(name).comparison()
+    return found
+
+
 def subtract(
     dataset: Path,
     result: str,
@@ -87,7 +97,8 @@ def subtract(
     """
     from wafer_viewer.store.mosaic import write_mosaic
 
-    target = Dataset.open(dataset).result(result)
+    data = Dataset.open(dataset)
+    target, number = data.result(result), 1 + max((c.number for c in comparisons_of(data).values()), default=0)
     _sweep(target.path.parent)
     difference = _compared(first, second, align, keep_z)
     progress(ALIGN_SHARE)
@@ -97,7 +108,7 @@ def subtract(
     with replacing(target.path) as beside:
         beside.mkdir(parents=True)
         write_mosaic(beside / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
-        comparison = tallied.comparison(first, second)
+        comparison = replace(tallied.comparison(first, second), number=number)
         write_text(beside / COMPARISON, encode(comparison, "json"))
     return comparison
 
@@ -128,7 +139,7 @@ def _compared(first: SurfaceName, second: SurfaceName, align: Align, keep_z: boo
     if first == second:
         raise DatasetError(f"{first.words} was to be compared with itself: choose another surface.")
     difference = compare(opened(first), opened(second), align, keep_z)
-    notes = (f"{second.words} minus {first.words}.", *difference.provenance.notes)
+    notes = (f"{second.words} minus {first.words}.", *difference.provenance.notes[1:])
     return dataclasses.replace(difference, provenance=replace(difference.provenance, notes=notes))
 
 

@@ -127,12 +127,17 @@ def export_surface(
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Write the mosaic, or the surface of one field, as a file of the kind that its ending names."""
+    """Write the mosaic, the surface of one field, or a face of a comparison (below 0), as the ending of `out` says."""
+    from wafer_viewer.model.comparison import Face
+    from wafer_viewer.session.subtraction import face_of
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export
 
     data = Dataset.open(dataset)
     kept = data.result(result)
+    if field_number is not None and field_number < 0:
+        export(face_of(dataset, result, Face(-field_number)), out)
+        return out
     export(kept.mosaic() if field_number is None else kept.surface(data.field(field_number)), out)
     return out
 
