@@ -100,9 +100,13 @@ class Change(Spec, frozen=True, kw_only=True):
 
 
 class Comparison(Spec, frozen=True, kw_only=True):
-    """The second surface minus the first: which they are, how they were aligned, and what is different."""
+    """The second surface minus the first: which they are, how they were aligned, and what is different.
+
+    number: by which it is told from the other comparisons of its dataset; 0 where it is not kept with one.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
+    number: int = 0
     first: SurfaceName
     second: SurfaceName
     registration: Registration

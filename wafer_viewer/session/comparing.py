@@ -32,7 +32,6 @@ class ComparingKeeper:
 
     def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
         self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
-        self._numbers: dict[tuple[Path, str], int] = {}
         self._stamps = count(1)
         self._work, self._of = "", Path()
 
@@ -57,7 +56,7 @@ class ComparingKeeper:
         self._work, self._of = work, dataset.path
         done = self._compute.run(work, subtract, dataset.path, name, first, second, align, keep_z)
         done.add_done_callback(lambda _: self._desk.note(self._over, work))
-        return self._desk.then(done, lambda _: self._number(dataset.path, name))
+        return self._desk.then(done, lambda comparison: comparison.number)
 
     def remove(self, number: int) -> None:
         """Throw a comparison away. Raises DatasetError when there is none of that number, or it cannot be removed."""
@@ -84,19 +83,14 @@ class ComparingKeeper:
         self._desk.change(comparisons=tuple(self._found(known)) if self._desk.now.dataset is not None else ())
 
     def _found(self, known: dict[tuple[str, Comparison], int]) -> list[Compared]:
-        dataset, found = self._library.dataset, list[Compared]()
-        for name in dataset.differences():
-            try:
-                comparison = dataset.result(name).comparison()
-            except DatasetError:
-                continue
-            stamp = known.get((name, comparison)) or next(self._stamps)
-            number = self._number(dataset.path, name)
-            found.append(Compared(number, name, comparison, stamp, _outdated(dataset.result(name).path, comparison)))
-        return found
+        from wafer_viewer.session.subtraction import comparisons_of
 
-    def _number(self, dataset: Path, name: str) -> int:
-        return self._numbers.setdefault((dataset, name), len(self._numbers) + 1)
+        dataset, found = self._library.dataset, list[Compared]()
+        for name, comparison in comparisons_of(dataset).items():
+            stamp = known.get((name, comparison)) or next(self._stamps)
+            outdated = _outdated(dataset.result(name).path, comparison)
+            found.append(Compared(comparison.number, name, comparison, stamp, outdated))
+        return found
 
 
 class ComparingVerbs:
