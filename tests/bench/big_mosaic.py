@@ -20,6 +20,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.journal import Finished, JournalWriter
 from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
 
@@ -28,6 +29,7 @@ FIELD_ROWS, FIELD_COLS = 1080, 1440
 WAFER_PX, BLOCKS_PX = 12_850, 6_633
 """Sides of a mosaic of 165 million points, as many as the paper's wafer has, and of 44 million, its gauge blocks."""
 RESULT = "default"
+TAKEN = "2026-01-01T00:00:00"
 _DIE_UM, _STREET_UM, _PAD_UM, _PAD_PITCH_UM = (820.0, 610.0), 46.0, 32.0, 64.0
 _NOISE_PX = 1024
 Floats = NDArray[np.float32]
@@ -124,11 +126,11 @@ def big_dataset(side_px: int) -> Path:
 
 def _make(path: Path, wafer: MadeWafer) -> None:
     path.mkdir(parents=True)
-    (path / JOURNAL).touch()
+    journal = JournalWriter(path / JOURNAL)
+    journal.write(Finished(TAKEN))
+    journal.close()
     job, plan = _plan(wafer)
-    write_record(
-        path, ScanRecord(software_version="bench", taken="2026-01-01T00:00:00", simulated=True, job=job, plan=plan)
-    )
+    write_record(path, ScanRecord(software_version="bench", taken=TAKEN, simulated=True, job=job, plan=plan))
     result = Dataset.open(path).result(RESULT)
     result.save_recipe(job.recipe)
     save_summary(result, summarise(write_mosaic(result.mosaic_path, wafer), len(plan.fields), RESULT))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import ELSEWHERE, origin_table, table
-from wafer_viewer.draw.look import Light, Look, Plane, Quantity
+from wafer_viewer.draw.look import Form, Light, Look, Plane, Quantity
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
 from wafer_viewer.model.surface import HeightMap, Origin
 
@@ -19,6 +19,15 @@ def plane_um(part: HeightMap, plane: Plane) -> NDArray[np.float32]:
     """The heights of a plane on the lattice of a map."""
     a, b, c = plane
     return (a * part.x_um[None, :] + b * part.y_um[:, None] + c).astype(np.float32)
+
+
+def form_um(part: HeightMap, form: Form) -> NDArray[np.float32]:
+    """The heights of a form of order 2 on the lattice of a map."""
+    if not form:
+        return np.zeros(part.shape, np.float32)
+    u, v = (part.x_um[None, :] - form[0]) / form[2], (part.y_um[:, None] - form[1]) / form[2]
+    a, b, c, d, e, f = form[3:]
+    return np.asarray(a + b * u + c * v + d * u * u + e * u * v + f * v * v, np.float32)
 
 
 def slope_degrees(part: HeightMap) -> NDArray[np.float32]:
@@ -38,15 +47,16 @@ def grey_image(part: HeightMap) -> NDArray[np.float32]:
     return image.astype(np.float32) / np.float32(np.iinfo(image.dtype).max)
 
 
-VALUES: dict[Quantity, Callable[[HeightMap, Plane], NDArray[np.float32]]] = {
-    "height": lambda part, plane: part.z_um,
-    "confidence": lambda part, plane: np.where(np.isfinite(part.z_um), part.confidence, np.nan),
-    "slope": lambda part, plane: slope_degrees(part),
-    "deviation": lambda part, plane: part.z_um - plane_um(part, plane),
-    "overlap": lambda part, plane: overlap_um(part),
-    "grey": lambda part, plane: grey_image(part),
-    "origin": lambda part, plane: part.origin.astype(np.float32),
-    "difference": lambda part, plane: part.z_um,
+VALUES: dict[Quantity, Callable[[HeightMap, Light], NDArray[np.float32]]] = {
+    "height": lambda part, light: part.z_um,
+    "confidence": lambda part, light: np.where(np.isfinite(part.z_um), part.confidence, np.nan),
+    "slope": lambda part, light: slope_degrees(part),
+    "deviation": lambda part, light: part.z_um - plane_um(part, light.plane),
+    "form": lambda part, light: part.z_um - form_um(part, light.form),
+    "overlap": lambda part, light: overlap_um(part),
+    "grey": lambda part, light: grey_image(part),
+    "origin": lambda part, light: part.origin.astype(np.float32),
+    "difference": lambda part, light: part.z_um,
 }
 """What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
 
@@ -64,7 +74,7 @@ def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
     """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
-    values = VALUES[look.colour_by](part, light.plane)
+    values = VALUES[look.colour_by](part, light)
     if look.colour_by == "overlap":
         known = np.isfinite(values)
         return np.where(known[..., None], _by_value(np.where(known, values, 0), look), np.array(ELSEWHERE, np.float32))

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Image
 
-Quantity = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin", "difference"]
+Quantity = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Plane = tuple[float, float, float]
+Form = tuple[float, ...]
+"""Middle x, middle y and half the width in um, then the factors of 1, u, v, u², uv, v²; u and v are -1 ... 1."""
 
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "height": ("Height", "µm"),
     "confidence": ("Confidence", ""),
     "slope": ("Slope", "°"),
     "deviation": ("Deviation", "µm"),
+    "form": ("Deviation", "µm"),
     "overlap": ("Difference", "µm"),
     "grey": ("Grey", ""),
     "origin": ("Origin", ""),
@@ -46,6 +49,8 @@ class Light:
     span_um: float = 1.0
     plane: Plane = (0.0, 0.0, 0.0)
     """z = a x + b y + c through the surface, x and y in um: what `deviation` is measured from."""
+    form: Form = ()
+    """The bowl or dome through the surface: what ``form`` is measured from; none is 0."""
 
 
 def eight_bit(image: Image) -> NDArray[np.uint8]:

@@ -107,7 +107,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     curves = Curves(page)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
-    surface, measure = SurfacePanel(page, poses), MeasurePanel(page, scene, curves)
+    surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
     why, left = WhyPanel(page), LeftPanel(page)
     ear.left = left.panel

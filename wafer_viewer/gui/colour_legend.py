@@ -17,7 +17,7 @@ MOST_BAR_PX, LEAST_BAR_PX = 320, 110
 BELOW_PX = 96
 """Room left under the bar for the read-out."""
 ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
-SIGNED = ("height", "deviation", "difference")
+SIGNED = ("height", "deviation", "form", "difference")
 
 
 class ColourLegend:

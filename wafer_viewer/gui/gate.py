@@ -19,8 +19,8 @@ Fence = Callable[[], object]
 class Gate:
     """Counts what is sent. `arrived` is called on another thread when it has opened again."""
 
-    def __init__(self, fence: Fence, arrived: Callable[[], None]) -> None:
-        self._fence, self._arrived = fence, arrived
+    def __init__(self, fence: Fence, arrived: Callable[[], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._fence, self._arrived, self._clock = fence, arrived, clock
         self._room, self._ahead, self._since = FIRST_BYTES, 0, 0
         self._due = threading.Condition()
         self._closed = False
@@ -53,12 +53,12 @@ class Gate:
                 if self._closed:
                     return
                 asked, self._since = self._since, 0
-            began = time.monotonic()
+            began = self._clock()
             try:
                 self._fence()
             except RuntimeError:
                 return
-            self._answered(asked, time.monotonic() - began)
+            self._answered(asked, self._clock() - began)
 
     def _answered(self, n_bytes: int, took_s: float) -> None:
         with self._due:

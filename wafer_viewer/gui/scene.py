@@ -14,13 +14,14 @@ from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Eye, Pose
 from wafer_viewer.gui.contents import Contents, OnShow, corners_over
 from wafer_viewer.gui.gate import Gate
+from wafer_viewer.gui.in_view import Range, range_in_view
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.plan_scene import plan_contents
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.steady import Steady
-from wafer_viewer.gui.surface_scene import source_of, surface_contents
+from wafer_viewer.gui.surface_scene import only_grew, source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.levelling import LevelBy, Levelling
@@ -107,6 +108,11 @@ class SceneView:
     def reopen(self, pose: Pose) -> None:
         """Where the camera is to stand at first, instead of where it shows everything."""
         self._first_pose = pose
+
+    def range_in_view(self, then: Callable[[Range], None]) -> None:
+        """Call back, on another thread, with the range of what colours the surface where it is in view."""
+        if self._shown is not None and self._shown.on_show is not None:
+            range_in_view(self._session.paint, self._shown.on_show, self.seen_um(), then)
 
     def seen_um(self) -> tuple[tuple[float, float], ...] | None:
         """The part of the ground that is in view, as its corners in stage um; None where it reaches the horizon."""
@@ -225,7 +231,7 @@ class SceneView:
 
     def _next(self) -> Wanted | None:
         """What is wanted now; of a surface that grows first what was begun, or fast growth would never be seen."""
-        if self._begun is None or self._wanted is None or not _only_grew(self._begun, self._wanted):
+        if self._begun is None or self._wanted is None or not only_grew(self._begun, self._wanted):
             return self._wanted
         return self._begun
 
@@ -287,12 +293,3 @@ class SceneView:
         else:
             self._eye.follow(contents.corners_mm, contents.clear)
         self._place, self._shown = contents.place, contents
-
-
-def _only_grew(begun: Wanted, now: Wanted) -> bool:
-    """Whether two views are of the same surface at two stamps."""
-    sources = [source_of(snapshot, view.show) for snapshot, view in (begun, now)]
-    if begun[1] != now[1] or None in sources or not begun[1].on_surface or begun[0].scanning != now[0].scanning:
-        return False
-    places = [(s.dataset, s.result, s.show) for s in sources if s is not None]
-    return places[0] == places[1]

@@ -29,12 +29,18 @@ class Steady:
 
     def facts(self, source: Source, view: View, now: Facts) -> Facts:
         """The facts of a surface with the heights and the light that it was drawn by before, if they still fit."""
-        of = (_place(source), view.colour_by == "deviation")
+        of = (_place(source), view.colour_by in ("deviation", "form"))
         if self._facts is None or self._facts[0] != of or not _fits(self._facts[1], now, of[1]):
             self._facts = of, now
         held = self._facts[1]
         return msgspec.structs.replace(
-            now, lowest_um=held.lowest_um, low_um=held.low_um, high_um=held.high_um, gain=held.gain, plane=held.plane
+            now,
+            lowest_um=held.lowest_um,
+            low_um=held.low_um,
+            high_um=held.high_um,
+            gain=held.gain,
+            plane=held.plane,
+            form=held.form,
         )
 
     def scale(self, source: Source, view: View, now: Scale) -> Scale:

@@ -27,6 +27,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Confidence": "confidence",
     "Slope": "slope",
     "Deviation from plane": "deviation",
+    "Deviation from form": "form",
     "Overlap difference": "overlap",
     "Picture in focus": "grey",
     "Origin": "origin",
@@ -37,13 +38,15 @@ STITCHED = "Stitched surface"
 FULL_BLEND = 0.4
 """All-in-focus, when it is switched on."""
 FULL_SHADE = 0.8
+InView = Callable[[Callable[[tuple[float, float]], None]], None]
+"""Calls back with the range of what colours the part of the surface that the camera sees."""
 
 
 class SurfacePanel:
     """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
 
-    def __init__(self, page: Page, poses: PoseBook) -> None:
-        self._page = page
+    def __init__(self, page: Page, poses: PoseBook, in_view: InView) -> None:
+        self._page, self._in_view = page, in_view
         self._poses = poses
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -116,6 +119,8 @@ class SurfacePanel:
         usual = button(gui, "0.5 – 99.5 %", viser.Icon.CHART_HISTOGRAM, lambda _: page.change(range_um=None))
         whole = button(gui, "Whole range", viser.Icon.ARROWS_MAXIMIZE, lambda _: self._whole_range())
         in_a_row(gui, [usual, whole])
+        seen = button(gui, "What is in view", viser.Icon.EYE, lambda _: self._in_view(self._set_range))
+        in_a_row(gui, [seen])
 
     def _build_light(self) -> None:
         page, gui = self._page, self._page.gui
@@ -187,7 +192,7 @@ class SurfacePanel:
     def _whole(self, info: SurfaceInfo | None, view: View) -> tuple[float, float] | None:
         """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
         scale = self._page.scale
-        if view.colour_by == "height" and view.show == 0 and info is not None:
+        if view.colour_by == "height" and view.show == 0 and view.levelling.by == "stage" and info is not None:
             return info.lowest_um, info.highest_um
         if scale is None:
             return None

@@ -42,6 +42,15 @@ def source_of(snapshot: Snapshot, show: int) -> Source | None:
     return None if info is None else Source(data.path, info.result, 0, info.stamp)
 
 
+def only_grew(begun: tuple[Snapshot, View], now: tuple[Snapshot, View]) -> bool:
+    """Whether two views are of the same surface at two stamps."""
+    sources = [source_of(snapshot, view.show) for snapshot, view in (begun, now)]
+    if begun[1] != now[1] or None in sources or not begun[1].on_surface or begun[0].scanning != now[0].scanning:
+        return False
+    places = [(s.dataset, s.result, s.show) for s in sources if s is not None]
+    return places[0] == places[1]
+
+
 def result_of(snapshot: Snapshot) -> str:
     """The reconstruction that is looked at."""
     if snapshot.surface is not None:

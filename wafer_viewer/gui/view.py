@@ -13,7 +13,7 @@ from wafer_viewer.model.region import Region
 
 Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
 Look = Literal["surface", "points", "plan"]
-ColourBy = Literal["height", "confidence", "slope", "deviation", "overlap", "grey", "origin", "difference"]
+ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Tool = Literal["none"] | ToolName
 ReviewFilter = Literal["all", "open", "rejected"]
 Below = Literal["none", "profile", "why"]

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.look import Form, Light, Look
 from wafer_viewer.draw.mesh import Skirts
 from wafer_viewer.model.levelling import Datum
 
@@ -81,11 +81,12 @@ class Facts(msgspec.Struct, frozen=True):
     gain: float
     plane: tuple[float, float, float]
     has_overlaps: bool = False
+    form: Form = ()
 
     @property
     def light(self) -> Light:
         """The light for all its tiles."""
-        return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane)
+        return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane, self.form)
 
 
 class Scale(msgspec.Struct, frozen=True):

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.bake import VALUES
+from wafer_viewer.draw.look import Form
 from wafer_viewer.draw.shade import light_gain, without_gaps
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
 from wafer_viewer.session.shelf import Shelf, at_level, coarse, coarse_level, levelled
 
 _BINS = 60
+_LEAST_FOR_FORM = 50
 
 
 def facts(shelf: Shelf, request: PaintRequest) -> bytes:
@@ -27,7 +29,7 @@ def facts(shelf: Shelf, request: PaintRequest) -> bytes:
     facts = Facts(
         *surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um, *rows, *cols,
         float(heights.min()), float(heights.max()), low, high,
-        light_gain(part.z_um, part.pixel_um), _plane(part), _has_overlaps(part),
+        light_gain(part.z_um, part.pixel_um), _plane(part), _has_overlaps(part), _form(part),
     )  # fmt: skip
     return msgspec.msgpack.encode(facts)
 
@@ -47,21 +49,39 @@ def _plane(part: HeightMap) -> tuple[float, float, float]:
     rows, cols = np.nonzero(np.isfinite(part.z_um))
     if rows.size < 3:
         return 0.0, 0.0, 0.0
-    z = part.z_um[rows, cols].astype(float)
     design = np.stack([part.x_um[cols], part.y_um[rows], np.ones(rows.size)], axis=1)
-    plane = np.linalg.lstsq(design, z, rcond=None)[0]
-    for _ in range(2):
-        distance = np.abs(z - design @ plane)
-        kept = distance <= np.median(distance)
-        plane = np.linalg.lstsq(design[kept], z[kept], rcond=None)[0]
+    plane = _laid(design, part.z_um[rows, cols].astype(float))
     return float(plane[0]), float(plane[1]), float(plane[2])
+
+
+def _form(part: HeightMap) -> Form:
+    """The least-squares form of order 2 through the middle heights, as the plane is laid."""
+    rows, cols = np.nonzero(np.isfinite(part.z_um[::2, ::2]))
+    if rows.size < _LEAST_FOR_FORM:
+        return ()
+    x, y, z = part.x_um[::2][cols], part.y_um[::2][rows], part.z_um[::2, ::2][rows, cols].astype(float)
+    x0, y0 = (x.min() + x.max()) / 2, (y.min() + y.max()) / 2
+    half = max(float(np.ptp(x)), float(np.ptp(y)), part.pixel_um) / 2
+    u, v = (x - x0) / half, (y - y0) / half
+    factors = _laid(np.stack([np.ones(rows.size), u, v, u * u, u * v, v * v], axis=1), z)
+    return (float(x0), float(y0), half, *factors.tolist())
+
+
+def _laid(design: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least squares over all points, then twice over the half of them that lie nearest."""
+    factors = np.asarray(np.linalg.lstsq(design, z, rcond=None)[0], np.float64)
+    for _ in range(2):
+        distance = np.abs(z - design @ factors)
+        kept = distance <= np.median(distance)
+        factors = np.asarray(np.linalg.lstsq(design[kept], z[kept], rcond=None)[0], np.float64)
+    return factors
 
 
 def scale(shelf: Shelf, request: PaintRequest) -> bytes:
     """A `Scale` as msgpack."""
     part = coarse(shelf, request)
     quantity = request.look.colour_by
-    values = VALUES[quantity](part, request.light.plane)
+    values = VALUES[quantity](part, request.light)
     values = values[np.isfinite(values)]
     if values.size == 0:
         values = np.zeros(1, np.float32)
@@ -84,7 +104,7 @@ def _usual_range(quantity: str, low: float, high: float) -> tuple[float, float]:
         return 0.0, max(high, 1.0)
     if quantity == "overlap":
         return 0.0, max(high, 0.1)
-    if quantity in ("deviation", "difference"):
+    if quantity in ("deviation", "form", "difference"):
         most = max(abs(low), abs(high), 0.1)
         return -most, most
     middle, half = (low + high) / 2, max((high - low) / 2, 0.1)

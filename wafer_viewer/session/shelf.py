@@ -70,6 +70,8 @@ def _region(surface: Mosaic, level: int, rows: slice, cols: slice) -> Region:
 
 
 def coarse(shelf: Shelf, request: PaintRequest) -> HeightMap:
-    """All of the surface of a request at its coarse level, over its datum."""
+    """The surface of a request over its datum: the window it names, without one all of it at its coarse level."""
     surface = shelf.surface(request.source)
+    if request.rows[1]:
+        return levelled(at_level(surface, request.level, (slice(*request.rows), slice(*request.cols))), request.datum)
     return levelled(at_level(surface, coarse_level(surface)), request.datum)

@@ -1,0 +1,178 @@
+"""How quick the page is on large surfaces: 165 million points, as many as the paper's wafer has, and 44 million.
+
+    python tests/bench/bench_page.py [--quick]
+
+The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. The
+surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from the moment
+the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at rest, and
+while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of the scene's
+middle, which the surface fills, so much is always covered while the camera comes nearer. --quick: fewer rounds, no
+reconstruction, under a minute when the machine is free.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+
+import psutil
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
+from tests.bench.big_mosaic import BLOCKS_PX, WAFER_PX, big_dataset
+from tests.bench.page_driver import Seat, Viewer, seats
+from tests.bench.tables import met, show
+from wafer_viewer.session.crew import crew_for
+from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.store.dataset import Dataset
+
+FIRST_GOAL_S, SETTLED_GOAL_S, CLICK_GOAL_S, MEMORY_GOAL, BYTES_GOAL = 2.0, 2.0, 0.3, 1.5e9, 8e6
+COVERED_GOAL = 0.9
+JUMPS = (8, -5, 12, -10)
+"""Notches of the wheel, one jump each; after them the camera shows everything again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Of one surface: seconds, bytes; `covered`: the least share of the scene's middle while coming nearer."""
+
+    opened_s: float
+    first_s: float
+    settled_s: float
+    covered: float
+    view_bytes: float
+    click_s: float
+    busy_click_s: float
+    viewer_bytes: float
+    painter_bytes: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="How quick the page is on large surfaces.")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, under a minute")
+    quick = parser.parse_args().quick
+    load = psutil.getloadavg()[0]
+    figures = {side: measured(big_dataset(side), 1 if quick else 5, not quick) for side in (BLOCKS_PX, WAFER_PX)}
+    show_figures(figures, load)
+
+
+def measured(dataset: Path, rounds: int, works: bool) -> Figures:
+    """All figures of one surface: medians of some rounds; the largest of bytes."""
+    viewer = Viewer(dataset.parent)
+    try:
+        with seats(viewer) as seat:
+            seat.open()
+            seat.choose(dataset)
+            firsts, view_bytes = zip(*(connected(seat) for _ in range(rounds)), strict=True)
+            settled, covered, sent = zip(*(jumped(seat, n) for _ in range(rounds) for n in JUMPS), strict=True)
+            click_s = statistics.median(seat.answer_s(17.0 * k, 11.0 * k) for k in range(2 * rounds))
+            with reconstruction() if works else nullcontext():
+                busy_s = statistics.median(click_while_streaming(seat, k) for k in range(2 * rounds))
+            memory = viewer.memory()
+    finally:
+        viewer.close()
+    return Figures(
+        opened_s=statistics.median(first[0] for first in firsts),
+        first_s=statistics.median(first[1] for first in firsts),
+        settled_s=statistics.median(settled),
+        covered=min(covered),
+        view_bytes=float(max(*view_bytes, *sent)),
+        click_s=click_s,
+        busy_click_s=busy_s,
+        viewer_bytes=float(memory.viewer),
+        painter_bytes=float(memory.painters),
+    )
+
+
+def connected(seat: Seat) -> tuple[tuple[float, float], int]:
+    """A browser that comes: how soon there is a picture, and how many bytes it took until all is drawn."""
+    seat.leave()
+    seat.open()
+    first = seat.first_picture_s()
+    seat.settled_s(seat.now_ms())
+    return first, seat.viewer.bytes_sent()
+
+
+def jumped(seat: Seat, notches: int) -> tuple[float, float, int]:
+    """One jump of the camera: seconds until all is drawn, the least that was covered meanwhile, bytes it took."""
+    before, began = seat.viewer.bytes_sent(), seat.now_ms()
+    seat.zoom(notches)
+    settled_s = seat.settled_s(seat.now_ms())
+    looks = seat.seen_since(began)
+    covered = min(look[3] for look in looks) / max(looks[-1][3], 1e-6) if notches > 0 else 1.0
+    return settled_s, covered, seat.viewer.bytes_sent() - before
+
+
+def click_while_streaming(seat: Seat, k: int) -> float:
+    """A click at once after a jump, while its tiles are made and sent."""
+    seat.zoom((6, -6)[k % 2])
+    answer_s = seat.answer_s(23.0 * (k % 5), 13.0 * (k % 7))
+    seat.settled_s(seat.now_ms())
+    return answer_s
+
+
+@contextmanager
+def reconstruction() -> Iterator[None]:
+    """Two workers that reconstruct fields one after the other, as the session's own do."""
+    with tempfile.TemporaryDirectory() as folder, crew_for(workers=2) as crew:
+        path = Path(folder) / "other.wafer"
+        make_dataset(path, 2, 24)
+        reconstruct_field(path, 1, RESULT, RECIPE)
+        fields = [field.number for field in Dataset.open(path).fields]
+        ended = threading.Event()
+
+        def work() -> None:
+            while not ended.is_set():
+                for _ in crew.each(reconstruct_field, [(path, number, RESULT, RECIPE, 1) for number in fields]):
+                    pass
+
+        working = threading.Thread(target=work)
+        working.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            working.join()
+
+
+def show_figures(figures: dict[int, Figures], load: float) -> None:
+    """The table, with goals."""
+    goals = [
+        ("first picture after connecting, s", "first_s", FIRST_GOAL_S, 1.0, False),
+        ("- after opening the page, s", "opened_s", None, 1.0, False),
+        ("settled after a jump, s", "settled_s", SETTLED_GOAL_S, 1.0, False),
+        ("covered while coming nearer, least share", "covered", COVERED_GOAL, 1.0, True),
+        ("sent for a settled view, MB", "view_bytes", BYTES_GOAL, 1e6, False),
+        ("click to read-out at rest, s", "click_s", CLICK_GOAL_S, 1.0, False),
+        ("- while tiles stream and two workers reconstruct, s", "busy_click_s", CLICK_GOAL_S, 1.0, False),
+        ("memory of the viewer (USS), MB", "viewer_bytes", MEMORY_GOAL, 1e6, False),
+        ("- of its painters, MB", "painter_bytes", None, 1e6, False),
+    ]
+    rows = [
+        (
+            what,
+            *(getattr(f, name) / unit for f in figures.values()),
+            "" if goal is None else f"{goal / unit:g}",
+            "" if goal is None else worst([met(getattr(f, name), goal, at_least) for f in figures.values()]),
+        )
+        for what, name, goal, unit, at_least in goals
+    ]
+    header = ("", *(f"{side**2 / 1e6:.0f} M points" for side in figures), "goal", "")
+    show(f"The page on large surfaces; load of the machine before: {load:.1f}", header, rows)
+
+
+def worst(words: list[str]) -> str:
+    """Missed where any is."""
+    return min(words)
+
+
+if __name__ == "__main__":
+    main()
