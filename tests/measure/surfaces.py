@@ -61,3 +61,11 @@ def gauge_blocks(
     z[outliers] += rng.choice([-50.0, 50.0], np.count_nonzero(outliers))
     about.setdefault("calibration", calibration(u_z_scale))
     return surface_of(z, z_step_um=4.0, recipe=Recipe(window=9), **about)
+
+
+def noise_of(seed, shape, noise_um, correlation_px=0.0):
+    """Normal noise, correlated over some pixels as that of a focus window is."""
+    noise = np.random.default_rng(seed).normal(size=shape)
+    if correlation_px:
+        noise = gaussian_filter(noise, correlation_px / 2)
+    return noise_um * noise / noise.std()

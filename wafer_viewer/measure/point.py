@@ -18,10 +18,11 @@ from wafer_viewer.model.surface import Mosaic
 
 NEXT_PX = 1.5
 """A height is the median of the measured pixels up to so far away: of nine where none is missing."""
-NOISE_WINDOWS = 3
+NOISE_WINDOWS = 5
 """The noise of a height is the scatter of those up to so many focus windows away, about a plane: errors are alike over
 one window, so that a smaller part would not show them."""
-LEAST_WINDOW = 5
+UNKNOWN_WINDOW = 15
+"""What is taken for a focus window that a surface does not tell of."""
 MIN_NOISE_POINTS = 100
 BY_HAND = "Not in the budget: where the points were set, distortion of the lens, places of the fields."
 
@@ -76,11 +77,12 @@ def distance(
     across: Lines = {"pixel scale": reading.u_pixel_scale * lateral_um}
     along = _lines_along_z(reading, a, b)
     space_um = math.hypot(lateral_um, dz_um)
+    steepest_um = abs(dz_um) + math.hypot(*(along or {}).values())  # on level ground errors of dz count by their square
     return Distance(
         **reading.told(name, 0, *reading.not_in_budget(BY_HAND)),
         start=start,
         end=end,
-        distance=reading.length(space_um, _joined(across, along, lateral_um / space_um, dz_um / space_um)),
+        distance=reading.length(space_um, _joined(across, along, lateral_um / space_um, steepest_um / space_um)),
         lateral=reading.length(lateral_um, across),
         dz=reading.length(dz_um, along),
         slope=_slope(reading, lateral_um, dz_um, across, along),
@@ -110,7 +112,7 @@ def _spot(reading: Reading, place: Region) -> Spot:
 
 def _reach_px(reading: Reading) -> int:
     window = reading.surface.provenance.recipe.window
-    return NOISE_WINDOWS * max(LEAST_WINDOW, LEAST_WINDOW if window == "auto" else window)
+    return NOISE_WINDOWS * (UNKNOWN_WINDOW if window == "auto" else window)
 
 
 def _noise_um(near: Points) -> float | None:

@@ -32,8 +32,6 @@ MIDDLE = 0.3
 MIN_POINTS = 50
 FITTED_POINTS = 100_000
 """More points make a sphere no surer: neighbours err alike."""
-STANDS_OUT = 5.0
-"""Deviations of the surroundings that a top must rise over them."""
 _ROUNDS = 3
 
 
@@ -112,7 +110,7 @@ def _cap(points: Points, around: Surroundings, circle: Region) -> tuple[Cap, Poi
     for _ in range(_ROUNDS):
         if cap.curvature * top_um < 0 or not circle.contains(np.array(cap.x_um), np.array(cap.y_um)):
             raise no_sphere()
-        cap, kept = _fitted(points.kept(_in_cap(points, cap, around)))
+        cap, kept = _fitted(points.kept(_in_cap(points, cap, around)), cap)
     return cap, kept
 
 
@@ -125,13 +123,13 @@ def _in_cap(points: Points, cap: Cap, around: Surroundings) -> NDArray[np.bool_]
     return reached
 
 
-def _fitted(rising: Points) -> tuple[Cap, Points]:
+def _fitted(rising: Points, start: Cap | None = None) -> tuple[Cap, Points]:
     if len(rising) < MIN_POINTS:
         raise MeasureError(
             f"The bump has {len(rising)} measured points and a radius needs at least {MIN_POINTS}: "
             "choose one that is larger or better measured."
         )
-    return fit_cap(rising)
+    return fit_cap(rising, start)
 
 
 def _first_top_um(points: Points, around: Surroundings, circle: Region) -> float:
@@ -140,7 +138,7 @@ def _first_top_um(points: Points, around: Surroundings, circle: Region) -> float
     if not middle.any():
         raise MeasureError("Nothing is measured in the middle of the circle: draw it round a bump that is measured.")
     top_um = float(np.median(around.under(points.kept(middle))))
-    if abs(top_um) <= STANDS_OUT * around.noise_um / math.sqrt(np.count_nonzero(middle)):
+    if abs(top_um) <= around.noise_um:
         raise MeasureError("Nothing stands out of the surroundings in the middle of the circle: draw it round a bump.")
     return top_um
 

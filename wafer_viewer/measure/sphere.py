@@ -18,7 +18,8 @@ from wafer_viewer.model.errors import MeasureError
 STEEPEST = 0.95
 """Of the sphere's radius: points further from its axis lie on walls that no height map shows."""
 _ROUNDS = 50
-_SETTLED = 1e-6
+_SETTLED = 1e-4
+"""Of the curvature: steps become smaller by their squares, so the one after this counts nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,9 +64,12 @@ class Cap:
         return np.sqrt(1 - self.curvature**2 * squares)
 
 
-def fit_cap(points: Points) -> tuple[Cap, Points]:
-    """The sphere, and the points that were not rejected. Raises MeasureError when no sphere fits."""
-    cap = _first_guess(points)
+def fit_cap(points: Points, start: Cap | None = None) -> tuple[Cap, Points]:
+    """The sphere, and the points that were not rejected; start: one that is nearly it.
+
+    Raises MeasureError when no sphere fits.
+    """
+    cap = start or _first_guess(points)
     for _ in range(_ROUNDS):
         before, cap = cap, _nearer(points, cap)
         if abs(cap.curvature - before.curvature) <= _SETTLED * abs(cap.curvature):
