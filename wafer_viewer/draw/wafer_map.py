@@ -44,6 +44,9 @@ _MARGIN_PX = 4
 _ZOOM_UNDER = 0.45
 """Fields that take less than this share of the sample are shown enlarged, with the whole sample as an inset."""
 _INSET_PX = 54
+WIDTH_PX, MOST_HEIGHT_PX = 276, 236
+MOST_SINGLE = 400
+"""Of so many fields each is an element of its own, with its number and its name."""
 _LEAST_FOR_NUMBER_PX = 13
 
 
@@ -73,6 +76,29 @@ class Frame:
         _, y0, _, y1 = self.box
         return self.top_px + self.height_px / 2 - (y_um - (y0 + y1) / 2) * self.scale
 
+    def um_at(self, x_px: float, y_px: float) -> tuple[float, float]:
+        """The stage place of a place in the picture."""
+        x0, y0, x1, y1 = self.box
+        x_um = (x0 + x1) / 2 + (x_px - self.left_px - self.width_px / 2) / self.scale
+        return x_um, (y0 + y1) / 2 - (y_px - self.top_px - self.height_px / 2) / self.scale
+
+
+def map_frame(
+    fields: Sequence[Field],
+    field_width_um: float,
+    field_height_um: float,
+    outline_um: Outline = (),
+    *,
+    width_px: int = WIDTH_PX,
+    most_height_px: int = MOST_HEIGHT_PX,
+) -> Frame | None:
+    """Where stage um lie in the map of these fields; None where there is nothing to draw."""
+    of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
+    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
+    if whole is None:
+        return None
+    return _fitted(_padded(of_fields, 0.16) if _zoomed(of_fields, whole) else whole, width_px, most_height_px)
+
 
 def field_map_svg(
     fields: Sequence[Field],
@@ -84,38 +110,71 @@ def field_map_svg(
     dies_um: Sequence[Outline] = (),
     selected: int | None = None,
     onclick: str = "",
-    width_px: int = 276,
-    most_height_px: int = 236,
+    onplace: str = "",
+    width_px: int = WIDTH_PX,
+    most_height_px: int = MOST_HEIGHT_PX,
 ) -> str:
     """The map. `states` by field number are keys of `FIELD_INKS`, without one a field is planned.
 
-    Each field is a group with ``data-k`` (its number), focusable, with `onclick` as its handler.
+    Each field is a group with ``data-k`` (its number), focusable, with `onclick` as its handler. Of more than
+    `MOST_SINGLE` fields those of one state are one shape. A click beside the fields runs `onplace` with the place,
+    stage um, in ``data-k`` of the drawing.
     """
-    of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
-    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
-    if whole is None:
+    frame = map_frame(
+        fields, field_width_um, field_height_um, outline_um, width_px=width_px, most_height_px=most_height_px
+    )
+    if frame is None:
         return ""
-    zoomed = of_fields is not None and _share(of_fields, whole) < _ZOOM_UNDER
-    box = _padded(of_fields, 0.16) if zoomed and of_fields else whole
-    frame = _fitted(box, width_px, most_height_px)
-    parts = [_sample(frame, outline_um, dies_um)]
-    parts += [
-        _field(
-            frame,
-            f,
-            field_width_um,
-            field_height_um,
-            (states or {}).get(f.number, "planned"),
-            f.number == selected,
-            onclick,
-        )
-        for f in sorted(fields, key=lambda f: (f.number == selected, f.number))
+    whole = _bounds([*outline_um, *_corners(fields, field_width_um, field_height_um)])
+    of_fields = _bounds(_corners(fields, field_width_um, field_height_um))
+    inks = [(f, FIELD_INKS[(states or {}).get(f.number, "planned")]) for f in fields]
+    draw = _crowd if len(fields) > MOST_SINGLE else _singly
+    parts = [
+        _sample(frame, outline_um, dies_um),
+        draw(frame, inks, (field_width_um, field_height_um), selected, onclick),
     ]
-    if zoomed and of_fields:
+    if whole and of_fields and _zoomed(of_fields, whole):
         parts.append(_inset(frame, whole, of_fields, outline_um))
     size = f'width="{frame.width_px:.0f}" height="{frame.height_px:.0f}"'
-    head = f'<svg {size} class="wv-map" role="img" aria-label="Map of the sample" style="display:block">'
+    place = f' onclick="{html.escape(_located(frame) + onplace, quote=True)}"' if onplace else ""
+    head = f'<svg {size} class="wv-map" role="img" aria-label="Map of the sample" style="display:block"{place}>'
     return f"{head}{''.join(parts)}</svg>"
+
+
+def _located(frame: Frame) -> str:
+    """Puts the place of a click, stage um, into ``data-k``."""
+    x_um, y_um = frame.um_at(0.0, 0.0)
+    return (
+        "const r=this.getBoundingClientRect();"
+        f"this.dataset.k=({x_um:.3f}+(event.clientX-r.left)/{frame.scale:.9g}).toFixed(1)+','"
+        f"+({y_um:.3f}-(event.clientY-r.top)/{frame.scale:.9g}).toFixed(1);"
+    )
+
+
+def _singly(
+    frame: Frame, inks: Sequence[tuple[Field, Ink]], size_um: tuple[float, float], selected: int | None, onclick: str
+) -> str:
+    """Every field with its number, the selected one on top."""
+    order = sorted(inks, key=lambda of: (of[0].number == selected, of[0].number))
+    return "".join(_field(frame, f, *size_um, ink, f.number == selected, onclick) for f, ink in order)
+
+
+def _crowd(
+    frame: Frame, inks: Sequence[tuple[Field, Ink]], size_um: tuple[float, float], selected: int | None, onclick: str
+) -> str:
+    """Fields too many to be drawn one by one: one shape for each state, and the selected one on top."""
+    w, h = (max(0.8, side * frame.scale - 0.3) for side in size_um)
+    shapes: dict[Ink, list[str]] = {}
+    for field, ink in inks:
+        x, y = frame.x(field.x_um - size_um[0] / 2), frame.y(field.y_um + size_um[1] / 2)
+        shapes.setdefault(ink, []).append(f"M{x:.1f} {y:.1f}h{w:.1f}v{h:.1f}h-{w:.1f}z")
+    drawn = "".join(
+        f'<path d="{"".join(shape)}" fill="var(--{ink.edge})" fill-opacity="{max(ink.fill_opacity, 0.12):g}" '
+        f'stroke="var(--{ink.edge})" stroke-width=".4"><title>{ink.title}</title></path>'
+        for ink, shape in shapes.items()
+    )
+    chosen = [(field, ink) for field, ink in inks if field.number == selected]
+    return drawn + _singly(frame, chosen, size_um, selected, onclick)
 
 
 def _sample(frame: Frame, outline_um: Outline, dies_um: Sequence[Outline]) -> str:
@@ -130,9 +189,8 @@ def _sample(frame: Frame, outline_um: Outline, dies_um: Sequence[Outline]) -> st
 
 
 def _field(
-    frame: Frame, field: Field, width_um: float, height_um: float, state: str, selected: bool, onclick: str
+    frame: Frame, field: Field, width_um: float, height_um: float, ink: Ink, selected: bool, onclick: str
 ) -> str:
-    ink = FIELD_INKS[state]
     x, y = frame.x(field.x_um - width_um / 2) + 0.5, frame.y(field.y_um + height_um / 2) + 0.5
     w, h = max(1.0, width_um * frame.scale - 1), max(1.0, height_um * frame.scale - 1)
     handler = f' onclick="{html.escape(onclick, quote=True)}" style="cursor:pointer"' if onclick else ""
@@ -194,12 +252,18 @@ def _bounds(points: Sequence[tuple[float, float]]) -> Box | None:
     return min(xs), min(ys), max(xs), max(ys)
 
 
+def _zoomed(of_fields: Box | None, whole: Box) -> bool:
+    """Whether the fields are shown enlarged, the sample as an inset."""
+    return of_fields is not None and _share(of_fields, whole) < _ZOOM_UNDER
+
+
 def _share(part: Box, whole: Box) -> float:
     """The larger of the shares of width and height."""
     return max((part[k + 2] - part[k]) / max(whole[k + 2] - whole[k], 1e-9) for k in (0, 1))
 
 
-def _padded(box: Box, share: float) -> Box:
+def _padded(box: Box | None, share: float) -> Box:
+    box = box or (0.0, 0.0, 1.0, 1.0)
     pad = share * max(box[2] - box[0], box[3] - box[1])
     return box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
 

@@ -20,6 +20,7 @@ from wafer_viewer.gui.keys_sheet import add_keys_sheet
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
+from wafer_viewer.gui.map_clicks import MapClicks
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.page import Page
@@ -145,6 +146,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         Drawing(scene),
     ]
     left.results.on_chosen(scene.fly_to)
+    left.map.on_seen(scene.seen_um)
+    MapClicks(page, scene)
     look = scene.look_from
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))

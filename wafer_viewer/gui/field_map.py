@@ -1,35 +1,75 @@
-"""The map of the left panel: the fields of the plan or of the open dataset, by how far they have come."""
+"""The map of the left panel: the fields of the plan or of the open dataset, by how far they have come.
+
+Over it, in a drawing of its own because it changes with every move of the camera: what is seen, and where results are.
+"""
 
 from __future__ import annotations
 
-from wafer_viewer.draw.wafer_map import FIELD_INKS, Ink, field_map_svg
+from collections.abc import Callable
+
+from wafer_viewer.draw.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
 from wafer_viewer.gui import html
+from wafer_viewer.gui.kit import Cell, Gui
+from wafer_viewer.gui.review_items import ReviewItem, review_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.plan import Field
 from wafer_viewer.session.state import Snapshot
 
-
-def field_map(snapshot: Snapshot, view: View) -> str:
-    """The drawing with its legend; before there is anything, what will be there."""
-    fields, states, size_um = _fields(snapshot, view)
-    overview = snapshot.overview
-    outline = overview.outline_um if overview else ()
-    if not fields or size_um is None:
-        return html.empty("The sample and its fields", "will be drawn here.")
-    drawing = field_map_svg(
-        fields,
-        *size_um,
-        states,
-        outline_um=outline,
-        dies_um=overview.dies_um if overview else (),
-        selected=view.show if view.on_surface and view.show > 0 else None,
-        onclick=html.pick_script("field"),
-    )
-    return drawing + _legend(states) + _hint(snapshot, view)
+Drawn = tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]
 
 
-def _fields(snapshot: Snapshot, view: View) -> tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]:
-    """Fields, the words of their states, and (width, height) of one in um."""
+class FieldMap:
+    """The drawing with its legend; it is made again only when something of it has changed."""
+
+    def __init__(self, gui: Gui) -> None:
+        Cell(gui, html.head("Map", first=True))
+        self._marks = Cell(gui)
+        self._map = Cell(gui)
+        self._seen: Callable[[], Outline | None] = lambda: None
+        self._of: tuple[object, ...] | None = None
+        self._frame: Frame | None = None
+
+    def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
+        """Ask this for the part of the ground that the camera sees."""
+        self._seen = seen_um
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring map and marks up to date."""
+        of = _essence(snapshot, view)
+        if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
+            self._of = of
+            self._draw(snapshot, view)
+        if self._frame is None or not view.on_surface:
+            self._marks.show("")
+            return
+        drawing = map_marks_svg(self._frame, self._seen() or (), _marks(snapshot, view))
+        self._marks.show(drawing and f'<div class="wv-over-map">{drawing}</div>')
+
+    def _draw(self, snapshot: Snapshot, view: View) -> None:
+        fields, states, size_um = drawn(snapshot, view)
+        overview = snapshot.overview
+        if not fields or size_um is None:
+            self._frame = None
+            self._map.show(html.empty("The sample and its fields", "will be drawn here."))
+            return
+        outline = overview.outline_um if overview else ()
+        self._frame = map_frame(fields, *size_um, outline)
+        drawing = field_map_svg(
+            fields,
+            *size_um,
+            states,
+            outline_um=outline,
+            dies_um=overview.dies_um if overview else (),
+            selected=view.show if view.on_surface and view.show > 0 else None,
+            onclick=html.pick_script("field"),
+            onplace="" if snapshot.scanning else html.pick_script("place"),
+        )
+        self._map.show(drawing + _legend(states) + _hint(snapshot, view))
+
+
+def drawn(snapshot: Snapshot, view: View) -> Drawn:
+    """The fields on the map, the words of their states, and (width, height) of one in um."""
     data, draft = snapshot.dataset, snapshot.draft
     if data is not None and view.step != "plan":
         plan = data.plan
@@ -45,8 +85,49 @@ def _fields(snapshot: Snapshot, view: View) -> tuple[tuple[Field, ...], dict[int
     return draft.job.all_fields(), {}, size_um
 
 
+def field_at(snapshot: Snapshot, view: View, x_um: float, y_um: float) -> Field | None:
+    """The field on the map that holds a place, of several the one whose centre is nearest."""
+    fields, _, size_um = drawn(snapshot, view)
+    if size_um is None:
+        return None
+    half_x, half_y = size_um[0] / 2, size_um[1] / 2
+    holding = [f for f in fields if abs(f.x_um - x_um) <= half_x and abs(f.y_um - y_um) <= half_y]
+    return min(holding, key=lambda f: (f.x_um - x_um) ** 2 + (f.y_um - y_um) ** 2, default=None)
+
+
+def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
+    """What of all this the map shows; large things are told apart by being the same."""
+    data = snapshot.dataset if view.step != "plan" else None
+    job, limits = snapshot.draft.job, snapshot.rig.limits
+    of_data = (data.fields, data.states, data.plan) if data is not None else (job, limits, None)
+    return (*of_data, snapshot.overview, view.on_surface, view.show, snapshot.scanning, snapshot.rig.state == "ready")
+
+
+def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
+    """Where results are; in Review what is under review."""
+    if view.step == "review":
+        items = [item for item in review_items(snapshot, view.review_filter) if item.box_um is not None]
+        return [_judged(item, item.key == view.review) for item in items]
+    if view.step != "measure":
+        return []
+    results = [item for item in review_items(snapshot) if item.number is not None]
+    return [_at(r, r.colour, r.number == view.selected, html.pick("finding", r.number or 0)) for r in results]
+
+
+def _judged(item: ReviewItem, chosen: bool) -> Mark:
+    colours = {"open": "var(--ink3)", "accepted": "var(--good)", "rejected": "var(--fault)"}
+    verdict = item.judgement.verdict
+    return _at(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
+
+
+def _at(item: ReviewItem, colour: str, chosen: bool, attributes: str, told: str = "") -> Mark:
+    x0, y0, x1, y1 = item.box_um or (0.0, 0.0, 0.0, 0.0)
+    return Mark((x0 + x1) / 2, (y0 + y1) / 2, colour, f"{item.sign} · {item.title}{told}", chosen, attributes)
+
+
 def _legend(states: dict[int, str]) -> str:
-    shown = [word for word in FIELD_INKS if word in states.values()] or ["planned"]
+    present = set(states.values())
+    shown = [word for word in FIELD_INKS if word in present] or ["planned"]
     return html.legend((_swatch(FIELD_INKS[word]), FIELD_INKS[word].title) for word in shown)
 
 
@@ -57,7 +138,8 @@ def _swatch(ink: Ink) -> str:
 
 def _hint(snapshot: Snapshot, view: View) -> str:
     if view.on_surface:
-        text = "Click a field to see it alone, again for all." if view.show else "Click a field to see it alone."
+        text = "Click a field to see it alone, again for all." if view.show > 0 else "Click a field to see it alone."
+        text += " Elsewhere to fly there. The amber frame is in view."
     elif snapshot.scanning:
         return ""
     else:

@@ -10,7 +10,7 @@ from wafer_viewer.draw.numbers import share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
-from wafer_viewer.gui.field_map import field_map
+from wafer_viewer.gui.field_map import FieldMap
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.results import ResultList
@@ -28,7 +28,7 @@ class LeftPanel:
         self._page = page
         self.panel = panel = page.gui.add_panel()
         with panel.add_tab("Sample"):
-            self._map = Cell(page.gui)
+            self.map = FieldMap(page.gui)
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self._review = Cell(page.gui)
@@ -37,13 +37,12 @@ class LeftPanel:
             self.results = ResultList(page)
         panel.dock_left()
         panel.set_width(LEFT_PX)
-        page.on_pick("field", self._go_to_field)
         page.on_pick("open", lambda path: open_dataset(page, Path(path)))
         page.on_pick("cancel", page.session.cancel)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
-        self._map.show(html.head("Map", first=True) + field_map(snapshot, view))
+        self.map.show(snapshot, view)
         self._works.show(_works(snapshot, view))
         self._views.show(views_html(snapshot, view))
         self._review.show(review_list(snapshot, view))
@@ -69,17 +68,6 @@ class LeftPanel:
                 + '<div style="height:8px"></div>'
             )
         return dataset_table(snapshot.datasets, opened, "open") + '<div style="height:6px"></div>'
-
-    def _go_to_field(self, key: str) -> None:
-        """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all."""
-        page, number = self._page, int(key)
-        if page.view.on_surface:
-            page.change(show=0 if page.view.show == number else number, frame_k=None, slice_z_um=None)
-            return
-        plan = page.session.snapshot.draft.plan
-        if plan is not None and not page.session.snapshot.scanning:
-            field = plan.field(number)
-            page.ask("The stage did not move", page.session.move_to(x_um=field.x_um, y_um=field.y_um))
 
 
 def _works(snapshot: Snapshot, view: View) -> str:

@@ -1,0 +1,53 @@
+"""What lies over the map of the sample and changes often: what the camera sees, and where results are."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wafer_viewer.draw.wafer_map import Frame, Outline
+
+_LEAST_SEEN_PX = 5.0
+"""A view narrower than this is drawn as a cross: its frame would be a dot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A place on the map, stage um, with the colour of its sign and its name; `attributes` make it a button."""
+
+    x_um: float
+    y_um: float
+    colour: str
+    name: str
+    chosen: bool = False
+    attributes: str = ""
+
+
+def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark]) -> str:
+    """A drawing of the same size as the map's; `seen_um` are the corners of the ground that the camera sees."""
+    shapes = [*_seen(frame, seen_um), *(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
+    size = f'width="{frame.width_px:.0f}" height="{frame.height_px:.0f}"'
+    return f'<svg {size} class="wv-map-marks" style="display:block">{"".join(shapes)}</svg>' if shapes else ""
+
+
+def _seen(frame: Frame, corners_um: Outline) -> list[str]:
+    if len(corners_um) < 3:
+        return []
+    points = [(frame.x(x), frame.y(y)) for x, y in corners_um]
+    xs, ys = [x for x, _ in points], [y for _, y in points]
+    style = 'fill="none" stroke="var(--attention)" stroke-width="1.6" stroke-linejoin="round"'
+    if max(max(xs) - min(xs), max(ys) - min(ys)) < _LEAST_SEEN_PX:
+        x, y = sum(xs) / len(xs), sum(ys) / len(ys)
+        return [f'<path d="M{x - 7:.1f} {y:.1f}h14M{x:.1f} {y - 7:.1f}v14" {style}/>']
+    return [f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in points)}" {style}/>']
+
+
+def _mark(frame: Frame, mark: Mark) -> str:
+    x, y = frame.x(mark.x_um), frame.y(mark.y_um)
+    ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="var(--ink)" stroke-width="1.6"/>'
+    name = html.escape(mark.name, quote=True)
+    return (
+        f'<g {mark.attributes} aria-label="{name}"><title>{name}</title>{ring if mark.chosen else ""}'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.6" fill="{mark.colour}" stroke="#fff" stroke-width="1.2"/></g>'
+    )
