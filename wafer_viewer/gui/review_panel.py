@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accepted"), ("rejected", "Rejected"))
 ROUND_A_PLACE, LEAST_PX = 2.2, 160
 """Of the surface so much more than the places is shown, and at least so many of its pixels."""
-ASPECT = 4 / 3
+ASPECT, PICTURE_PX = 4 / 3, 480
 
 
 class ReviewPanel:
@@ -137,7 +137,7 @@ class ReviewPanel:
         source = source_of(snapshot, item.show)
         if source is None or item.box_um is None:
             return ""
-        request = PaintRequest(source, "picture", box_um=framed(item, snapshot))
+        request = PaintRequest(source, "picture", box_um=framed(item, snapshot), side_px=PICTURE_PX)
         future = self._pictures.get(request)
         if future is None or future.cancelled():
             future = self._pictures[request] = self._page.session.paint(request)

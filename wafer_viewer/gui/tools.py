@@ -81,7 +81,7 @@ class Tools:
         with self._lock:
             self._land = land
             self._show_tools(view, land if view.step == "measure" else None)
-            self._kept.show(findings if view.step == "measure" and land is not None else (), view)
+            self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
             self._show_mark(view, land)
             self._redraw()
 

@@ -16,7 +16,7 @@ from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf, levelled
 
 SIDE_PX = 96
-"""The longer side of a picture has at most so many pixels."""
+"""The longer side of a picture has at most so many pixels, where the request does not say."""
 _QUALITY = 80
 _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
@@ -28,7 +28,7 @@ def picture(shelf: Shelf, request: PaintRequest) -> bytes:
     surface = shelf.surface(request.source)
     x0, y0, x1, y1 = request.box_um
     pixels = max(x1 - x0, y1 - y0) / surface.pixel_um
-    level = max(0, math.ceil(math.log2(max(1.0, pixels / SIDE_PX))))
+    level = max(0, math.ceil(math.log2(max(1.0, pixels / (request.side_px or SIDE_PX)))))
     kept = min(level, surface.levels - 1)
     part = levelled(
         reduced(surface.window(Region.rectangle(*request.box_um), kept), 2 ** (level - kept)), request.datum

@@ -37,7 +37,7 @@ class PaintRequest:
     stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
     neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all.
     `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
-    quantity's own; `box_um` for ``picture``: x low, y low, x high, y high.
+    quantity's own; `box_um` for ``picture``: x low, y low, x high, y high; `side_px`: its longer side, 0 the usual.
     """
 
     source: Source
@@ -54,6 +54,7 @@ class PaintRequest:
     z_um: float = 0.0
     range_values: tuple[float, float] | None = None
     box_um: tuple[float, float, float, float] | None = None
+    side_px: int = 0
     datum: Datum | None = None
     skirts: Skirts = (False, False, False, False)
     side: int | None = None
