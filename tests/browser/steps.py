@@ -57,7 +57,7 @@ def go_to(page: Page, step: str) -> None:
 
 def title_is(page: Page, title: str | re.Pattern[str]) -> None:
     """Wait for the title of the panel in sight."""
-    expect(page.locator(".wv-title").first).to_have_text(title)
+    expect(page.locator(".wv-title > span:first-child").first).to_have_text(title)
 
 
 def eventually(holds: Callable[[], bool], what: str, within_s: float = 30.0) -> None:

@@ -93,16 +93,16 @@ def keep_a_step(page: Page, session: Session) -> None:
     expect(page.locator(".wv-answer")).to_contain_text("µm")
     type_into(page, "Name", "Die to street")
     press(page, "Keep result")
-    expect(page.locator("[data-pick=finding]")).to_contain_text("Die to street")
+    expect(page.locator("tr[data-pick=finding]")).to_contain_text("Die to street")
     finding = session.snapshot.findings[0]
     assert finding.name == "Die to street"
     assert finding.simulated
     press(page, "CSV")
     eventually(lambda: list(session.snapshot.data_folder.glob("*.csv")) != [], "the results are in a file")
     press(page, "Delete")
-    expect(page.locator("[data-pick=finding]")).to_have_count(0)
+    expect(page.locator("tr[data-pick=finding]")).to_have_count(0)
     press(page, "Undo")
-    expect(page.locator("[data-pick=finding]")).to_have_count(1)
+    expect(page.locator("tr[data-pick=finding]")).to_have_count(1)
 
 
 def test_images_taken_elsewhere_become_a_surface(page: Page, session: Session, tmp_path: Path):
