@@ -34,6 +34,6 @@ def lines(checks: Sequence[Check]) -> str:
 def _line(check: Check) -> str:
     sign, word = SIGNS[check.state]
     mend = f" <b>{html.safe(html.micro(check.mend))}</b>" if check.mend else ""
-    told = f'<span aria-label="{word}">{html.icon(sign, 17)}</span>'
+    told = f'<span role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
     text = f"<span>{html.safe(html.micro(check.found))}{mend}</span>"
     return f'<div class="{check.state}" role="listitem">{told}<em>{check.what}</em>{text}</div>'

@@ -55,7 +55,9 @@ def _row(item: Judged) -> str:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
     why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
     limits = f"{_um(feature.lower_limit_um)} … {_um(feature.upper_limit_um)}"
-    told = f'<span style="color:var(--{tone})" title="{word}" aria-label="{word}">{html.icon(sign, 17)}</span>'
+    told = (
+        f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
+    )
     return html.row([f"{html.safe(feature.name)}{why}", _value(item), limits, told], " nn ")
 
 
