@@ -117,7 +117,7 @@ class ReviewPanel:
     def _look_at(self, item: ReviewItem) -> None:
         """Show the item as it was measured, and fly there."""
         page, view, snapshot = self._page, self._page.view, self._page.session.snapshot
-        changes: dict[str, Any] = {"review": item.key, "selected": item.number, "why": None}
+        changes: dict[str, Any] = {"review": item.key, "selected": None, "why": None}
         if (item.show, item.levelling) != (view.show, view.levelling):
             changes |= {"show": item.show, "levelling": item.levelling, "range_um": None}
             changes |= {"frame_k": None, "slice_z_um": None}
