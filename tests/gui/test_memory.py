@@ -47,7 +47,7 @@ def test_a_browser_that_is_not_known_is_a_new_one(text):
 
 def test_widths_are_kept_and_a_folded_panel_keeps_the_one_it_had():
     before = Layout(left_px=300, right_px=404)
-    now = layout_of(Told("Linux x86_64", (262, False), (38, True)), before)
+    now = layout_of(Told("Linux x86_64", (266, False), (38, True)), before)
     assert now == Layout(left_px=262, right_px=404, left_folded=False, right_folded=True)
     assert layout_of(Told("Linux x86_64", None, None), now) == now
 

@@ -18,6 +18,8 @@ from wafer_viewer.gui.style import LEFT_PX, RIGHT_PX
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot
 
+EDGE_PX = 4
+"""A region at the side is so much wider than the panel in it."""
 LEAST_PX, MOST_PX = 200, 720
 """Widths outside of these are no panel's: a panel folded away, or on its way to be."""
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
@@ -115,4 +117,4 @@ def _side(told: tuple[int, bool] | None, before_px: int | None, before_folded: b
     if told is None:
         return before_px, before_folded
     width_px, folded = told
-    return (width_px if not folded and LEAST_PX <= width_px <= MOST_PX else before_px), folded
+    return (width_px - EDGE_PX if not folded and LEAST_PX <= width_px <= MOST_PX else before_px), folded

@@ -13,11 +13,11 @@ from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import add_commands, looking
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.guard import guarded, tell_failure
-from wafer_viewer.gui.hands import HandsOff
+from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import add_keys_sheet
-from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.kit import Cell, always_there
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
 from wafer_viewer.gui.map_clicks import MapClicks
@@ -39,6 +39,7 @@ from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
 from wafer_viewer.gui.view import View
+from wafer_viewer.gui.viewpoint import Viewpoint
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
 from wafer_viewer.gui.why_panel import WhyPanel
@@ -89,7 +90,7 @@ class PossibleStep:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Go to Plan where the step shown has nothing to show."""
-        if not possible(view.step, snapshot) and not snapshot.reopening:
+        if not possible(view.step, snapshot):
             self._page.change(step="plan")
 
 
@@ -98,10 +99,12 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page = Page(client, session)
     page.gui.main_panel.dock_right()
     page.gui.main_panel.set_width(RIGHT_PX)
-    frame = Frame(page)
-    page.add_picks()
-    ear = BrowserEar(page)
-    header = Header(page.gui, lambda step: page.change(step=step, why=None))
+    with always_there(page.gui):
+        frame = Frame(page)
+        page.add_picks()
+        ear = BrowserEar(page)
+        header = Header(page.gui, lambda step: page.change(step=step, why=None))
+        strip, question = StatusStrip(page), Question(page)
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
@@ -140,9 +143,11 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             WhyDock(page, why),
         ),
         Welcome(page),
-        StatusStrip(page),
+        strip,
+        question,
         reopened,
         hands,
+        Viewpoint(page, scene),
         Drawing(scene),
     ]
     left.results.on_chosen(scene.fly_to)

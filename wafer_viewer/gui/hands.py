@@ -39,26 +39,22 @@ _STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"
 
 
 class HandsOff:
-    """Bars a watcher's widgets, says who holds the controls, and puts the question of one who asks."""
+    """Bars a watcher's widgets and says who holds the controls."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
         self._hands = Hands()
         self._barred: dict[str, Any] = {}
         self._strip = Cell(page.gui)
-        self._question = Cell(page.gui, padded=False)
         page.on_close(lambda: self._bar(False))
         page.on_pick("hands", lambda _: hands_dialog(page))
         page.on_pick("hands-ask", lambda _: ask(page))
-        page.on_pick("hands-over", lambda to: hand_over(page, to))
-        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring widgets and words up to date."""
         hands, key = snapshot.hands, self._page.browser.key
         watching = hands.browser(key) is not None and not hands.holds(key)
         self._strip.show(_watching(hands, key) if watching else "")
-        self._question.show(_question(hands) if hands.holds(key) and hands.asking else "")
         self._bar(watching)
         self._tell(self._hands, hands)
         self._hands = hands
@@ -84,6 +80,22 @@ class HandsOff:
                 page.say(f"{now.name_of(now.holder)} holds the controls now", "You watch. A scan goes on.", "attention")
         if now.kept_from == key and before.kept_from != key:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
+
+
+class Question:
+    """Tells the holder that somebody asks for the controls, with the two answers."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._question = Cell(page.gui, padded=False)
+        page.on_pick("hands-over", lambda to: hand_over(page, to))
+        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Ask as long as there is no answer."""
+        hands = snapshot.hands
+        asked = hands.holds(self._page.browser.key) and hands.asking is not None
+        self._question.show(_question(hands) if asked else "")
 
 
 def ask(page: Page) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Any, Generic, Literal, TypeVar
 
 import viser
@@ -159,6 +160,16 @@ class Choice:
         this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
         rules = f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}"
         return f'<div class="{self._mark}"></div><style>{rules}</style>'
+
+
+@contextlib.contextmanager
+def always_there(gui: Gui) -> Generator[None]:
+    """A place for what must be on the page whichever panels are folded away: viser drops what lies in those."""
+    panel = gui.add_panel()
+    with panel.add_tab("·"):
+        gui.add_html('<div class="wv-ov wv-frame"></div>')
+        yield
+    panel.float(x=0, y=0, width=1, height=1)
 
 
 class Overlay:

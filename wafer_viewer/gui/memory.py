@@ -5,7 +5,7 @@ It is kept in the browser itself. What only makes sense on one dataset is given 
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
@@ -15,11 +15,12 @@ import viser
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
 
-VIEW_KEY, SELF_KEY = "wafer-viewer-view", "wafer-viewer-browser"
+VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
 """What holds for every dataset; the rest of a view belongs to the one it was chosen for."""
 OF = "of"
-WAIT_S = 2.0
+WAIT_S = 15.0
+"""A browser that is busy with the page answers late; without its answer the page begins afresh."""
 Vector = tuple[float, float, float]
 T = TypeVar("T")
 
@@ -44,6 +45,15 @@ class Self:
 
 
 @dataclass(frozen=True, slots=True)
+class Standpoint:
+    """Where the camera stood, in mm, and what it looked at."""
+
+    of: str = ""
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    look_at_mm: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Remembered:
     """What a browser had: itself, its view, and what it had chosen for the dataset `of`."""
 
@@ -51,15 +61,17 @@ class Remembered:
     view: View = View()
     of: str = ""
     chosen: dict[str, Any] = field(default_factory=dict)
+    standpoint: Standpoint = Standpoint()
 
 
 def recall(client: viser.ClientHandle) -> Remembered:
     """What this browser remembers; nothing when it has nothing, or does not answer."""
     try:
-        browser, view = (client.local_storage.get_item(key, timeout=WAIT_S) for key in (SELF_KEY, VIEW_KEY))
+        keys = (VIEW_KEY, SELF_KEY, CAMERA_KEY)
+        view, browser, camera = (client.local_storage.get_item(key, timeout=WAIT_S) or "{}" for key in keys)
     except (RuntimeError, TimeoutError):
         return Remembered()
-    return replace(read(view or "{}"), browser=read_self(browser or "{}"))
+    return replace(read(view), browser=read_self(browser), standpoint=_as(_items(camera), Standpoint) or Standpoint())
 
 
 def read(text: str) -> Remembered:
@@ -89,7 +101,12 @@ def keep(client: viser.ClientHandle, before: View, after: View, of: str) -> None
 
 def keep_self(client: viser.ClientHandle, browser: Self) -> None:
     """Have the browser remember itself."""
-    client.local_storage.set_item(SELF_KEY, msgspec.json.encode(asdict(browser)).decode())
+    client.local_storage.set_item(SELF_KEY, msgspec.json.encode(browser).decode())
+
+
+def keep_standpoint(client: viser.ClientHandle, standpoint: Standpoint) -> None:
+    """Have the browser remember where the camera stands."""
+    client.local_storage.set_item(CAMERA_KEY, msgspec.json.encode(standpoint).decode())
 
 
 def changed(view: View, **changes: Any) -> View:

@@ -50,9 +50,10 @@ class Page:
         self.session = seat(session, lambda: self.browser.key)
         self.browser = Self()
         self.view = View()
-        self._to_restore: Remembered | None = None
+        self.recalled = Remembered()
+        self._restored = False
         asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
-        self._recalled = asking.submit(memory.recall, client)  # the browser answers while the parts are made
+        self._asked = asking.submit(memory.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
         self.scale: Scale | None = None
@@ -72,9 +73,12 @@ class Page:
     def begin(self, parts: Sequence[Part]) -> None:
         """Start drawing; `parts` in the order in which they are drawn."""
         self._parts = parts
-        self._to_restore = recalled = self._recalled.result()
+        self.recalled = recalled = self._asked.result()
         self.view = recalled.view
-        self.remember(recalled.browser if recalled.browser.key else Self(secrets.token_hex(8)))
+        if recalled.browser.key:
+            self.browser = recalled.browser
+        else:
+            self.remember(Self(secrets.token_hex(8)))
         self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
         self._due.set()
         self._thread.start()
@@ -204,9 +208,9 @@ class Page:
         return not self._closed
 
     def _draw(self) -> None:
-        if self._closed:
-            return
         snapshot = self.session.snapshot
+        if self._closed or snapshot.reopening:
+            return
         self._restore(snapshot)
         self._tell_standing(snapshot)
         view = self.view
@@ -214,14 +218,13 @@ class Page:
             guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
 
     def _restore(self, snapshot: Snapshot) -> None:
-        """Give back what was chosen for the dataset that is open, once it is clear which one that is."""
-        remembered = self._to_restore
-        if remembered is None or snapshot.reopening:
+        """Give back, once, what was chosen for the dataset that is open."""
+        if self._restored:
             return
-        self._to_restore = None
-        if snapshot.dataset is not None and str(snapshot.dataset.path) == remembered.of:
+        self._restored = True
+        if snapshot.dataset is not None and str(snapshot.dataset.path) == self.recalled.of:
             with self._lock:
-                self.view = replace(self.view, **remembered.chosen)
+                self.view = replace(self.view, **self.recalled.chosen)
 
     def _tell_standing(self, snapshot: Snapshot) -> None:
         """A notification for every new note, those that need a person also after a reload; none for what is settled."""

@@ -18,6 +18,7 @@ from wafer_viewer.session.state import RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
 """A calibration that is due within so many days is drawn attention to."""
+FAR_DAYS = 400
 _MOTION = {
     "ready": "at rest",
     "moving": "moving",
@@ -102,7 +103,7 @@ def due(made: Calibration | None, today: datetime.date) -> Words:
         return f"Calibration overdue by {_days(-days)}", "fault", more
     if days <= SOON_DAYS:
         return f"Calibration due {'today' if days == 0 else f'in {_days(days)}'}", "attention", more
-    return f"Calibrated, due in {_days(days)}", "", more
+    return (f"Calibrated, due in {_days(days)}" if days <= FAR_DAYS else f"Calibrated until {made.due}"), "", more
 
 
 def surface(info: SurfaceInfo | None) -> tuple[Words, Words]:
