@@ -64,6 +64,9 @@ class StandIn:
         self.asked.append(request)
         return self._pool.submit(paint, self.shelf, request)
 
+    def surface_source(self, show: int) -> Mosaic:
+        return self.shelf.surfaces[show]
+
     def close(self) -> None:
         self._pool.shutdown(cancel_futures=True)
 

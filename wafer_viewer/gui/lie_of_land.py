@@ -42,6 +42,11 @@ class Land:
         return r.x0_um, r.y0_um - (r.rows - 1) * r.pixel_um, r.x0_um + (r.cols - 1) * r.pixel_um, r.y0_um
 
     @property
+    def holes(self) -> bool:
+        """Whether the ground is seen where nothing is measured."""
+        return self._holes
+
+    @property
     def pixel_um(self) -> float:
         """From one coarse height to the next."""
         return self._relief.pixel_um

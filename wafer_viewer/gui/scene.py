@@ -63,7 +63,7 @@ class SceneView:
         self._poses.on_arrival(self._arrived)
         self._steady = Steady()
         self._eye = Eye(client)
-        self._tools = Tools(client, self._eye)
+        self._tools = Tools(client, self._eye, lambda show: session.surface_source(show))
         self._shown: Contents | None = None
         self._place: Hashable = None
         self._stands: Hashable = None

@@ -17,6 +17,7 @@ from wafer_viewer.gui.kept_marks import KeptMarks
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.line_tools import LineTools
+from wafer_viewer.gui.near_land import Read, hit_nearby
 from wafer_viewer.gui.place_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import View
@@ -29,8 +30,8 @@ from wafer_viewer.model.region import Region
 class Tools:
     """Handles are moved on a thread of their own, so that a drag is followed while tiles are still coming."""
 
-    def __init__(self, client: viser.ClientHandle, eye: Eye) -> None:
-        self._client, self._eye = client, eye
+    def __init__(self, client: viser.ClientHandle, eye: Eye, read: Read) -> None:
+        self._client, self._eye, self._read = client, eye, read
         self._land: Land | None = None
         scene = client.scene
         self._lines = LineTools(scene, self._dragged, lambda lines, line: self._lined(lines, line))
@@ -152,8 +153,9 @@ class Tools:
     def _pick(self, origin: np.ndarray, direction: np.ndarray) -> None:
         land = self._land
         place = land.hit(origin, direction) if land is not None else None
-        if place is None:
+        if land is None or place is None:
             return
+        place = hit_nearby(self._read, land, place, origin, direction)
         with self._lock:
             self._places.put(place)
         self._redraw()
