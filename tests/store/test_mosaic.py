@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.store.samples import assert_same_surface, make_surface
+from wafer_viewer.measure.heights import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import Origin
@@ -45,6 +46,20 @@ def test_a_window_is_cut_as_from_a_map_in_memory(stored, surface):
         stored.window(Region.rectangle(500, 500, 501, 501))
     with pytest.raises(DatasetError, match="has levels 0 to 3 and no level 4"):
         stored.window(None, 4)
+
+
+@pytest.mark.parametrize("layer", ["unsmoothed", "smoothed", "filled"])
+@pytest.mark.parametrize("level", [0, 2])
+def test_one_layer_of_heights_is_read_alone_as_a_window_has_it(stored, monkeypatch, level, layer):
+    region = Region.rectangle(-10.2, 20.0, 33.0, 61.7)
+    part = stored.window(region, level)
+    read = []
+    whole = ZarrMosaic.read
+    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or whole(self, name, *at))
+    alone = stored.heights(layer, region, level)
+    np.testing.assert_array_equal(alone.z_um, heights(part, layer))
+    assert (alone.pixel_um, alone.x0_um, alone.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
+    assert len(read) == (2 if layer == "smoothed" else 1)
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])

@@ -146,7 +146,7 @@ class ProfileSection:
         sections, shown = self._curves.sections, self._page.session.snapshot.dataset
         if sections and shown is not None:
             content = self._page.session.sections.file(sections, ending)
-            self._page.client.send_file_download(f"{shown.path.stem}-profiles{ending}", content)
+            self._page.client.send_file_download(f"{shown.path.stem}-profiles{ending}", content, save_immediately=True)
 
 
 def _compared(plot: PlotView) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +12,9 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Length
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance
+from wafer_viewer.model.surface import HasHeights, HeightLayer, HeightMap, Heights, Mosaic, Provenance
 
-Layer = Literal["unsmoothed", "smoothed", "filled"]
+Layer = HeightLayer
 Floats = NDArray[np.float64]
 MAX_PIXELS = 2_000_000
 """A region with more pixels is measured at a coarser level, whose pixels are means."""
@@ -54,6 +53,14 @@ def heights(surface: HeightMap, layer: Layer) -> NDArray[np.float32]:
     if layer == "filled":
         return surface.z_um
     return np.where(surface.measured, surface.z_um, np.float32(np.nan))
+
+
+def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> Heights:
+    """One layer of the part of a surface that holds a region, read alone where the surface can."""
+    if isinstance(surface, HasHeights):
+        return surface.heights(layer, region, level)
+    part = surface.window(region, level)
+    return Heights(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um)
 
 
 def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> Points:

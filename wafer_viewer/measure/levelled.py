@@ -8,12 +8,22 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.measure.heights import Floats, Layer, Points, heights, layer_of, level_for, points_in, require_area
+from wafer_viewer.measure.heights import (
+    Floats,
+    Layer,
+    Points,
+    height_window,
+    heights,
+    layer_of,
+    level_for,
+    points_in,
+    require_area,
+)
 from wafer_viewer.measure.level import Fit, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum, LevelBy, Levelling
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance
+from wafer_viewer.model.surface import HeightMap, Heights, Mosaic, Provenance
 
 FITTED_PIXELS = 1_000_000
 """A plane or form of the whole surface is fitted to about as many pixels at most."""
@@ -67,6 +77,14 @@ class Levelled:
         zero = self.datum.at(part.x_um[None, :], part.y_um[:, None])
         z_um, z_raw_um = ((z - zero).astype(np.float32) for z in (part.z_um, part.z_raw_um))
         return dataclasses.replace(part, z_um=z_um, z_raw_um=z_raw_um)
+
+    def heights(self, layer: Layer, region: Region, level: int = 0) -> Heights:
+        """One layer of heights of what `window` returns; raises as the surface itself does."""
+        part = height_window(self.surface, layer, region, level)
+        rows, cols = part.z_um.shape
+        x_um, y_um = part.x0_um + np.arange(cols) * part.pixel_um, part.y0_um - np.arange(rows) * part.pixel_um
+        zero = self.datum.at(x_um[None, :], y_um[:, None])
+        return dataclasses.replace(part, z_um=(part.z_um - zero).astype(np.float32))
 
 
 def levelled(surface: Mosaic, levelling: Levelling, layer: Layer | None = None) -> Mosaic:

@@ -7,15 +7,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from wafer_viewer.measure.heights import Floats, Layer, heights, layer_of, level_note, reported
+from wafer_viewer.measure.heights import Floats, Layer, height_window, layer_of, level_note, reported
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Profile, ProfileCurve
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, pixel_window
+from wafer_viewer.model.surface import Heights, Mosaic, pixel_window
 
 MAX_SAMPLES = 8192
 """A line with more pixels is read at a coarser level of the pyramid."""
-_PIECE = 256
+_PIECE = 512
 """Samples read at a time: a slanted line never needs the whole rectangle round it."""
 MIN_WEIGHT = 0.5
 """A sample is measured when at least this share of what it is interpolated and averaged from is."""
@@ -82,24 +82,24 @@ def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, leve
     pixel_um = surface.pixel_um * 2**level
     low, high = (x_um.min() - pixel_um, y_um.min() - pixel_um), (x_um.max() + pixel_um, y_um.max() + pixel_um)
     try:
-        part = surface.window(Region.rectangle(*map(float, (*low, *high))), level)
+        part = height_window(surface, layer, Region.rectangle(*map(float, (*low, *high))), level)
     except MeasureError:  # this piece lies outside, others do not
         return np.full(len(x_um), np.nan)
-    total, weight = _bilinear(part, layer, x_um, y_um)
+    total, weight = _bilinear(part, x_um, y_um)
     share = weight.mean(axis=1)
     return np.divide(total.sum(axis=1), weight.sum(axis=1), out=np.full(len(share), np.nan), where=share >= MIN_WEIGHT)
 
 
-def _bilinear(part: HeightMap, layer: Layer, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
     """Weighted heights and weights of the measured ones among the four pixels round each point."""
-    z_um = heights(part, layer)
+    z_um = part.z_um
     row, col = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
     top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
     down, right = row - top, col - left
     total, weight = np.zeros(x_um.shape), np.zeros(x_um.shape)
     for r, row_weight in ((top, 1 - down), (top + 1, down)):
         for c, col_weight in ((left, 1 - right), (left + 1, right)):
-            inside = (r >= 0) & (r < part.shape[0]) & (c >= 0) & (c < part.shape[1])
+            inside = (r >= 0) & (r < z_um.shape[0]) & (c >= 0) & (c < z_um.shape[1])
             z = z_um[np.where(inside, r, 0), np.where(inside, c, 0)]
             w = np.where(inside & np.isfinite(z), row_weight * col_weight, 0.0)
             total += w * np.nan_to_num(z)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,6 +204,28 @@ class Mosaic(Outline, Protocol):
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level that holds a region; all of it without one."""
+        ...
+
+
+HeightLayer = Literal["unsmoothed", "smoothed", "filled"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heights:
+    """One layer of heights, float32 [row, col], NaN where that layer has none; it lies as a HeightMap does."""
+
+    z_um: NDArray[np.float32]
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+
+
+@runtime_checkable
+class HasHeights(Protocol):
+    """A surface that reads one layer of heights alone: a sixth of the work where nothing else is asked for."""
+
+    def heights(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+        """The part of a level that holds a region. Raises MeasureError when the region lies outside."""
         ...
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
-from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
+from wafer_viewer.model.surface import HeightLayer, HeightMap, Heights, Mosaic, Origin, Provenance, pixel_window
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic_facts import FACTS, Facts, facts_array, keep_facts, kept_facts
@@ -227,14 +227,17 @@ class ZarrMosaic:
         Raises MeasureError when the region lies outside, DatasetError when there is no such level.
         """
         rows, cols = self._window(region, level)
-        pixel_um, shift_um = self.pixel_um * 2**level, (2**level - 1) / 2 * self.pixel_um
-        return HeightMap(
-            **{name: self.read(name, level, rows, cols) for name in SURFACE},
-            pixel_um=pixel_um,
-            x0_um=self.x0_um + shift_um + cols.start * pixel_um,
-            y0_um=self.y0_um - shift_um - rows.start * pixel_um,
-            provenance=self.provenance,
-        )
+        layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
+        pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
+        return HeightMap(**layers, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance)
+
+    def heights(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+        """One layer of heights of what `window` returns, and nothing else; raises as `window` does."""
+        rows, cols = self._window(region, level)
+        z_um = self.read("z_raw_um" if layer == "unsmoothed" else "z_um", level, rows, cols)
+        if layer == "smoothed":
+            z_um[self.read("origin", level, rows, cols) != Origin.MEASURED] = np.nan
+        return Heights(z_um, *self._lattice(level, rows, cols))
 
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
@@ -260,6 +263,12 @@ class ZarrMosaic:
         return ShardedArray.open(
             self.path / name / str(level), shards_of(name, self.header), self.header.shape_of(level)
         )
+
+    def _lattice(self, level: int, rows: slice, cols: slice) -> tuple[float, float, float]:
+        """Pixel size of a part of a level, and stage x, y of its pixel (0, 0)."""
+        pixel_um, shift_um = self.pixel_um * 2**level, (2**level - 1) / 2 * self.pixel_um
+        x0_um, y0_um = self.x0_um + shift_um + cols.start * pixel_um, self.y0_um - shift_um - rows.start * pixel_um
+        return pixel_um, x0_um, y0_um
 
     def _window(self, region: Region | None, level: int) -> tuple[slice, slice]:
         if not 0 <= level < self.levels:
