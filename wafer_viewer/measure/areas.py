@@ -45,7 +45,7 @@ def area_of(reading: Reading, region: Region, which: str, what: str) -> Area:
     share = min(1.0, len(points) * pixel_um**2 / region.area_um2)
     if share < LEAST_MEASURED:
         raise MeasureError(
-            f"Only {share:.0%} of the {which} is measured and {what} needs at least {LEAST_MEASURED:.0%}: "
+            f"Only {100 * share:.0f} % of the {which} is measured and {what} needs {100 * LEAST_MEASURED:.0f} %: "
             "draw it where the surface has fewer holes."
         )
     return Area(points, level, pixel_um, share)

@@ -7,13 +7,13 @@ more than a share of the top.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.faces import Face, face_of
 from wafer_viewer.measure.heights import Floats, Layer, Points, level_for, points_in
-from wafer_viewer.measure.level import Plane, fit_plane, plane_design
+from wafer_viewer.measure.level import Plane, plane_design
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.sphere import Cap, fit_cap, no_sphere
 from wafer_viewer.measure.tiles import parameter_u
@@ -33,24 +33,6 @@ MIN_POINTS = 50
 FITTED_POINTS = 100_000
 """More points make a sphere no surer: neighbours err alike."""
 _ROUNDS = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surroundings:
-    """What a bump rises over: its points, the plane through them, and how far they lie from it."""
-
-    points: Points
-    plane: Plane
-    residuals_um: Floats
-
-    @property
-    def noise_um(self) -> float:
-        """Root mean square distance from the plane."""
-        return float(np.sqrt(np.mean(self.residuals_um**2)))
-
-    def under(self, points: Points) -> Floats:
-        """How far points rise over the plane."""
-        return points.z_um - np.asarray(self.plane.at(points.x_um, points.y_um))
 
 
 def bump_radius(
@@ -92,20 +74,24 @@ def _wider(circle: Region) -> Region:
     return Region.circle(at.x_um, at.y_um, RING * circle.radius_um)
 
 
-def _surroundings(points: Points) -> Surroundings:
+def _surroundings(points: Points) -> Face:
+    """What a bump rises over."""
     if len(points) < MIN_POINTS:
         raise MeasureError(
             f"Round the circle {len(points)} points are measured and a radius needs at least {MIN_POINTS}: "
             "draw it larger, where its surroundings are measured."
         )
-    plane, fit = fit_plane(points)
-    kept = points.kept(fit.kept)
-    return Surroundings(kept, plane, kept.z_um - np.asarray(plane.at(kept.x_um, kept.y_um)))
+    return face_of(points)
 
 
-def _cap(points: Points, around: Surroundings, circle: Region) -> tuple[Cap, Points]:
+def _over(points: Points, plane: Plane) -> Floats:
+    """How far points rise over a plane."""
+    return points.z_um - np.asarray(plane.at(points.x_um, points.y_um))
+
+
+def _cap(points: Points, around: Face, circle: Region) -> tuple[Cap, Points]:
     """The sphere through what rises over the surroundings, and the points it is fitted to."""
-    over, top_um = around.under(points), _first_top_um(points, around, circle)
+    over, top_um = _over(points, around.plane), _first_top_um(points, around, circle)
     cap, kept = _fitted(points.kept(over / top_um >= CAP_FROM))
     for _ in range(_ROUNDS):
         if cap.curvature * top_um < 0 or not circle.contains(np.array(cap.x_um), np.array(cap.y_um)):
@@ -114,7 +100,7 @@ def _cap(points: Points, around: Surroundings, circle: Region) -> tuple[Cap, Poi
     return cap, kept
 
 
-def _in_cap(points: Points, cap: Cap, around: Surroundings) -> NDArray[np.bool_]:
+def _in_cap(points: Points, cap: Cap, around: Face) -> NDArray[np.bool_]:
     """Which points lie where the sphere is high enough: picked by their own heights their noise would pick them."""
     reached = cap.reaches(points)
     near = points.kept(reached)
@@ -132,13 +118,13 @@ def _fitted(rising: Points, start: Cap | None = None) -> tuple[Cap, Points]:
     return fit_cap(rising, start)
 
 
-def _first_top_um(points: Points, around: Surroundings, circle: Region) -> float:
+def _first_top_um(points: Points, around: Face, circle: Region) -> float:
     at = circle.points[0]
     middle = Region.circle(at.x_um, at.y_um, MIDDLE * circle.radius_um).contains(points.x_um, points.y_um)
     if not middle.any():
         raise MeasureError("Nothing is measured in the middle of the circle: draw it round a bump that is measured.")
-    top_um = float(np.median(around.under(points.kept(middle))))
-    if abs(top_um) <= around.noise_um:
+    top_um = float(np.median(_over(points.kept(middle), around.plane)))
+    if abs(top_um) <= around.sq_um:
         raise MeasureError("Nothing stands out of the surroundings in the middle of the circle: draw it round a bump.")
     return top_um
 
@@ -149,7 +135,7 @@ def _top_um(cap: Cap, plane: Plane) -> float:
     return to_center / math.hypot(1.0, plane.slope_x, plane.slope_y) + 1 / cap.curvature
 
 
-def _radius_lines(reading: Reading, cap: Cap, kept: Points, around: Surroundings) -> Lines | None:
+def _radius_lines(reading: Reading, cap: Cap, kept: Points, around: Face) -> Lines | None:
     """A cap of radius a and height h has R = a^2 / 2 h: what h errs by R errs by, what a errs by twice."""
     u_curvature = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 0.0, 1.0]))
     if u_curvature is None:
@@ -163,7 +149,7 @@ def _radius_lines(reading: Reading, cap: Cap, kept: Points, around: Surroundings
     }
 
 
-def _top_lines(reading: Reading, cap: Cap, kept: Points, around: Surroundings) -> Lines | None:
+def _top_lines(reading: Reading, cap: Cap, kept: Points, around: Face) -> Lines | None:
     u_cap = parameter_u(kept, cap.slopes(kept), kept.z_um - cap.at(kept), np.array([0.0, 0.0, 1.0, 0.0]))
     design = plane_design(around.points, (cap.x_um, cap.y_um))
     u_plane = parameter_u(around.points, design, around.residuals_um, np.array([0.0, 0.0, 1.0]))

@@ -2,7 +2,7 @@
 
 The plane goes through the border of the region, or it is the zero that heights are read from. Noise alone would lift
 half of a flat region over the plane: pixels within three deviations of it are area on neither side, and as volume they
-count together, on the side that their sum is on. So the volumes' difference is that of all pixels, which noise does not
+count together, on the side where more lies. So the volumes' difference is that of all pixels, which noise does not
 shift.
 """
 
@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.areas import Area, area_of
-from wafer_viewer.measure.faces import face_of
+from wafer_viewer.measure.faces import Face, face_of
 from wafer_viewer.measure.heights import Floats, Layer, Points
-from wafer_viewer.measure.level import Plane, plane_design
+from wafer_viewer.measure.level import plane_design
 from wafer_viewer.measure.levelled import levelling_of
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.tiles import parameter_u
@@ -59,10 +59,11 @@ def area_volume(
     area = area_of(reading, region, "region", "a volume")
     from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
     border = _border(area, region)
+    noise_um = NOISE_DEVIATIONS * border.sq_um
     zero = np.asarray(border.plane.at(area.points.x_um, area.points.y_um)) if from_where == "border" else 0.0
     over = area.points.z_um - zero
-    noise_um3 = border.noise_um3(area) if from_where == "border" else None
-    above, below = (_side(reading, area, rises, border.noise_um, noise_um3) for rises in (over, -over))
+    noise_um3 = _noise_um3(border, area) if from_where == "border" else None
+    above, below = (_side(reading, area, rises, noise_um, noise_um3) for rises in (over, -over))
     return AreaVolume(
         **reading.told(name, area.level, REFERENCES[from_where], *reading.not_in_budget()),
         region=region,
@@ -74,36 +75,13 @@ def area_volume(
         area=reading.quantity(area.um2, "um2", {"pixel scale": 2 * reading.u_pixel_scale * area.um2}),
         highest=reading.length(float(over.max()), None),
         lowest=reading.length(float(over.min()), None),
-        noise_um=border.noise_um,
+        noise_um=noise_um,
         measured_fraction=area.measured_fraction,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Border:
-    """The points along a region's outline that were not rejected, the plane through them, how far they lie from it."""
-
-    points: Points
-    plane: Plane
-    residuals_um: Floats
-
-    @property
-    def noise_um(self) -> float:
-        """What is nearer to the plane is noise."""
-        return NOISE_DEVIATIONS * float(np.sqrt(np.mean(self.residuals_um**2)))
-
-    def noise_um3(self, area: Area) -> float | None:
-        """What noise makes of the volume over the plane (k = 1).
-
-        The mean height of an area is as noisy as the plane is, by how large the area and the border are.
-        """
-        middle = float(area.points.x_um.mean()), float(area.points.y_um.mean())
-        u_um = parameter_u(self.points, plane_design(self.points, middle), self.residuals_um, OFFSET)
-        border_um2 = len(self.points) * area.pixel_um**2
-        return None if u_um is None else u_um * math.sqrt(area.um2 * (area.um2 + border_um2))
-
-
-def _border(area: Area, region: Region) -> Border:
+def _border(area: Area, region: Region) -> Face:
+    """The face along a region's outline."""
     width_um = max(LEAST_BORDER_PX * area.pixel_um, BORDER * math.sqrt(region.area_um2))
     points = area.points.kept(_from_outline_um(region, area.points) <= width_um)
     if len(points) < MIN_BORDER_POINTS:
@@ -111,8 +89,18 @@ def _border(area: Area, region: Region) -> Border:
             f"Along its border the region has {len(points)} measured points and a volume needs at least "
             f"{MIN_BORDER_POINTS}: draw it so that its border lies on measured ground."
         )
-    face = face_of(points)
-    return Border(face.points, face.plane, face.residuals_um)
+    return face_of(points)
+
+
+def _noise_um3(border: Face, area: Area) -> float | None:
+    """What noise makes of the volume over the plane (k = 1).
+
+    The mean height of what the border encloses is as noisy as the plane is, by how large both are.
+    """
+    middle = float(area.points.x_um.mean()), float(area.points.y_um.mean())
+    u_um = parameter_u(border.points, plane_design(border.points, middle), border.residuals_um, OFFSET)
+    border_um2 = len(border.points) * area.pixel_um**2
+    return None if u_um is None else u_um * math.sqrt(area.um2 * (area.um2 - border_um2))
 
 
 def _from_outline_um(region: Region, points: Points) -> Floats:
@@ -148,18 +136,21 @@ class Side:
 
 
 def _side(reading: Reading, area: Area, rises: Floats, noise_um: float, noise_um3: float | None) -> Side:
+    """Of the side on which `rises` are positive; what is within the noise counts where more lies."""
     beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
-    within = float(rises[np.abs(rises) <= noise_um].sum())
-    um2 = float(np.count_nonzero(beyond)) * pixel_um2
-    um3 = (float(rises[beyond].sum()) + max(within, 0.0)) * pixel_um2
-    lines: Lines | None = (
-        None
-        if noise_um3 is None
-        else {
-            "z scale": reading.u_z_scale * um3,
-            "pixel scale": 2 * reading.u_pixel_scale * um3,
-            "noise and form of the border": noise_um3,
-            "interpolation between frames": reading.u_interpolation_um * um2,
-        }
-    )
-    return Side(reading.quantity(um3, "um3", lines), reading.quantity(um2, "um2", None))
+    here, there = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
+    within = float(rises[np.abs(rises) <= noise_um].sum()) if here >= there else 0.0
+    um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, here + within) * pixel_um2
+    volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, noise_um3))
+    return Side(volume, reading.quantity(um2, "um2", None))
+
+
+def _lines(reading: Reading, um3: float, um2: float, noise_um3: float | None) -> Lines | None:
+    if noise_um3 is None:
+        return None
+    return {
+        "z scale": reading.u_z_scale * um3,
+        "pixel scale": 2 * reading.u_pixel_scale * um3,
+        "noise and form of the border": noise_um3,
+        "interpolation between frames": reading.u_interpolation_um * um2,
+    }

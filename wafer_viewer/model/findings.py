@@ -155,7 +155,7 @@ class AreaVolume(Finding, frozen=True, kw_only=True, tag="volume"):
     """What stands out of a plane within a region, and what lies under it; areas are projected along z.
 
     reference: the plane through the region's border, or the zero that heights are read from. Pixels within
-    noise_um of the plane are area on neither side; as volume they count together, on the side that their sum is on.
+    noise_um of the plane are area on neither side; as volume they count together, where more lies.
     """
 
     region: Region
