@@ -14,6 +14,8 @@ from wafer_viewer.draw.print_picture import (
     BAR_HIGH,
     FOOT_SHARE,
     INK,
+    LEAST_HIGH,
+    MARGIN_SHARE,
     Caption,
     ColourKey,
     png,
@@ -26,16 +28,32 @@ KEY = ColourKey("Height", "µm", -10.0, 30.0, "batlow")
 
 def a_picture(simulated: bool = False, key: ColourKey | None = None, um_per_pixel: float = 0.5):
     scene = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    scene[::899, 700:720, 3] = 255  # something at either edge, so that no row is cut off
+    scene[::899, 700:720, :3] = 255
     return print_picture(scene, um_per_pixel, Caption("coupon-07", ("z drawn × 3",), simulated), key)
 
 
 def test_the_scene_keeps_its_pixels_and_lies_on_white_paper():
     scene = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
     scene[100:200, 300:400] = (10, 120, 200, 255)
+    scene[[0, -1], 0] = (255, 255, 255, 255)
     picture = print_picture(scene, 1.0, Caption("a", (), False), None)
     assert picture.shape == (HEIGHT + round(FOOT_SHARE * WIDTH), WIDTH, 3)
     assert (picture[100:200, 300:400] == (10, 120, 200)).all()
     assert (picture[:HEIGHT][scene[..., 3] == 0] == 255).all()
+
+
+def test_empty_rows_are_cut_off_but_for_a_margin_and_room_for_the_bar():
+    tall = np.zeros((3 * WIDTH, WIDTH, 4), np.uint8)
+    tall[1000:2000, 300:400] = 255
+    tall[1400:1450, 300:400] = (10, 120, 200, 255)
+    picture = print_picture(tall, 1.0, Caption("a", (), False), KEY)
+    foot = round(FOOT_SHARE * WIDTH)
+    assert picture.shape[0] == 1000 + 2 * round(MARGIN_SHARE * WIDTH) + foot
+    assert (picture == (10, 120, 200)).all(axis=2).sum() == 50 * 100
+    flat = np.zeros((3 * WIDTH, WIDTH, 4), np.uint8)
+    flat[700, 300:400] = 255
+    assert print_picture(flat, 1.0, Caption("a", (), False), KEY).shape[0] == round(LEAST_HIGH * WIDTH) + foot
 
 
 @pytest.mark.parametrize("um_per_pixel", [0.031, 0.5, 17.0])

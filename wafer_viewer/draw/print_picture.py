@@ -23,6 +23,8 @@ FOOT_SHARE, LETTER_SHARE = 0.042, 0.0125
 """Of the picture's width: the height of the strip below the scene, and of its letters."""
 SCALE_BAR_SHARE = 0.14
 BAR_HIGH, BAR_WIDE = 0.24, 0.014
+MARGIN_SHARE, LEAST_HIGH = 0.03, 0.34
+"""Of the width: what is left over and under what is drawn, and the least height of the scene."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +51,11 @@ class Caption:
 def print_picture(
     scene: NDArray[np.uint8], um_per_pixel: float, caption: Caption, key: ColourKey | None
 ) -> NDArray[np.uint8]:
-    """The scene uint8 [h, w, 4] on white paper, with scale bar, colour bar and caption: uint8 [h + foot, w, 3].
+    """The scene uint8 [h, w, 4] on white paper, with scale bar, colour bar and caption: uint8 [rows, w, 3].
 
-    um_per_pixel is that of the picture, at the point looked at.
+    Empty rows over and under what is drawn are cut off. um_per_pixel is that of the picture, at the point looked at.
     """
+    scene = _without_empty_rows(scene)
     height, width = scene.shape[:2]
     foot_px, letter_px = round(FOOT_SHARE * width), LETTER_SHARE * width
     page = Image.new("RGB", (width, height + foot_px), PAPER)
@@ -71,6 +74,19 @@ def png(picture: NDArray[np.uint8], dots_per_inch: int = 300) -> bytes:
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "PNG", dpi=(dots_per_inch, dots_per_inch), compress_level=4)
     return out.getvalue()
+
+
+def _without_empty_rows(scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The rows in which something is drawn, with a margin, and as many as the colour bar needs."""
+    height, width = scene.shape[:2]
+    drawn = np.flatnonzero((scene[..., 3] > 0).any(axis=1))
+    if drawn.size == 0:
+        return scene
+    margin = round(MARGIN_SHARE * width)
+    first, last = max(0, int(drawn[0]) - margin), min(height, int(drawn[-1]) + 1 + margin)
+    spare = max(0, round(LEAST_HIGH * width) - (last - first))
+    first = max(0, first - spare // 2)
+    return scene[first : min(height, max(last, first + round(LEAST_HIGH * width)))]
 
 
 def _scale_bar(pen: ImageDraw.ImageDraw, um_per_pixel: float, width: int, middle: float, letter_px: float) -> float:
