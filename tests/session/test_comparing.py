@@ -107,8 +107,8 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
     try:
         session.open_dataset(before).result(patience_s)
         pairs = session.comparing.choices()
-        assert [second.words for _, second in pairs] == ["before · cleaned", "after"]
-        number = session.comparing.begin(*pairs[1]).result(patience_s)
+        assert [second.words for _, second in pairs] == ["after", "before · cleaned"]
+        number = session.comparing.begin(*pairs[0]).result(patience_s)
         known = session.wait_until(lambda now: now.comparisons and not now.works, patience_s).comparisons
         assert [(c.number, c.name, c.outdated) for c in known] == [(number, "difference-after", False)]
 
@@ -122,9 +122,9 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         out = session.export_surface(tmp_path / "off.npz", show).result(patience_s)
         assert out.stat().st_size > 1e6
 
-        busy = session.comparing.begin(*pairs[0])
+        busy = session.comparing.begin(*pairs[1])
         with pytest.raises(DatasetError, match="being compared already"):
-            session.comparing.begin(*pairs[1]).result(patience_s)
+            session.comparing.begin(*pairs[0]).result(patience_s)
         busy.result(patience_s)
         session.comparing.remove(number).result(patience_s)
         assert [c.name for c in session.snapshot.comparisons] == ["difference-before-cleaned"]

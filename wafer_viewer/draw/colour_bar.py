@@ -13,6 +13,8 @@ from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.surface import ORIGIN_TITLES
 
 _HISTOGRAM_PX = 44
+_LONG_TITLE = 12
+"""Longer ones are written smaller: the bar has no room beside it."""
 _BAR_PX = 19
 LINE_PX = 20
 NOT_MEASURED_CSS = "repeating-linear-gradient(45deg,var(--ink3) 0 1px,transparent 1px 4px)"
@@ -36,11 +38,12 @@ def colour_bar_html(
     the surface's grey means, in a line more of `LINE_PX`.
     """
     foot_px = LINE_PX if elsewhere else 0
+    title_px = 13.5 if len(title) <= _LONG_TITLE else 12
     values = ticks(low, high, max(3, height_px // 48))
     labels = "".join(_label(v, (v - low) / max(high - low, 1e-12), height_px, values, signed) for v in values)
     return (
         f'<div style="position:relative;height:{height_px + 78 + foot_px}px;width:124px">'
-        f'<div style="position:absolute;left:12px;top:8px;font-weight:650">{html.escape(title)} '
+        f'<div style="position:absolute;left:12px;top:8px;font-weight:650;font-size:{title_px}px">{html.escape(title)} '
         f'<span style="font-weight:450;color:var(--ink3)">{html.escape(unit)}</span></div>'
         f"{_histogram(counts, height_px)}"
         f'<div style="position:absolute;left:54px;top:34px;width:{_BAR_PX}px;height:{height_px}px;border-radius:2px;'

@@ -23,7 +23,7 @@ _LARGE_PL = 1e3
 def pair_words(first: SurfaceName, second: SurfaceName) -> str:
     """What a choice of the list says."""
     if (first.path, first.result, first.field) == (second.path, second.result, second.field):
-        return "Raw and cleaned heights"
+        return "Raw and cleaned"
     return f"Result {second.result}" if first.path == second.path else second.words
 
 

@@ -34,7 +34,7 @@ COLOUR_BY: dict[str, ColourBy] = {
 }
 TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
 NEVER_NEGATIVE = ("confidence", "slope", "overlap")
-STITCHED = "Stitched surface"
+STITCHED, COMPARED = "Stitched surface", "Comparison"
 FULL_BLEND = 0.4
 """All-in-focus, when it is switched on."""
 FULL_SHADE = 0.8
@@ -66,7 +66,7 @@ class SurfacePanel:
         self._show_colour(info, view)
         self._show_light(view)
         self._slice.show(snapshot, view)
-        self._numbers.show(_numbers(data, info))
+        self._numbers.show(_numbers(data, info) if view.show >= 0 else "")
         self._stitching.show(snapshot, view)
         self._recipe.show(snapshot)
         set_prop(self._measure, "disabled", info is None)
@@ -139,6 +139,8 @@ class SurfacePanel:
     # --- choices
 
     def _choose_shown(self, text: str) -> None:
+        if text == COMPARED:
+            return
         show = 0 if text == STITCHED else int(text.removeprefix("Field "))
         self._page.change(show=show, frame_k=None, slice_z_um=None)
 
@@ -161,10 +163,10 @@ class SurfacePanel:
     def _show_look(self, data: OpenDataset | None, view: View) -> None:
         self._look.show(view.look)
         fields = [f"Field {number}" for number in sorted(data.stamps)] if data else []
-        options = (STITCHED, *fields)
+        options = (STITCHED, *((COMPARED,) if view.show < 0 else ()), *fields)
         if tuple(self._shown.handle.options) != options:
             self._shown.handle.options = options
-        shown = f"Field {view.show}" if view.show else STITCHED
+        shown = COMPARED if view.show < 0 else f"Field {view.show}" if view.show else STITCHED
         if shown in options:
             self._shown.show(shown)
 

@@ -110,7 +110,7 @@ class ComparingVerbs:
         others = [
             name for entry in now.datasets for name in _surfaces_of(entry.path, field, entry.path == now.dataset.path)
         ]
-        return ((raw, cleaned), *((first, other) for other in others if other != first))
+        return (*((first, other) for other in others if other != first), (raw, cleaned))
 
     def begin(
         self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
