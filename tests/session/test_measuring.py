@@ -50,7 +50,8 @@ class Shown:
 
     def snapshot(self):
         data = SimpleNamespace(path=Path("a.wafer"), stamps={3: 7}, calibration_problem=self.problem)
-        return SimpleNamespace(dataset=data, surface=SimpleNamespace(stamp=self.stamp))
+        compared = (SimpleNamespace(stamp=self.stamp),)
+        return SimpleNamespace(dataset=data, surface=SimpleNamespace(stamp=self.stamp), comparisons=compared)
 
 
 @pytest.fixture
@@ -101,6 +102,10 @@ def test_a_zero_is_found_once_for_each_state_of_a_surface(measuring, shown):
     shown.stamp = 2
     measuring.datum(PLANE)
     assert shown.asked == [0, 3, 0], "the surface has grown, so its plane is another"
+    for stamp in (2, 3, 3):
+        shown.stamp = stamp
+        measuring.datum(PLANE, -1)
+    assert shown.asked == [0, 3, 0, -1, -1], "a comparison that was made anew"
 
 
 def test_without_a_calibration_that_holds_there_is_no_uncertainty(measuring, shown):

@@ -88,4 +88,6 @@ def _stamp(snapshot: Snapshot, show: int) -> object:
     shown, surface = snapshot.dataset, snapshot.surface
     if shown is None:
         return None
-    return shown.path, shown.stamps.get(show) if show > 0 else surface and surface.stamp
+    if show < 0:
+        return shown.path, tuple(compared.stamp for compared in snapshot.comparisons)
+    return shown.path, shown.stamps.get(show) if show else surface and surface.stamp
