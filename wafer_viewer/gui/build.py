@@ -12,6 +12,7 @@ from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import add_commands, looking
 from wafer_viewer.gui.curves import Curves
+from wafer_viewer.gui.dialogs import stop_dialog
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
@@ -103,7 +104,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         frame = Frame(page)
         page.add_picks()
         ear = BrowserEar(page)
-        header = Header(page.gui, lambda step: page.change(step=step, why=None))
+        stop = guarded(page, "The scan was not stopped")(lambda: stop_dialog(page))
+        header = Header(page.gui, lambda step: page.change(step=step, why=None), stop)
         strip, question = StatusStrip(page), Question(page)
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))

@@ -15,10 +15,15 @@ from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.notebook import key_of_result
 from wafer_viewer.session.state import RigStatus, Snapshot
 
+STOP_PX, STOP_RIGHT_PX = 88, 330
 STEPS: tuple[Step, ...] = get_args(Step)
 TITLES: dict[Step, str] = {
-    **{"plan": "Plan", "acquire": "Acquire", "surface": "Surface"},
-    **{"measure": "Measure", "review": "Review", "report": "Report"},
+    "plan": "Plan",
+    "acquire": "Acquire",
+    "surface": "Surface",
+    "measure": "Measure",
+    "review": "Review",
+    "report": "Report",
 }
 SHOWN_AT_NEED: tuple[Step, ...] = ("review", "report")
 """Steps that the header leaves out as long as they have no contents."""
@@ -79,9 +84,11 @@ def all_judged(snapshot: Snapshot) -> bool:
 
 
 class Header:
-    """Mark, dataset, steps, rig. The steps are real buttons that style places over the header's bar."""
+    """Mark, dataset, steps, Stop, rig. Steps and Stop are real buttons that style places over the header's bar."""
 
-    def __init__(self, gui: Gui, go_to: Callable[[Step], None]) -> None:
+    def __init__(self, gui: Gui, go_to: Callable[[Step], None], stop: Callable[[], None]) -> None:
+        self._stop = button(gui, "Stop", viser.Icon.PLAYER_STOP, lambda _: stop(), disabled=True)
+        gui.add_html(f"<style>{_stop_rules(by_id(self._stop._impl.uuid))}</style>")
         self._steps: dict[Step, Any] = {
             step: button(gui, TITLES[step], None, lambda _, s=step: go_to(s)) for step in STEPS
         }
@@ -92,6 +99,7 @@ class Header:
         """Bring the header up to date."""
         self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
         self._style.show(self._step_style(view.step))
+        set_prop(self._stop, "disabled", not snapshot.scanning or snapshot.rig.state == "stopping")
         for step, handle in self._steps.items():
             set_prop(handle, "disabled", not possible(step, snapshot))
             set_prop(handle, "visible", possible(step, snapshot) or step not in SHOWN_AT_NEED)
@@ -116,6 +124,18 @@ def _step_rules(handle: Any, place: int, current: bool) -> str:
         f"{at} .mantine-Button-label{{font-size:14.5px!important;font-weight:{weight}!important}}"
         f"{at}:hover{{background:var(--fill)!important}}"
         f"{at}[data-disabled]{{color:var(--ink3)!important;opacity:.6;background:transparent!important;border:0!important}}"
+        f"div:has(>{at}){{height:0;padding:0!important;margin:0!important}}"
+    )
+
+
+def _stop_rules(at: str) -> str:
+    """Stop has its place whether it can be pressed or not, so that a hand finds it."""
+    return (
+        f"{at}{{position:fixed;z-index:3;right:{STOP_RIGHT_PX}px;top:11px;width:{STOP_PX}px!important;height:34px!important;"
+        f"padding:0!important;background:transparent!important;border:1px solid var(--line)!important;"
+        f"color:var(--ink3)!important}}"
+        f"{at}:not([data-disabled]){{background:var(--fault-soft)!important;border-color:var(--fault)!important;"
+        f"color:var(--fault)!important}}"
         f"div:has(>{at}){{height:0;padding:0!important;margin:0!important}}"
     )
 

@@ -107,6 +107,10 @@ class Stage(Protocol):
         """Begin a motion of one axis at a given speed, and return at once."""
         ...
 
+    def homed(self) -> bool:
+        """Whether every axis knows where it is; one that does not has to look for its reference before a move."""
+        ...
+
     def moving(self) -> bool:
         """Whether any axis is in motion."""
         ...

@@ -129,6 +129,7 @@ class Instrument:
             limits=event.limits,
             calibration=event.calibration,
             setup=event.setup,
+            homed=event.homed,
         )
         self._desk.change(rig=status)
         self._at(At(event.position))

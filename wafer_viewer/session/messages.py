@@ -59,6 +59,7 @@ class RigReady:
     calibration: Calibration | None
     position: Position
     tour: Job | None
+    homed: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

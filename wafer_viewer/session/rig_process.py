@@ -45,6 +45,7 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
         calibration=rig.calibration,
         position=rig.stage.position(),
         tour=tour_of(rig, config),
+        homed=rig.stage.homed(),
     )
 
 

@@ -144,6 +144,10 @@ class VirtualStage:
             )
         self._start(one, to_um, speed_um_s)
 
+    def homed(self) -> bool:
+        """Always: its scales are absolute."""
+        return True
+
     def moving(self) -> bool:
         """Whether any axis is in motion."""
         now_s = self._clock.now_s()
