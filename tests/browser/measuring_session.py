@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import Future
 from typing import Any
 
@@ -9,18 +10,22 @@ import numpy as np
 
 from tests.browser.fake_session import FakeSession
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
+from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.session.history import History
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.questions import ReadOut
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)
+CALIBRATION = Calibration(
+    pixel_um=PIXEL_UM, u_pixel_um=0.0004, u_z_scale=0.002, made="2026-01-12", due="2027-01-12", against="a step block"
+)
 
 
 class MeasuringSession(FakeSession):
@@ -103,4 +108,5 @@ def a_die() -> HeightMap:
     z = z + np.maximum(0, DOME_UM * (1 - ((x - DOME_AT[0]) ** 2 + (y - DOME_AT[1]) ** 2) / DOME_RADIUS_UM**2)) * die
     z = z + TILT * x + np.random.default_rng(1).normal(0, 0.15, z.shape)
     z[(np.abs(x + 40) < 12) & (np.abs(y + 60) < 8)] = np.nan
-    return height_map(z, PIXEL_UM, float(x[0, 0]), float(y[0, 0]))
+    made = height_map(z, PIXEL_UM, float(x[0, 0]), float(y[0, 0]))
+    return dataclasses.replace(made, provenance=Provenance(calibration=CALIBRATION, simulated=True))

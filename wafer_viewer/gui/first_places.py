@@ -22,10 +22,17 @@ from wafer_viewer.model.levelling import LevelBy, Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 
+_WELL_INSIDE = 0.8
+"""The side of a region to begin with, of the square that was found to be even."""
+
 
 def _square(land: Land, at: Place, side_um: float) -> Region:
     (x, y), half = at, side_um / 2
     return Region.rectangle(*land.clamped((x - half, y - half)), *land.clamped((x + half, y + half)))
+
+
+def _inside(land: Land, at: Place, side_um: float) -> Region:
+    return _square(land, at, _WELL_INSIDE * side_um)
 
 
 def _point(land: Land, near: Place) -> tuple[Region, ...]:
@@ -41,12 +48,12 @@ def _distance(land: Land, near: Place) -> tuple[Region, ...]:
 
 def _step(land: Land, near: Place) -> tuple[Region, ...]:
     upper, lower, side_um = plateaus(land, near)
-    return _square(land, upper, side_um), _square(land, lower, side_um)
+    return _inside(land, upper, side_um), _inside(land, lower, side_um)
 
 
 def _angle(land: Land, near: Place) -> tuple[Region, ...]:
     first, second, side_um = two_faces(land, near)
-    return _square(land, first, side_um), _square(land, second, side_um)
+    return _inside(land, first, side_um), _inside(land, second, side_um)
 
 
 def _radius(land: Land, near: Place) -> tuple[Region, ...]:
@@ -60,7 +67,7 @@ def _volume(land: Land, near: Place) -> tuple[Region, ...]:
 
 
 def _face(land: Land, near: Place) -> tuple[Region, ...]:
-    return (_square(land, *face(land, near)),)
+    return (_inside(land, *face(land, near)),)
 
 
 FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {

@@ -97,6 +97,6 @@ def _place(sign: Sign, region: Region, land: Land, mm_per_pixel: float) -> None:
     x0, _, _, y1 = region.bounds_um
     if region.kind == "line":
         x0, y1 = region.points[1].x_um, region.points[1].y_um
-    reach = 60e3 * mm_per_pixel
+    reach, up = 60e3 * mm_per_pixel, 26 if region.kind == "point" else 12
     z = land.on_show.scene_z(land.highest_um(x0 - reach, y1 - reach / 4, x0, y1 + reach / 4)) + 3 * mm_per_pixel
-    sign.place((x0 * 1e-3 - 8 * mm_per_pixel, y1 * 1e-3 + 12 * mm_per_pixel, z), _SIGN_PX * mm_per_pixel)
+    sign.place((x0 * 1e-3 - 8 * mm_per_pixel, y1 * 1e-3 + up * mm_per_pixel, z), _SIGN_PX * mm_per_pixel)

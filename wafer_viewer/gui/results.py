@@ -13,7 +13,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kept_places import Box, bounds_of, places_of, tool_of
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.measure_source import where
-from wafer_viewer.gui.measure_words import letter, list_text, sign_colour
+from wafer_viewer.gui.measure_words import REGION_COLOUR, letter, list_text, sign_colour
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.thumbnails import Thumbnails
 from wafer_viewer.gui.view import View
@@ -113,7 +113,8 @@ class ResultList:
 
 
 def _row(finding: AnyFinding, view: View, thumbnail: str) -> str:
-    sign = html.chip(letter(finding), sign_colour(finding))
+    colour = sign_colour(finding)
+    sign = html.chip(letter(finding), "" if colour == REGION_COLOUR else colour)
     name = f'<span class="wv-cut wv-short" title="{html.safe(finding.name)}">{html.safe(finding.name)}</span>'
     elsewhere = " · ".join(_elsewhere(finding, view))
     beside = f'<small class="wv-cut wv-short" title="{html.safe(elsewhere)}">{html.safe(elsewhere)}</small>'
