@@ -124,6 +124,8 @@ def chip(text: str, colour: str = "") -> str:
     return f'<span class="wv-chip" style="background:{colour}">{safe(text)}</span>'
 
 
-def bar(fraction: float) -> str:
-    """A thin bar of progress."""
+def bar(fraction: float | None) -> str:
+    """A thin bar of progress; None: at work, nobody knows how far."""
+    if fraction is None:
+        return '<div class="wv-bar"><div class="wv-going"></div></div>'
     return f'<div class="wv-bar"><div style="width:{100 * min(max(fraction, 0.0), 1.0):.0f}%"></div></div>'

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import viser
 
-from wafer_viewer.draw.numbers import share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
 from wafer_viewer.gui.field_map import FieldMap
+from wafer_viewer.gui.job_list import job_list
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.results import ResultList
@@ -18,7 +18,7 @@ from wafer_viewer.gui.review_words import review_list
 from wafer_viewer.gui.saved_views import views_html
 from wafer_viewer.gui.style import LEFT_PX
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot, Work
+from wafer_viewer.session.state import Snapshot
 
 
 class LeftPanel:
@@ -43,7 +43,7 @@ class LeftPanel:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
         self.map.show(snapshot, view)
-        self._works.show(_works(snapshot, view))
+        self._works.show(job_list(snapshot, view))
         self._views.show(views_html(snapshot, view))
         self._review.show(review_list(snapshot, view))
         self.compare.show(snapshot, view)
@@ -68,24 +68,6 @@ class LeftPanel:
                 + '<div style="height:8px"></div>'
             )
         return dataset_table(snapshot.datasets, opened, "open") + '<div style="height:6px"></div>'
-
-
-def _works(snapshot: Snapshot, view: View) -> str:
-    """Background work with its progress, each with a way to stop it."""
-    if not snapshot.works:
-        idle = html.empty("Reconstruction and stitching", "will be shown here.")
-        return html.head("Jobs") + idle if view.step == "acquire" else ""
-    return html.head("Jobs", str(len(snapshot.works))) + "".join(_work(work) for work in snapshot.works)
-
-
-def _work(work: Work) -> str:
-    state = "waits" if work.fraction is None else share(work.fraction, 0)
-    stop = f' <span class="wv-link" title="Cancel" {html.pick("cancel", work.id)}>{html.icon(viser.Icon.X, 14)}</span>'
-    line = (
-        f'<div style="display:flex;justify-content:space-between;gap:8px"><b>{html.safe(work.title)}</b>'
-        f'<span style="white-space:nowrap">{state}{stop if work.cancellable else ""}</span></div>'
-    )
-    return f'<div style="margin-bottom:9px">{line}{"" if work.fraction is None else html.bar(work.fraction)}</div>'
 
 
 def _shortened(folder: Path) -> str:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
-from typing import Literal
+from typing import Any, Literal
 
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.state import Fault, Work
@@ -15,12 +15,16 @@ Source = Literal["plan", "scan", "import", "open", "surface", "measure", "export
 KEPT = 50
 """Faults that stay in the list; the oldest give way."""
 
+KNOWN_AFTER_S, KNOWN_AFTER = 2.0, 0.05
+"""How long a work takes can be told after so much time and so much of it."""
+
 
 class Notices:
     """Faults and works of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, desk: Desk, clock_s: Callable[[], float] = time.monotonic) -> None:
+        self._desk, self._clock_s = desk, clock_s
+        self._begun: dict[str, tuple[float, float]] = {}
         self._numbers = count(1)
         self._stops: dict[str, Callable[[], None]] = {}
 
@@ -34,9 +38,12 @@ class Notices:
         """Take a fault off the list."""
         self._desk.change(faults=tuple(f for f in self._desk.now.faults if f.id != fault_id))
 
-    def begin(self, title: str, stop: Callable[[], None] | None = None) -> str:
-        """Show a work; `stop` is called when a person cancels it. Returns its id."""
-        work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None)
+    def begin(self, title: str, stop: Callable[[], None] | None = None, waits_for: str = "") -> str:
+        """Show a work; `stop` is called when a person cancels it; until it makes progress it waits for `waits_for`.
+
+        Returns its id.
+        """
+        work = Work(f"work-{next(self._numbers)}", title, cancellable=stop is not None, waits_for=waits_for)
         if stop is not None:
             self._stops[work.id] = stop
         self._desk.change(works=(*self._desk.now.works, work))
@@ -44,21 +51,33 @@ class Notices:
 
     def progress(self, work_id: str, fraction: float) -> None:
         """Say how far a work is."""
-        works = self._desk.now.works
-        if any(w.id == work_id for w in works):
-            self._desk.change(works=tuple(replace(w, fraction=fraction) if w.id == work_id else w for w in works))
+        begun_at_s, begun = self._begun.setdefault(work_id, (self._clock_s(), fraction))
+        left_s = seconds_left(self._clock_s() - begun_at_s, begun, fraction)
+        self._amend(work_id, fraction=fraction, seconds_left=left_s)
 
     def end(self, work_id: str) -> None:
         """The work is over, well or not."""
         self._stops.pop(work_id, None)
+        self._begun.pop(work_id, None)
         self._desk.change(works=tuple(w for w in self._desk.now.works if w.id != work_id))
 
     def cancel(self, work_id: str) -> None:
         """Stop a work that a person does not want any more; one that is over is left alone."""
         if (stop := self._stops.pop(work_id, None)) is not None:
-            works = self._desk.now.works
-            self._desk.change(works=tuple(replace(w, cancellable=False) if w.id == work_id else w for w in works))
+            self._amend(work_id, cancellable=False, stopping=True)
             stop()
+
+    def _amend(self, work_id: str, **changes: Any) -> None:
+        works = self._desk.now.works
+        if any(w.id == work_id for w in works):
+            self._desk.change(works=tuple(replace(w, **changes) if w.id == work_id else w for w in works))
+
+
+def seconds_left(gone_s: float, begun: float, now: float) -> float | None:
+    """How long a work still takes that came from the fraction `begun` to `now`; None as long as that is a guess."""
+    if gone_s < KNOWN_AFTER_S or now - begun < KNOWN_AFTER:
+        return None
+    return gone_s * (1.0 - now) / (now - begun)
 
 
 def _clock() -> str:

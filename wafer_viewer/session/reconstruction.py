@@ -60,7 +60,7 @@ class Reconstruction:
         self.abandon()
         store = self._library.dataset.result(result)
         store.save_recipe(recipe)
-        work = self._notices.begin("Heights of the fields", self._cancelled)
+        work = self._notices.begin("Heights of the fields", self._cancelled, waits_for="a field with all its frames")
         self._run = Run(self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch)
         self.add(fields)
 

@@ -126,12 +126,19 @@ class LatestFrame:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Background work: shown with its progress, can be cancelled by its id. fraction None: waits."""
+    """Background work: shown with its progress, can be cancelled by its id.
+
+    fraction None: how far it is cannot be told, or it has not begun; `waits_for` says what it waits for then.
+    stopping: it was cancelled and has not ended yet.
+    """
 
     id: str
     title: str
     fraction: float | None = None
     cancellable: bool = True
+    waits_for: str = ""
+    seconds_left: float | None = None
+    stopping: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +257,6 @@ class Snapshot:
     compute_ready: bool = False
     hands: Hands = Hands()
     notebook: NotebookState = NotebookState()
-    comparisons: tuple[Compared, ...] = ()
     comparisons: tuple[Compared, ...] = ()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
