@@ -185,3 +185,17 @@ def test_a_verdict_is_a_word_and_says_what_to_do(serve: Callable[..., Page], ver
     expect(page.get_by_label("Verdict")).to_contain_text(told)
     session.change(dataset=dataclasses.replace(session.snapshot.dataset, job=replace(fake.a_job())))
     expect(page.get_by_label("Verdict")).to_have_count(0)
+
+
+def test_a_plan_that_is_there_is_replaced_only_by_its_name(serve: Callable[..., Page], tmp_path: Path):
+    (tmp_path / "L2231-W07.toml").write_text("an older plan")
+    session = day.OperatorSession(dataclasses.replace(fake.planned(), data_folder=tmp_path))
+    page = serve(session)
+    press(page, "Save plan")
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("Replace L2231-W07.toml?")
+    dialog.get_by_role("button", name="Cancel").click()
+    assert "save_plan" not in [name for name, _, _ in session.asked]
+    press(page, "Save plan")
+    press(page, "Replace L2231-W07.toml")
+    eventually(lambda: "save_plan" in [name for name, _, _ in session.asked], "the plan was saved")

@@ -98,7 +98,7 @@ def _fit(job: Job) -> str:
     good = found.residual_um <= marks.limit_um
     words = f"{found.n_marks} corners, residual {with_unit(found.residual_um, 1)} of {with_unit(marks.limit_um, 0)}"
     again = f'<span class="wv-link" {html.pick("unmark")}>Mark again</span>'
-    text = "" if good else "Too large: mark the corners again, the ones that are named."
+    text = "" if good else "Too large: mark the named corners again."
     sign = html.icon(viser.Icon.CIRCLE_CHECK if good else viser.Icon.HAND_STOP, 18)
     return html.note("good" if good else "fault", words, text, again, sign)
 

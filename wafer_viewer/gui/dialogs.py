@@ -197,10 +197,23 @@ def export_dialog(page: Page) -> None:
 
     def write() -> None:
         target = Path(path.value).expanduser()
+        unless_there(page, target, lambda: export(target))
+
+    def export(target: Path) -> None:
         done = page.session.export_surface(target, field)
         page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
 
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+
+
+def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
+    """Write a file; one that is there already is replaced only after a person said so, by its name."""
+    if not path.exists():
+        write()
+        return
+    below = f"It is in {path.parent} already; what it holds is gone then, and no undo brings it back."
+    dialog = Dialog(page, f"Replace {path.name}?", below)
+    dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced")
 
 
 def _ending_of(field: int | None) -> str:

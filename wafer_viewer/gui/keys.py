@@ -73,9 +73,6 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
         elif parts.plan.why_not(session.snapshot) is None:
             parts.plan.start()
 
-    def saved(path: Any) -> None:
-        page.say("Plan saved", str(path))
-
     return [
         Command("Scan, pause, go on", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan"),
         Command(
@@ -91,7 +88,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
         Command(
             "Save plan",
             "S",
-            ask("The plan was not saved", session.save_plan, saved),
+            parts.plan.save,
             ICON.DEVICE_FLOPPY,
             "cmd/ctrl",
             "Plan",

@@ -10,10 +10,10 @@ import viser
 
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui import plan_words as words
-from wafer_viewer.gui.dialogs import load_plan_dialog
+from wafer_viewer.gui.dialogs import load_plan_dialog, unless_there
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, start_dialog, take_up
+from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, required_job, start_dialog, take_up
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
 from wafer_viewer.gui.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.page import Page
@@ -22,6 +22,7 @@ from wafer_viewer.gui.release_section import ReleaseSection
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.drafting import PLAN_ENDING, suggested_name
 from wafer_viewer.session.library import today
 from wafer_viewer.session.preflight import Check, look_round, stops
 from wafer_viewer.session.state import Draft, Snapshot, Typed
@@ -67,6 +68,17 @@ class PlanPanel:
         else:
             start_dialog(self._page, checks, self._start_now)
 
+    def save(self) -> None:
+        """Write the plan beside the datasets; in place of another file only after a question that names it."""
+        page = self._page
+        folder, job = page.session.snapshot.data_folder, required_job(page)
+        path, failed = folder / f"{suggested_name(job)}{PLAN_ENDING}", "The plan was not saved"
+
+        def write() -> None:
+            page.ask(failed, page.session.save_plan(path), lambda path: page.say("Plan saved", str(path)))
+
+        unless_there(page, path, write)
+
     def why_not(self, snapshot: Snapshot) -> str | None:
         """Why the scan cannot start now, or None."""
         return self._why_not(snapshot, self._checks(snapshot))
@@ -111,7 +123,7 @@ class PlanPanel:
         self._build_grid()
         self._build_sweep()
         self._strategies = Cell(gui)
-        save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self._save))
+        save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save))
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
         self._release = ReleaseSection(self._page)
@@ -238,10 +250,6 @@ class PlanPanel:
 
     def _to_stage(self) -> None:
         self._page.ask("The grid stays", self._page.session.centre_on_stage())
-
-    def _save(self) -> None:
-        page = self._page
-        page.ask("The plan was not saved", page.session.save_plan(None), lambda path: page.say("Plan saved", str(path)))
 
     def _show_words(self, snapshot: Snapshot, draft: Draft) -> None:
         below = (

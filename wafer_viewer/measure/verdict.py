@@ -62,7 +62,7 @@ def what_next(items: Sequence[Judged]) -> str:
         case "pass":
             return "Take the next wafer."
         case "fail":
-            return "Set the wafer aside as the job says, and take the next one."
+            return "Set the wafer aside, and take the next one."
         case "inconclusive":
             return _after_inconclusive([item for item in items if item.word == "inconclusive"])
         case _:

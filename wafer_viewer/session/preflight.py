@@ -121,7 +121,7 @@ def alignment(now: Preflight) -> Check:
         return Check("Alignment", state, f"Not aligned: {len(marks.places)} corners to mark.", "Mark them.")
     fit = f"{found.n_marks} corners, residual {found.residual_um:.1f} um of {marks.limit_um:g} um"
     if found.residual_um > marks.limit_um:
-        return Check("Alignment", "stop", f"{fit}: too large.", "Mark the corners again, the ones that are named.")
+        return Check("Alignment", "stop", f"{fit}: too large.", "Mark the named corners again.")
     return Check("Alignment", "ok", f"{fit}.")
 
 
