@@ -26,7 +26,7 @@ COMMANDS: dict[str, str] = {
     "measure volume": "area and volume over and under a plane",
     "measure flatness": "the flatness of a face",
     "measure texture": "the texture of a face",
-    "measure profile": "a section along a line",
+    "measure profile": "sections along lines, rows and columns, as numbers, table or picture",
     "measure verdict": "whether a wafer is good by the features of its job",
     "compare": "the second of two surfaces minus the first, aligned before",
     "report": "write the report of a dataset as one HTML file that prints well",
@@ -101,9 +101,16 @@ def _call(name: str, rest: list[str]) -> int | None:
 
 
 def _function(name: str) -> Callable[..., int | None]:
-    from wafer_viewer import commands, compare_command, measure_commands, operator_commands, surface_commands
+    from wafer_viewer import (
+        commands,
+        compare_command,
+        measure_commands,
+        operator_commands,
+        profile_command,
+        surface_commands,
+    )
 
-    rooms = (measure_commands, surface_commands, operator_commands, compare_command, commands)
+    rooms = (measure_commands, profile_command, surface_commands, operator_commands, compare_command, commands)
     return next(found for room in rooms if (found := getattr(room, name, None)) is not None)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 
 from wafer_viewer.arguments import (
@@ -13,7 +11,6 @@ from wafer_viewer.arguments import (
     NewFile,
     Out,
     Place,
-    Rectangle,
     Source,
     Sources,
     Text,
@@ -22,7 +19,6 @@ from wafer_viewer.arguments import (
 )
 from wafer_viewer.command_output import print_json, print_surface, progress, warn
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Part, ReportOrder
 
 OF_THE_PAGE = ("stamp", "changed")
@@ -91,35 +87,6 @@ def stitch(
     if poses is not None:
         write_poses_of(dataset, result, poses)
     print_json({name: value for name, value in msgspec.to_builtins(info).items() if name not in OF_THE_PAGE})
-
-
-def measure_profile(
-    src: Source,
-    line: Rectangle,
-    width_um: float = 0.0,
-    field: int = 0,
-    result: str = "default",
-    points: bool = False,
-) -> None:
-    """A section along a line, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, .npz.
-        line: The two ends of the line.
-        width_um: Width across the line that is averaged over.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-        points: Also print the points of the section.
-    """
-    from wafer_viewer.measure.profile import profile
-    from wafer_viewer.session.offline import measured_surface
-
-    surface, calibrated = measured_surface(src, field, result)
-    found, curve = profile(surface, Region.line(*line, width_um=width_um), calibration_valid=calibrated)
-    facts: dict[str, Any] = msgspec.to_builtins(found)
-    if points:
-        facts["points"] = {"distance_um": curve.distance_um.tolist(), "z_um": curve.z_um.tolist()}
-    print_json(facts)
 
 
 def why(

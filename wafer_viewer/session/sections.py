@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from wafer_viewer import __version__
-from wafer_viewer.measure.heights import Layer
-from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.cutting import cut, file_of, other_layer
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.state import Snapshot
 
@@ -26,7 +24,7 @@ class Sections:
         """A section along a line of the surface on show, or of another one."""
         if asked.of is not None:
             return self._of_other(asked, asked.of)
-        layer = _other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
+        layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
         found, curve = self._questions.measuring.profile(asked.line, asked.show, asked.levelling, layer)
         shown = self._snapshot().dataset
         name = shown.name if shown is not None else ""
@@ -52,10 +50,7 @@ class Sections:
         dataset = Dataset.open(Path(other.folder))
         calibrated = dataset.calibration_problem(today()) is None
         surface = self._levelled(other, dataset.result(other.result).mosaic(), asked.levelling)
-        try:
-            return cut(asked, surface, calibrated, other.title)
-        except MeasureError as fault:
-            raise MeasureError(f"{other.title} has no heights along line {asked.letter}. {fault}") from fault
+        return cut(asked, surface, calibrated, other.title)
 
     def _levelled(self, other: OtherSurface, surface: Mosaic, levelling: Levelling) -> Mosaic:
         from wafer_viewer.measure.levelled import Levelled, datum
@@ -69,43 +64,3 @@ class Sections:
     def file(self, sections: Sequence[Section], ending: str) -> bytes:
         """The sections as a file of that ending, ``.csv`` or ``.png``."""
         return file_of(sections, ending)
-
-
-def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
-    """A section of a surface. Raises MeasureError when nothing was measured along the line."""
-    from wafer_viewer.measure.profile import profile
-
-    layer = _other_layer(surface) if asked.cleaned else None
-    found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer)
-    return Section(asked, found, curve, source)
-
-
-def file_of(sections: Sequence[Section], ending: str) -> bytes:
-    """Sections as a file. Raises DatasetError for another ending than ``.csv`` and ``.png``."""
-    match ending.lower():
-        case ".csv":
-            from wafer_viewer.store.profile_csv import profiles_csv
-
-            return profiles_csv(sections, __version__).encode()
-        case ".png":
-            from wafer_viewer.draw.profile_picture import profile_png
-
-            return profile_png(sections)
-        case _:
-            raise DatasetError(
-                f"A profile cannot be written as {ending or 'a file without an ending'}: use .csv or .png."
-            )
-
-
-def write_sections(sections: Sequence[Section], path: Path) -> None:
-    """Write sections to a file, whole or not at all; its ending picks the format."""
-    from wafer_viewer.store.files import replacing
-
-    content = file_of(sections, path.suffix)
-    with replacing(path) as beside:
-        beside.write_bytes(content)
-
-
-def _other_layer(surface: Mosaic) -> Layer:
-    """Of raw and cleaned heights those that are not measured on."""
-    return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"

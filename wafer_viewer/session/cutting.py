@@ -1,0 +1,68 @@
+"""Surfaces cut along lines, and the curves written as files: what a session and the command line share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from wafer_viewer import __version__
+from wafer_viewer.measure.heights import Layer
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.sections import Section, SectionAsked
+from wafer_viewer.model.surface import Mosaic
+
+
+def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
+    """A section of a surface. Raises MeasureError when nothing was measured along the line."""
+    from wafer_viewer.measure.profile import profile
+
+    layer = other_layer(surface) if asked.cleaned else None
+    try:
+        found, curve = profile(surface, asked.line, calibration_valid=calibrated, layer=layer)
+    except MeasureError as fault:
+        if asked.of is None:
+            raise
+        raise MeasureError(f"{source} has no heights along line {asked.letter}. {fault}") from fault
+    return Section(asked, found, curve, source)
+
+
+def other_layer(surface: Mosaic) -> Layer:
+    """Of raw and cleaned heights those that are not measured on."""
+    return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"
+
+
+def file_of(sections: Sequence[Section], ending: str) -> bytes:
+    """Sections as a file of that ending. Raises DatasetError as `require_known` does."""
+    require_known(ending)
+    return FILES[ending.lower()](sections)
+
+
+def require_known(ending: str) -> None:
+    """Raise DatasetError where curves cannot be written as a file of that ending."""
+    if ending.lower() not in FILES:
+        raise DatasetError(f"Profiles cannot be written as '{ending}': use {' or '.join(FILES)}.")
+
+
+def write_sections(sections: Sequence[Section], path: Path) -> None:
+    """Write sections to a file, whole or not at all; its ending picks the format."""
+    from wafer_viewer.store.files import replacing
+
+    content = file_of(sections, path.suffix)
+    with replacing(path) as beside:
+        beside.write_bytes(content)
+
+
+def _table(sections: Sequence[Section]) -> bytes:
+    from wafer_viewer.store.profile_csv import profiles_csv
+
+    return profiles_csv(sections, __version__).encode()
+
+
+def _picture(sections: Sequence[Section]) -> bytes:
+    from wafer_viewer.draw.profile_picture import profile_png
+
+    return profile_png(sections)
+
+
+FILES: dict[str, Callable[[Sequence[Section]], bytes]] = {".csv": _table, ".png": _picture}
+"""How curves are written, by the ending of the file."""
