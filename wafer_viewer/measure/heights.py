@@ -65,10 +65,9 @@ def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> 
 
 def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> Points:
     """The measured points of a region. Raises MeasureError when the region lies outside of the surface."""
-    part = surface.window(region, level)
-    z_um = heights(part, layer)
-    rows, cols = np.nonzero(np.isfinite(z_um) & region.contains(part.x_um[None, :], part.y_um[:, None]))
-    return Points(part.x_um[cols], part.y_um[rows], z_um[rows, cols].astype(np.float64))
+    part = height_window(surface, layer, region, level)
+    rows, cols = np.nonzero(np.isfinite(part.z_um) & region.contains(part.x_um[None, :], part.y_um[:, None]))
+    return Points(part.x_um[cols], part.y_um[rows], part.z_um[rows, cols].astype(np.float64))
 
 
 def level_for(surface: Mosaic, *regions: Region) -> int:

@@ -81,9 +81,7 @@ class Levelled:
     def heights(self, layer: Layer, region: Region, level: int = 0) -> Heights:
         """One layer of heights of what `window` returns; raises as the surface itself does."""
         part = height_window(self.surface, layer, region, level)
-        rows, cols = part.z_um.shape
-        x_um, y_um = part.x0_um + np.arange(cols) * part.pixel_um, part.y0_um - np.arange(rows) * part.pixel_um
-        zero = self.datum.at(x_um[None, :], y_um[:, None])
+        zero = self.datum.at(part.x_um[None, :], part.y_um[:, None])
         return dataclasses.replace(part, z_um=(part.z_um - zero).astype(np.float32))
 
 

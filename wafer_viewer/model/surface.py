@@ -219,6 +219,16 @@ class Heights:
     x0_um: float
     y0_um: float
 
+    @property
+    def x_um(self) -> NDArray[np.float64]:
+        """Stage x of each column."""
+        return self.x0_um + np.arange(self.z_um.shape[1], dtype=np.float64) * self.pixel_um
+
+    @property
+    def y_um(self) -> NDArray[np.float64]:
+        """Stage y of each row."""
+        return self.y0_um - np.arange(self.z_um.shape[0], dtype=np.float64) * self.pixel_um
+
 
 @runtime_checkable
 class HasHeights(Protocol):
