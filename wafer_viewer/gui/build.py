@@ -10,12 +10,13 @@ from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
-from wafer_viewer.gui.commands import add_commands, looking
+from wafer_viewer.gui.commands import Command, add_commands, looking
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.dialogs import stop_dialog
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
+from wafer_viewer.gui.hints import add_hints, add_titles
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import add_keys_sheet
 from wafer_viewer.gui.kit import Cell, always_there
@@ -155,21 +156,26 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     left.results.on_chosen(scene.fly_to)
     left.map.on_seen(scene.seen_um)
     MapClicks(page, scene)
-    look = scene.look_from
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
     page.on_pick("tool", measure.use)
-    page.on_pick("look", look)
+    page.on_pick("look", scene.look_from)
     _listen_to_scene(page, scene, read_out, why)
-    views = SavedViews(page, scene)
-    looks = [*looking(look), *views.commands(), *PrintPicture(page, scene).commands()]
-    looks += [*review.commands(), *report.commands(), *left.compare.commands()]
-    commands = [*looks, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
-    add_commands(page, [*commands, add_keys_sheet(page, commands)])
+    of_parts = [*review.commands(), *report.commands(), *left.compare.commands()]
+    _add_verbs(page, scene, [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))])
     page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)
     return page
+
+
+def _add_verbs(page: Page, scene: SceneView, of_parts: list[Command]) -> None:
+    """Keys, palette, the sheet of keys, and what fields and buttons say of themselves."""
+    views, picture = SavedViews(page, scene), PrintPicture(page, scene)
+    commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts]
+    add_commands(page, [*commands, add_keys_sheet(page, commands)])
+    add_titles(page, commands)
+    add_hints(page.gui)
 
 
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:

@@ -12,6 +12,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.hints import add_hints
 from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -43,6 +44,7 @@ class Dialog:
             do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
             in_a_row(self.page.gui, [away, do], 38, filled=do)
             Cell(self.page.gui, _on_key("wv-away", away) + _on_key("wv-do", do), padded=False)
+        add_hints(self.page.gui)
 
     def way_out(self, name: str) -> None:
         """The one button of a sheet that only tells."""

@@ -28,11 +28,17 @@ HANDS_ON = frozenset(
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
+        *("Accepted", "Rejected", "Note", "It is", "Save view", "Move there"),
     }
 )
 """By their labels: the widgets that move the rig, or change the plan, the dataset or the results."""
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
-PICKS = ("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm-sample", "compare-remove", *OF_JOBS)
+OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
+PICKS = (
+    *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm-sample", "compare-remove"),
+    *OF_JOBS,
+    *OF_VIEWS,
+)
 """Elements of HTML that do the same."""
 _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
 _STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"

@@ -127,6 +127,12 @@ def _without_none(data: Any) -> Any:
     return data
 
 
+def limit_of(kind: type[Spec], name: str) -> Within | None:
+    """The limit written in the annotation of a spec's field, None where it has none."""
+    hint = typing.get_type_hints(kind, include_extras=True)[name]
+    return next((m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Within)), None)
+
+
 Check = typing.Callable[[Any], str | None]
 
 

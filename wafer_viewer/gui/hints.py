@@ -1,0 +1,137 @@
+"""What every field, list and button says of itself when the pointer rests on it: what it is, its unit, its limit.
+
+By label, in one table; the limits are those that the settings' own specs check. viser shows hints of inputs, not of
+buttons: those get their titles from a script.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.kit import Gui, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.model.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.spec import Spec, limit_of
+
+
+def _limited(text: str, spec: type[Spec], field: str) -> str:
+    """A hint with the limit that a spec holds its field to."""
+    return f"{text}; {limit}" if (limit := limit_of(spec, field)) is not None else text
+
+
+FIELDS: dict[str, str] = {
+    # Plan
+    "Name": "What it is called; the name goes into files and reports",
+    "Lot": "Lot of the wafer; stands in the dataset and in reports",
+    "Wafer": "Number of the wafer in its lot",
+    "Wafer id": "As it is written on the wafer",
+    "Product": "What is made on the wafer",
+    "Operator": "Who is at the instrument",
+    "Revision": "Of the job; a released one stays as it is",
+    "Size, mm": _limited("Width and height of the outline, mm", Sample, "width_um"),
+    "Columns, rows": _limited("Fields side by side and one above the other", FieldGrid, "rows"),
+    "Overlap, %": "Of neighbouring fields, share of a field's side; 0 to 50 %. Stitching wants 8 % or more",
+    "Centre, µm": "Middle of the grid, stage x and y in µm",
+    "From, to, µm": "Lowest and highest frame, stage z in µm",
+    "Step, µm": _limited("From frame to frame along z, µm", FocusSweep, "z_step_um")
+    + "; finer than half the depth of field",
+    "Exposures, µs": "One time, or several with commas: the frames of one z are then fused",
+    # Surface
+    "Show": "The stitched surface, or one field",
+    "Colour by": "What the colours mean",
+    "Colours": "Monotonic in lightness; all but Viridis and Cividis keep their light end on the surface",
+    "Range": "Between which values the colours run",
+    "By hand": "Lowest and highest value of the colours",
+    "Height, ×": "How many times z is drawn; 1 is the true shape, at most 20",
+    "Hillshade, %": "Light from the north-west; 0 shows colours as the bar does",
+    "All-in-focus, %": "How strongly the picture in focus tints the colours",
+    "One frame": "The field as the camera saw it at one z",
+    "One z": "All fields as the camera saw them at one z",
+    "Frame": "Number of the frame, from the lowest",
+    "z, µm": "Stage z of the frames, µm",
+    "Ready recipe": "All settings at once",
+    "Drift": "Whether frames that moved against each other are put right",
+    "Focus measure": "How sharpness is measured",
+    "Window": "Pixels on a side over which focus is measured; odd",
+    "Peak": "How the height between two frames is found",
+    "Second window": "Whether a window twice as wide has to see the same height",
+    "Beside walls": "What becomes of heights beside a wall, where light bleeds",
+    "Smoothing": "Of the heights that are shown; measurements use those before it",
+    "Outliers": "What is dropped that stands alone",
+    "Fill": "Which gaps are filled, and marked as filled",
+    # Compare
+    "Compare with": "The other surface",
+    "Align": "How one surface is laid over the other before they are subtracted",
+    "Keep height and tilt": "Whether they stay as measured, so that a common change is seen",
+    # Measure
+    "Width, µm": "Averaged over so much across the line, µm; 0 is one pixel",
+    "Row": "Number of the row of pixels, 0 the top one",
+    "Column": "Number of the column of pixels, 0 the left one",
+    "Cursors, µm": "Two places along the line, µm from its start",
+    # Dialogs
+    "Path": "On the machine that runs the viewer",
+    "z step, µm": _limited("Between two images of the stack, µm", FocusSweep, "z_step_um"),
+    "Pixel, µm": "Size of a pixel on the sample, µm; over 0",
+    "Grid pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
+    "Format": "The ending of the file follows",
+    "Limit, µm": "How far a mark may lie from where the alignment puts it, µm",
+    "Nominal, µm": "The height that is wished for, µm",
+    "Limits, µm": "Lowest and highest height that is good, µm",
+    "Rule": "Whether the uncertainty is kept away from the limits",
+    "Regions": "Where the step is measured: typed in, or those of a kept step",
+    "x, y, µm": "Where the mark is on the wafer, µm",
+    "– to, µm": "The opposite corner, µm",
+    "Your name": "So others see it who look as well",
+}
+BUTTONS: dict[str, str] = {
+    "Start scan": "Scan, pause, go on",
+    "Pause": "Scan, pause, go on",
+    "Go on": "Scan, pause, go on",
+    "Stop scan": "Stop the scan…",
+    "Cover the sample": "Cover the sample",
+    "Save plan": "Save plan",
+    "Open…": "Open a dataset…",
+    "Import…": "Import images…",
+    "Export…": "Export the surface…",
+    "0.5 – 99.5 %": "Colours from 0.5 to 99.5 %",
+    "Delete": "Delete the result",
+    "Undo": "Undo",
+    "Redo": "Redo",
+    "Next": "Next under review",
+    "Accepted": "Accept",
+    "Rejected": "Reject",
+}
+"""Labels of buttons, and the verbs whose keys do the same."""
+STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Review", "Report"
+_SCRIPT = (
+    "if(!window.wvTitles)document.addEventListener('mouseover',event=>{"
+    "const b=event.target.closest?.('button'),t=b&&window.wvTitles[b.textContent.trim()];if(t&&!b.title)b.title=t});"
+    "window.wvTitles="
+)
+
+
+def add_hints(gui: Gui) -> None:
+    """Give the inputs made so far their hints, where their makers gave them none."""
+    for handle in dict(gui._gui_input_handle_from_uuid).values():
+        given: Any = getattr(handle, "hint", "")
+        text = FIELDS.get(getattr(handle, "label", "") or "")
+        if given is None and text is not None:
+            set_prop(handle, "hint", text)
+
+
+def add_titles(page: Page, commands: Sequence[Command]) -> None:
+    """Have buttons say their keys."""
+    titles = json.dumps(titles_of(commands), ensure_ascii=False)
+    page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_SCRIPT + titles)}">')
+
+
+def titles_of(commands: Sequence[Command]) -> dict[str, str]:
+    """What each button says: its key."""
+    keys = {command.name: command.spoken_key for command in commands if command.key}
+    named = {**BUTTONS, **{step: step for step in STEP_TITLES}}
+    return {label: f"Key {keys[name]}" for label, name in named.items() if name in keys}
