@@ -35,7 +35,7 @@ HANDS_ON = frozenset(
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
 OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
 PICKS = (
-    *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm-sample", "compare-remove"),
+    *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),
     *OF_JOBS,
     *OF_VIEWS,
 )
@@ -60,7 +60,7 @@ class HandsOff:
         """Bring widgets and words up to date."""
         hands, key = snapshot.hands, self._page.browser.key
         watching = hands.browser(key) is not None and not hands.holds(key)
-        self._strip.show(_watching(hands, key) if watching else "")
+        self._strip.show(_watching(hands, key) + _STYLE if watching else "")
         self._bar(watching)
         self._tell(self._hands, hands)
         self._hands = hands
