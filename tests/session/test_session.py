@@ -13,6 +13,7 @@ import pytest
 from distributed import LocalCluster, Security
 
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
+from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import FieldState
@@ -61,6 +62,18 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert session.snapshot.findings == ()
     session.undo_findings().result()
     assert [f.name for f in session.snapshot.findings] == ["over the street"]
+    session.undo_findings().result()
+    session.redo_findings().result()
+    assert len(session.snapshot.findings) == 1
+    assert session.snapshot.findings_undo
+    face = Region.rectangle(x_um - 20, y_um - 20, x_um + 20, y_um + 20)
+    texture = session.measure("texture", (face,), levelling=Levelling(by="plane"))
+    assert (texture.levelling.by, texture.show, texture.simulated) == ("plane", 0, True)
+    kept = session.keep(texture, b"\xff\xd8 small picture").result()
+    assert session.thumbnail(kept.number) == b"\xff\xd8 small picture"
+    assert session.measure("point", (Region.point(x_um, y_um),), show=1).show == 1
+    assert session.datum(Levelling(by="form")).powers[-1] == (0, 0)
+    session.delete(kept.number).result()
     csv = session.export_findings(tmp_path / "found.csv").result()
     assert "over the street" in csv.read_text()
     ply = session.export_surface(tmp_path / "surface.ply").result(patience_s)
