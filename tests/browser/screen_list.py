@@ -1,0 +1,161 @@
+"""Every panel and state of the page that has a picture: which session, which step, what is done before it is taken.
+
+A new panel adds a line to `SCREENS`. Sessions here stand still; the tour on the true one is in `screens`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from playwright.sync_api import Page
+
+from tests.browser import fake_session as fake
+from tests.browser import operator_session as operator
+from tests.browser.fake_session import FakeSession
+from tests.browser.measuring_session import MeasuringSession
+from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
+from tests.browser.stitched_session import StitchedSession
+from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.notebook_state import NotebookState
+
+Act = Callable[[Page], None]
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A picture of the page. seen: wait for the surface; then: what is done before it is taken, in order."""
+
+    session: Callable[[], Any]
+    step: str = "plan"
+    chosen: dict[str, object] = field(default_factory=dict)
+    seen: bool = False
+    then: tuple[Act, ...] = ()
+
+
+def still(make: Callable[[], Any], step: str, *then: Act) -> Screen:
+    """A screen of a session that shows nothing but a snapshot."""
+    return Screen(lambda: FakeSession(make()), step, then=then)
+
+
+def press(*keys: str) -> Act:
+    """Press keys, one after the other, at a person's pace."""
+
+    def act(page: Page) -> None:
+        for key in keys:
+            page.keyboard.press(key)
+            page.wait_for_timeout(700)
+
+    return act
+
+
+def click(selector: str) -> Act:
+    """Click the first element of a kind."""
+    return lambda page: page.locator(selector).first.click()
+
+
+def bring_into_sight(head: str) -> Act:
+    """Scroll the right panel to a section."""
+    return lambda page: (
+        page.locator("[data-dock-region=right] .wv-h", has_text=head)
+        .first.evaluate("head => head.scrollIntoView({block: 'center'})")
+    )  # fmt: skip
+
+
+def ask_why(page: Page) -> None:
+    """Click the middle of the scene and ask."""
+    box = page.locator("canvas").first.bounding_box()
+    if box is not None:
+        page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.locator("[data-pick=why]").click()
+    page.locator(".wv-patch img").wait_for()
+
+
+def explained(measured: bool) -> SeenSession:
+    """A session that says why a pixel has its height, or none."""
+    session = SeenSession()
+    session.answers.append(came_to(a_focus_curve(-12.4, 37.0, measured)))
+    return session
+
+
+def noted() -> StitchedSession:
+    """A stitched surface with results, some of them judged, and views to come back to."""
+    session = StitchedSession(3, 3)
+    step = fake.a_step(Region.rectangle(-80, 0, -20, 40), Region.rectangle(20, 0, 80, 40))
+    line, _ = fake.a_profile(Region.line(-200, -100, 150, -60, 3.0))
+    named = [(step, "Die to trench"), (line, "Across the gel drop"), (step, "Die 4 to trench")]
+    findings = tuple(fake.dataclass_named(made, name, k + 1) for k, (made, name) in enumerate(named))
+    pose = {"position_mm": (0.1, -0.9, 0.8), "look_at_mm": (0.0, 0.0, 0.0)}
+    views = tuple(SavedView(number=k + 1, name=name, **pose) for k, name in enumerate(("The edge", "Gel drop, near")))
+    judged = (
+        Judgement(key="result 2", verdict="accepted"),
+        Judgement(key="result 3", verdict="rejected", note="burr"),
+    )
+    book = NotebookState(Notebook(views=views, judgements=judged), can_undo=True)
+    session.change(findings=findings, findings_undo=True, notebook=book)
+    return session
+
+
+def operated(make: Callable[[], Any], step: str = "plan", *then: Act) -> Screen:
+    """A screen of a released job."""
+    return Screen(lambda: operator.OperatorSession(make()), step, then=then)
+
+
+def stitched(rows: int, cols: int, **chosen: object) -> Screen:
+    """A stitched surface, with how its fields were placed."""
+    at = (bring_into_sight("Stitching"),)
+    return Screen(lambda: StitchedSession(rows, cols), "surface", dict(chosen), seen=True, then=at)
+
+
+def measuring(*then: Act) -> Screen:
+    """A surface that is really measured."""
+    return Screen(MeasuringSession, "measure", seen=True, then=then)
+
+
+UNCALIBRATED = "no calibration was given"
+SCREENS: dict[str, Screen] = {
+    "start": still(fake.empty, "plan"),
+    "plan": still(fake.planned, "plan"),
+    "acquire": still(fake.scanning, "acquire"),
+    "unfinished": still(fake.unfinished, "acquire"),
+    "uncalibrated": still(lambda: fake.measured(UNCALIBRATED), "surface"),
+    "fault": still(fake.at_fault, "plan"),
+    "stop": still(fake.scanning, "acquire", press("Shift+Escape")),
+    "import": still(fake.planned, "plan", press("Shift+I")),
+    "keys": still(fake.measured, "surface", press("F1")),
+    "palette": still(fake.measured, "surface", press("Control+k")),
+    "read-only": still(lambda: read_only(fake.measured()), "measure"),
+    **{name.partition("-")[2]: operated(*screen) for name, screen in operator.SCREENS.items()},
+    "surface": Screen(noted, "surface", seen=True),
+    "points": Screen(noted, "surface", {"look": "points"}, seen=True),
+    "seen-from-above": Screen(noted, "surface", {"look": "plan"}, seen=True),
+    "slope": Screen(noted, "surface", {"colour_by": "slope"}, seen=True),
+    "origin": Screen(noted, "surface", {"colour_by": "origin"}, seen=False),
+    "fields": stitched(3, 3, fields=True),
+    "fields-plan": stitched(3, 3, fields=True, look="plan"),
+    "many-fields": stitched(13, 16, fields=True),
+    "many-fields-plan": stitched(13, 16, fields=True, look="plan"),
+    "overlap": stitched(3, 3, colour_by="overlap"),
+    "why": Screen(lambda: explained(True), "surface", seen=True, then=(ask_why,)),
+    "why-not": Screen(lambda: explained(False), "surface", seen=True, then=(ask_why,)),
+    "measure": measuring(press("Escape")),
+    "step": measuring(press("k")),
+    "profile": measuring(press("l")),
+    "point": measuring(press("x")),
+    "angle": measuring(press("b")),
+    "radius": measuring(press("r")),
+    "volume": measuring(press("v")),
+    "texture": measuring(press("Shift+T")),
+    "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
+    "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
+    "report": Screen(noted, "report", seen=True),
+}
+
+
+def read_only(snapshot: Any) -> Any:
+    """A dataset that another program holds."""
+    held = dataclasses.replace(snapshot.dataset, read_only="another Wafer Viewer holds it.")
+    return dataclasses.replace(snapshot, dataset=held)
