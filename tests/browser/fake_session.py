@@ -18,9 +18,10 @@ from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.model.findings import Contribution, Length, Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.poses import Doubt, Poses
+from wafer_viewer.model.quantities import Contribution, Length
 from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample

@@ -107,7 +107,7 @@ def test_findings_of_several_kinds_share_one_file():
 
 
 def test_the_largest_uncertainty_is_doubled_once():
-    from wafer_viewer.model.findings import Contribution
+    from wafer_viewer.model.quantities import Contribution
 
     length = Length.evaluated(400.0, (Contribution(name="noise", u_um=0.3), Contribution(name="z scale", u_um=0.4)))
     assert length.expanded_um == pytest.approx(1.0)

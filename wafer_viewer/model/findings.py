@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.quantities import Contribution as Contribution
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
