@@ -23,6 +23,13 @@ class Hourglass:
         self.waiting.append(entry)
         return lambda: self.waiting.remove(entry) if entry in self.waiting else None
 
+    def pass_only(self, wait_s):
+        """What waits for just so long is due, what was begun with another time is not."""
+        due = [entry for entry in self.waiting if entry[0] == wait_s]
+        self.waiting = [entry for entry in self.waiting if entry[0] != wait_s]
+        for _, then in due:
+            then()
+
     def pass_by(self, wait_s):
         due = [entry for entry in self.waiting if entry[0] <= wait_s]
         self.waiting = [entry for entry in self.waiting if entry[0] > wait_s]
@@ -119,6 +126,15 @@ def test_of_two_windows_of_a_browser_one_may_be_closed(control, hands, glass):
     assert hands().holds("a")
 
 
+def test_a_window_that_never_opened_cannot_be_closed(control, hands, glass):
+    control.leave("a").result()
+    control.leave("a").result()
+    control.leave("z").result()
+    control.arrive("a").result()
+    glass.pass_by(GRACE_S)
+    assert hands().holds("a")
+
+
 def test_nobody_is_handed_the_controls_unasked_where_several_watch(control, hands, glass):
     control.arrive("c", "Cleo").result()
     control.leave("a").result()
@@ -140,7 +156,7 @@ def test_when_the_holder_goes_the_one_who_asked_has_them(control, hands, glass):
 def test_one_who_asked_and_went_gets_nothing(control, hands, glass):
     control.ask("b").result()
     control.leave("b").result()
-    glass.pass_by(GRACE_S)
+    glass.pass_only(GRACE_S)
     assert (hands().holder, hands().asking) == ("a", None)
     glass.pass_by(ANSWER_S)
     assert hands().holds("a")

@@ -95,15 +95,18 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
     server.scene.add_light_ambient("/light", intensity=2.0)  # so that the far side of a handle has its colour too
     pages: dict[int, Page] = {}
 
-    @server.on_client_connect
-    def _(client: viser.ClientHandle) -> None:
-        pages[client.client_id] = build_page(client, session)
-
-    @server.on_client_disconnect
-    def _(client: viser.ClientHandle) -> None:
+    def drop(client: viser.ClientHandle) -> None:
         page = pages.pop(client.client_id, None)
         if page is not None:
             page.close()
+
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        pages[client.client_id] = build_page(client, session)
+        if client.client_id not in server.get_clients():  # it has gone while its page was made
+            drop(client)
+
+    server.on_client_disconnect(drop)
 
     def stop() -> None:
         while pages:

@@ -14,6 +14,7 @@ import viser
 
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.state import Fault
 
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
@@ -37,11 +38,12 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Self:
-    """The browser itself: the key by which the session knows it, its name, its panels."""
+    """The browser itself: the key by which the session knows it, its name, its panels, and notes not dealt with yet."""
 
     key: str = ""
     name: str = ""
     layout: Layout = Layout()
+    notes: tuple[Fault, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

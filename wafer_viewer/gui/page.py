@@ -77,18 +77,23 @@ class Page:
         self.view = recalled.view
         if recalled.browser.key:
             self.browser = recalled.browser
+            self.notices = tuple(replace(note, id=f"kept-{k}") for k, note in enumerate(recalled.browser.notes))
         else:
             self.remember(Self(secrets.token_hex(8)))
-        self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
+        with self._lock:
+            if self._closed:
+                return
+            self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
         self._due.set()
         self._thread.start()
 
     def close(self) -> None:
         """Stop drawing: the browser has gone."""
-        self._closed = True
+        with self._lock:
+            self._closed = True
+            if self.browser.key:
+                self.session.control.leave(self.browser.key)
         self._leave()
-        if self.browser.key:
-            self.session.control.leave(self.browser.key)
         self._due.set()
         for last in self._at_close:
             last()
@@ -156,9 +161,7 @@ class Page:
         """Show a note on this page until it is dealt with, and a notification now; the same note twice is one."""
         if self._closed or any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
             return
-        self.notices = (*self.notices, fault)
-        self._notify(fault)
-        self._due.set()
+        self._note_down((*self.notices, fault))
 
     def say(self, title: str, text: str, tone: Tone = "good") -> None:
         """News that needs nobody: a notification that goes by itself."""
@@ -167,8 +170,7 @@ class Page:
     def dismiss(self, fault_id: str) -> None:
         """Take a note away, this page's own or one of the session's."""
         if any(fault_id == n.id for n in self.notices):
-            self.notices = tuple(n for n in self.notices if n.id != fault_id)
-            self._due.set()
+            self._note_down(tuple(n for n in self.notices if n.id != fault_id))
         else:
             self.ask("The note stays", self.session.dismiss(fault_id))
 
@@ -177,6 +179,12 @@ class Page:
         told = {(f.title, f.text) for f in snapshot.faults}
         own = tuple(n for n in self.notices if (n.title, n.text) not in told)
         return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
+
+    def _note_down(self, notices: tuple[Fault, ...]) -> None:
+        self.notices = notices
+        if self.browser.key:
+            self.remember(replace(self.browser, notes=tuple(n for n in notices if n.needs_person)))
+        self._due.set()
 
     def _notify(self, fault: Fault) -> None:
         self._told[fault.id] = self.client.add_notification(
@@ -229,7 +237,7 @@ class Page:
     def _tell_standing(self, snapshot: Snapshot) -> None:
         """A notification for every new note, those that need a person also after a reload; none for what is settled."""
         standing = (*snapshot.faults, *self.notices)
-        for fault in snapshot.faults:
+        for fault in standing:
             if fault.id not in self._told:
                 self._notify(fault)
         for settled in set(self._told) - {fault.id for fault in standing}:

@@ -27,8 +27,8 @@ class Reopened:
 
 
 def _words(snapshot: Snapshot, view: View) -> str:
-    job = job_shown(snapshot, view)
-    name = sample(job)[0] if job is not None else "what is open"
+    data = snapshot.dataset
+    name = sample(job_shown(snapshot, view))[0] or (data.path.stem if data is not None else "a plan half typed")
     said = f"This is open again from last time: {name}. Another sample may lie on the stage by now."
     yes = f'<span class="wv-link" {html.pick("confirm-sample")}>It is this sample</span>'
     sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)

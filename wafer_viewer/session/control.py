@@ -19,8 +19,8 @@ from wafer_viewer.session.hands import Browser, Hands
 
 ANSWER_S = 15.0
 """So long the holder may answer one who asks; then the controls pass."""
-GRACE_S = 8.0
-"""So long a browser that has gone is expected back: a reload takes a second or two."""
+GRACE_S = 20.0
+"""So long a browser that has gone is expected back: a reload takes seconds, on a busy machine many."""
 LONGEST_NAME = 40
 Later = Callable[[float, Callable[[], None]], Callable[[], None]]
 """Has something done after so many seconds; returns how to call it off."""
@@ -93,9 +93,11 @@ class Control:
             self._pass_to(key)
 
     def _leave(self, key: str) -> None:
-        self._windows[key] -= 1
         browser = self._hands.browser(key)
-        if self._windows[key] > 0 or browser is None:
+        if self._windows[key] < 1 or browser is None:
+            return
+        self._windows[key] -= 1
+        if self._windows[key] > 0:
             return
         self._put(replace(browser, present=False))
         self._expected[key] = self._later(GRACE_S, lambda: self._desk.note(self._gone, key))
