@@ -40,6 +40,11 @@ def test_from_images_to_a_step_height(folder, tmp_path):
     assert step.height.value_um == pytest.approx(20.0, abs=0.5)
     assert step.height.status == "uncalibrated"
     assert step.height.expanded_um is None
+    flat = wv.levelled(height, wv.Levelling(by="region", places=(lower,)))
+    middle = wv.Region.point(x1 - 15, (y0 + y1) / 2)
+    assert wv.point_height(flat, middle).main.value == pytest.approx(20.0, abs=1.0)
+    assert wv.face_angle(height, upper, lower).angle.unit == "deg"
+    assert wv.texture(height, upper).sq.value_um <= wv.flatness(height, upper).flt_t.value_um
     found, curve = wv.profile(height, wv.Region.line(x0 + 5, 0, x1 - 5, 0, width_um=5))
     assert found.rise.value_um == pytest.approx(20.0, abs=1.0)
     assert len(curve.z_um) == len(curve.distance_um)

@@ -219,6 +219,12 @@ def test_every_result_says_what_it_was_measured_on(measure):
     assert found.main.status == "uncalibrated"
 
 
+def test_a_polygon_that_crosses_itself_is_measured_where_it_is():
+    knot = Region.polygon((-30, -30), (30, 30), (30, -30), (-30, 30))
+    assert knot.area_um2 == 0
+    assert flatness(mesa(), knot).measured_fraction == 1.0
+
+
 def test_a_border_off_the_measured_ground_is_no_reference():
     surface = mesa()
     inside = np.zeros(SHAPE, bool)

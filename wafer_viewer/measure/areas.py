@@ -42,7 +42,8 @@ def area_of(reading: Reading, region: Region, which: str, what: str) -> Area:
     level = level_for(reading.surface, region)
     points = enough_points(reading.surface, region, reading.layer, level, which, what)
     pixel_um = reading.surface.pixel_um * 2**level
-    share = min(1.0, len(points) * pixel_um**2 / region.area_um2)
+    measured_um2 = len(points) * pixel_um**2
+    share = min(1.0, measured_um2 / (region.area_um2 or measured_um2))
     if share < LEAST_MEASURED:
         raise MeasureError(
             f"Only {100 * share:.0f} % of the {which} is measured and {what} needs {100 * LEAST_MEASURED:.0f} %: "
