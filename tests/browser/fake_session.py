@@ -13,7 +13,7 @@ import numpy as np
 
 from tests.browser.fake_control import fake_control
 from tests.browser.fake_notebook import FakeNotebook, FakePapers
-from tests.browser.fake_notebook import FakeNotebook, FakePapers
+from tests.browser.fake_sections import FakeSections
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
@@ -55,6 +55,7 @@ class FakeSession:
         self.fails_with: Exception | None = None
         self._listeners: list[Callable[[Snapshot], None]] = []
         self.control = fake_control(self)
+        self.sections = FakeSections()
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 

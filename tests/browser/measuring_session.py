@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from concurrent.futures import Future
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.session.history import History
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.questions import ReadOut
+from wafer_viewer.session.sections import Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)
@@ -38,7 +40,12 @@ class MeasuringSession(FakeSession):
         self._painter = StandIn(self.shelf)
         self.paint = self._painter.paint
         self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
+        questions = SimpleNamespace(surface_source=self.surface_source, measuring=self._measuring)
+        self.sections = Sections(questions, lambda: self.snapshot)
         self._kept: History[tuple[AnyFinding, ...]] = History(())
+
+    def surface_source(self, show: int) -> HeightMap:
+        return self.shelf.surfaces[show]
 
     def measure(
         self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None

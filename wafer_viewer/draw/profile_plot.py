@@ -22,17 +22,15 @@ _SIDE = 8000
 _DASHES = 'stroke-dasharray="5 3"'
 
 
-def profile_plot_html(
-    sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float], over: str = ""
-) -> str:
-    """The plot, as high as its place; `over` is HTML that lies on the area of the curves."""
+def profile_plot_html(sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float]) -> str:
+    """The plot, as wide and as high as its place."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
     curves = "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
     drawn = f"{_grid(frame)}<g>{curves}</g>{''.join(_cursor(frame, at) for at in cursors_um)}"
     return (
         f'<div class="wv-plot wv-profiles"><div style="position:absolute;{place}">'
         f'<svg viewBox="0 0 {_SIDE} {_SIDE}" preserveAspectRatio="none" role="img" aria-label="Profiles">{drawn}</svg>'
-        f'{_words(frame)}{over}</div><span class="wv-plot-y">z, µm</span>'
+        f'{_words(frame)}</div><span class="wv-plot-y">z, µm</span>'
         '<span class="wv-plot-x">Distance along the profile, µm</span></div>'
     )
 

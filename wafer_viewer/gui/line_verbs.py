@@ -35,7 +35,7 @@ class LineVerbs:
     def add(self) -> None:
         """Another line, across the active one through its middle."""
         view = self._page.view
-        line = view.active_line
+        line = view.active_line if view.tool == "profile" else None
         if line is not None and len(view.lines) < MOST_LINES:
             lines = (*view.lines, cuts.across(line, self._surface()))
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
@@ -47,10 +47,11 @@ class LineVerbs:
             lines = tuple(line for place, line in enumerate(view.lines) if place != view.line)
             self._page.change(lines=lines, line=min(view.line, len(lines) - 1), selected=None)
 
-    def choose(self, place: int) -> None:
-        """Make a line the active one."""
-        if place < len(self._page.view.lines):
-            self._page.change(line=place, selected=None)
+    def next(self) -> None:
+        """Make the next line the active one, the first after the last."""
+        view = self._page.view
+        if view.lines:
+            self._page.change(line=(view.line + 1) % len(view.lines), selected=None)
 
     def widen(self, width_um: float) -> None:
         """Average over a strip of that width across the active line."""

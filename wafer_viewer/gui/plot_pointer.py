@@ -32,11 +32,11 @@ def zoom_area() -> str:
 
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
-    """A slider as large as the plot for each cursor within its ends; only the lines themselves take the pointer."""
+    """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
     tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR)
     return "".join(
         f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
-        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="any" data-step="{step_um!r}" value="{at!r}" '
+        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
         f'oninput="{html.safe(tell)}" onkeydown="{_KEYS}">'
         for k, at in enumerate(at_um)
         if ends_um[0] <= at <= ends_um[1]

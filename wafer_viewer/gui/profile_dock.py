@@ -41,6 +41,7 @@ class ProfileDock:
         self._panel = BottomPanel(page, "profile")
         with self._panel.tab:
             self._plot = Cell(page.gui)
+            self._over = Cell(page.gui)
             self._sliders = Cell(page.gui)
         page.on_pick("line", lambda place: page.change(line=int(place), selected=None))
         page.on_pick(pointer.ZOOM, self._pointed)
@@ -58,13 +59,16 @@ class ProfileDock:
             sections, active = self._curves.sections, self._curves.active
             if not sections:
                 self._show_below(self._head(view, None))
+                self._over.show("")
                 self._sliders.show("")
                 return
             self._frame = self._framed(sections, view.plot.span_um)
             read = gap(active.curve, view.plot.cursors) if active is not None else None
             at_um = read.at_um if read is not None else ()
-            plot = profile_plot_html(sections, self._frame, at_um, pointer.zoom_area())
+            plot = profile_plot_html(sections, self._frame, at_um)
             self._show_below(self._head(view, read) + plot)
+            # Always the same, and so never put in anew under the pointer that drags on it.
+            self._over.show(pointer.zoom_area())
             self._show_sliders(view, active)
 
     def _show_below(self, content: str) -> None:
