@@ -7,16 +7,30 @@ from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 from wafer_viewer.gui.commands import Command, looking, spoken
+from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import sheet_html
+from wafer_viewer.gui.print_picture import PrintPicture
+from wafer_viewer.gui.report_panel import ReportPanel
+from wafer_viewer.gui.review_panel import ReviewPanel
+from wafer_viewer.gui.saved_views import SavedViews
+from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.model.measuring import TOOLS
 
 CAMERA = set("WASDQE")
 
 
 def all_commands() -> list[Command]:
-    page = SimpleNamespace(session=MagicMock(), change=MagicMock())
-    return [*looking(MagicMock()), *commands_of(page, MagicMock(spec=Parts))]
+    page = SimpleNamespace(session=MagicMock(), change=MagicMock(), on_pick=MagicMock(), on_close=MagicMock())
+    scene = MagicMock()
+    views, picture = SavedViews(page, scene), PrintPicture(page, scene)
+    beside = [
+        ReviewPanel.commands(MagicMock()),
+        ReportPanel.commands(MagicMock()),
+        CompareSection.commands(MagicMock()),
+    ]
+    looks = [*looking(MagicMock()), *views.commands(), *picture.commands()]
+    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *(command for more in beside for command in more)]
 
 
 def test_no_key_does_two_things():

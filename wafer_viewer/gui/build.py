@@ -118,7 +118,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     review, report = ReviewPanel(page, scene), ReportPanel(page)
     why, left = WhyPanel(page), LeftPanel(page)
     ear.left = left.panel
-    read_out = ReadOutBox(page)
+    read_out, welcome = ReadOutBox(page), Welcome(page)
     parts = [
         *(
             PossibleStep(page),
@@ -145,7 +145,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             ProfileDock(page, curves),
             WhyDock(page, why),
         ),
-        Welcome(page),
+        welcome,
         strip,
         question,
         reopened,
@@ -161,7 +161,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("tool", measure.use)
     page.on_pick("look", scene.look_from)
     _listen_to_scene(page, scene, read_out, why)
-    of_parts = [*review.commands(), *report.commands(), *left.compare.commands()]
+    of_parts = [*welcome.commands(), *review.commands(), *report.commands(), *left.compare.commands()]
     _add_verbs(page, scene, [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))])
     page.on_close(measure.close)
     page.on_close(scene.close)

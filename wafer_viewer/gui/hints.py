@@ -100,6 +100,7 @@ BUTTONS: dict[str, str] = {
     "Export…": "Export the surface…",
     "0.5 – 99.5 %": "Colours from 0.5 to 99.5 %",
     "Delete": "Delete the result",
+    "Keep result": "Keep the result",
     "Undo": "Undo",
     "Redo": "Redo",
     "Next": "Next under review",

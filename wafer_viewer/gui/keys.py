@@ -14,6 +14,7 @@ from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog, stop_dialog
 from wafer_viewer.gui.header import TITLES, possible
+from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
@@ -168,8 +169,15 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
         Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), ICONS[tool], held, "Measure")
         for tool, (key, held) in TOOL_KEYS.items()
     ]
+    lines = LineVerbs(page)
     return [
         *tools,
+        Command("Horizontal cut", "H", lambda: lines.cut("row"), ICON.ARROWS_HORIZONTAL, "shift", "Measure"),
+        Command("Vertical cut", "V", lambda: lines.cut("column"), ICON.ARROWS_VERTICAL, "shift", "Measure"),
+        Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure"),
+        Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
+        Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
+        Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure"),
         Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
         Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
     ]
@@ -179,11 +187,12 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
     session = page.session
 
     def undo() -> None:
-        verb = session.undo_findings if page.view.step == "measure" else session.undo
-        page.ask("Nothing was undone", verb())
+        of_step = {"plan": session.undo, "acquire": session.undo, "measure": session.undo_findings}
+        page.ask("Nothing was undone", of_step.get(page.view.step, session.notebook.undo)())
 
     def redo() -> None:
-        page.ask("Nothing was redone", session.redo())
+        of_step = {"plan": session.redo, "acquire": session.redo, "measure": session.redo_findings}
+        page.ask("Nothing was redone", of_step.get(page.view.step, session.notebook.redo)())
 
     def leave() -> None:
         """What was opened last is left first."""

@@ -111,6 +111,11 @@ class MeasurePanel:
         set_prop(self._keep, "disabled", finding is None or read_only is not None)
         self._why.show(f'<div class="wv-why">Not kept: {html.safe(read_only)}</div>' if read_only else "")
 
+    def keep(self) -> None:
+        """Keep the result at hand, as the button does."""
+        if self._page.view.step == "measure" and self._keep.visible and not self._keep.disabled:
+            self._keep_it(None)
+
     def _keep_it(self, _: Any) -> None:
         page, finding = self._page, self.answer.finding
         if finding is None:

@@ -44,7 +44,7 @@ class SavedViews:
             Command(f"Saved view {n}", f"{n}", lambda n=n: self.go_to(n), viser.Icon.BOOKMARK, "shift", "Look", False)
             for n in range(1, WITH_KEYS + 1)
         ]
-        return [Command("Save view…", "V", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look"), *going]
+        return [Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look"), *going]
 
     def ask_name(self) -> None:
         """Save where the camera stands and how the surface is drawn, under a name."""
@@ -118,7 +118,7 @@ def views_html(snapshot: Snapshot, view: View) -> str:
     listed = html.table([], rows) if rows else ""
     undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
     undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if undone else ""
-    save = f'<span class="wv-link" title="Key Shift + V" {html.pick("view-save")}>Save view…</span>'
+    save = f'<span class="wv-link" title="Key Shift + 0" {html.pick("view-save")}>Save view…</span>'
     told = "3000 px wide, with scale and colours · Key P"
     picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
     foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{picture}{undo}</div>'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import viser
 
 from wafer_viewer.gui import html
+from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, outlined, set_prop
@@ -46,6 +47,18 @@ class Welcome:
         link = f'<span class="wv-link" {html.pick("tour")}>Take the tour on the virtual rig</span>, 30 s'
         tour = f"No sample at hand? &ensp;{link}" if snapshot.rig.simulated else ""
         self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
+
+    def commands(self) -> list[Command]:
+        """What the card offers, by name."""
+        icon = viser.Icon
+        return [
+            Command("Plan a scan", None, self._plan, icon.LAYOUT_GRID, group="Plan"),
+            Command("Take the tour on the virtual rig", None, self._tour_if_simulated, icon.PLAYER_PLAY, group="Plan"),
+        ]
+
+    def _tour_if_simulated(self) -> None:
+        if self._page.session.snapshot.rig.simulated:
+            self._take_tour()
 
     def _plan(self) -> None:
         """Cover the sample that the rig has a picture of; without one, clear the way to the form."""
