@@ -49,6 +49,8 @@ def test_a_surface_is_made_again_by_a_ready_recipe_with_one_change(serve: Callab
     choose(page, "Fill", "Small gaps")
     expect(dropdown(page, "Ready recipe")).to_have_value("Own choice")
     press(page, "Reconstruct again")
+    assert "reconstruct" not in [name for name, _, _ in session.asked]
+    press(page, "Replace the surface of coupon-07")
     eventually(lambda: bool(session.asked), "the session was asked")
     paper = Recipe.paper()
     assert session.asked[-1][:2] == ("reconstruct", (replace(paper, fill=replace(paper.fill, mode="small_gaps")),))

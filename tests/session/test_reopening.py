@@ -9,7 +9,7 @@ import pytest
 
 from tests.session.conftest import small_job
 from wafer_viewer.acquire.planner import plan_scan
-from wafer_viewer.model.errors import PlanError, RigError
+from wafer_viewer.model.errors import DatasetError, PlanError, RigError
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.conductor import Conductor
@@ -17,6 +17,7 @@ from wafer_viewer.session.messages import Move
 from wafer_viewer.session.reopening import KEPT_IN, NAME
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import Typed
+from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
 
 HALF = Typed('{"exposures_us": "quick"}', "The exposures read 'quick'.")
@@ -137,6 +138,20 @@ def test_a_dataset_that_has_gone_is_told_and_the_plan_is_there_all_the_same(prog
     assert now.dataset is None
     assert now.draft.job == small_job()
     assert "begun.wafer was open and is not there any more" in now.faults[0].text
+
+
+def test_a_dataset_that_another_program_holds_is_open_for_reading_and_that_is_said(program, dataset, monkeypatch):
+    program.start()
+    program.do(program.rooms.open, dataset)
+    program.end()
+    monkeypatch.setattr(Lock, "take", held_elsewhere)
+    now = program.start()
+    assert now.dataset.path == dataset
+    assert [(f.title, f.needs_person) for f in now.faults] == [("begun can only be read", False)]
+
+
+def held_elsewhere(path):
+    raise DatasetError(f"{path.name} is held by process 1: close it there.")
 
 
 @pytest.mark.parametrize(

@@ -218,6 +218,18 @@ def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
     dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced")
 
 
+def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
+    """Make a surface again; one that is there is replaced only after a person said so, by its name."""
+    snapshot = page.session.snapshot
+    if snapshot.surface is None or snapshot.dataset is None:
+        again()
+        return
+    name = snapshot.dataset.path.stem
+    below = "Its heights are made again by the recipe chosen. Frames and results stay; the heights of now are gone."
+    dialog = Dialog(page, f"Replace the surface of {name}?", below)
+    dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface stays")
+
+
 def _ending_of(field: int | None) -> str:
     """What tells the file of a field, or of a comparison, from the dataset's."""
     return "" if not field else f"-field{field}" if field > 0 else "-compared"

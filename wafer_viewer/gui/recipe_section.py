@@ -9,6 +9,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui import recipe_words as words
+from wafer_viewer.gui.dialogs import reconstruct_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
@@ -104,7 +105,8 @@ class RecipeSection:
         self._page.redraw()
 
     def _again(self) -> None:
-        self._page.ask("The surface stays", self._page.session.reconstruct(self._now()))
+        page, recipe = self._page, self._now()
+        reconstruct_dialog(page, lambda: page.ask("The surface stays", page.session.reconstruct(recipe)))
 
     # --- showing
 
