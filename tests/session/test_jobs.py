@@ -6,6 +6,7 @@ import pytest
 
 from tests.session.conftest import small_job
 from tests.session.released import DIE, SETTLED, engineered, release_of
+from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.sample import Sample
@@ -171,6 +172,8 @@ def test_another_wafer_is_aligned_anew(desk, taken_up):
 
 
 def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
+    drafting.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
+    assert draft(desk).job.alignment is None, "the wafer may have been taken off meanwhile"
     drafting.reopen(small_job())
     assert [c.what for c in stops(look_round(desk.now, None, "2026-11-21"))] == ["Sample"]
     drafting.edit(replace(small_job(), exposures_us=(50.0,)))

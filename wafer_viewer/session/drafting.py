@@ -48,8 +48,11 @@ class Drafting:
         self._put(job)
 
     def reopen(self, job: Job | None, typed: Typed | None = None) -> None:
-        """The plan that was there when the program ended: whoever scans it has to look at the sample first."""
-        self._jobs.restart(job)
+        """The plan that was there when the program ended: whoever scans it has to look at the sample first.
+
+        How a wafer lay is forgotten: nobody saw whether it still does.
+        """
+        self._jobs.restart(None if job is None else replace(job, alignment=None))
         self._confirmed = False
         self.keep_typed(typed)
 
