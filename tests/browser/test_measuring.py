@@ -8,7 +8,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.measuring_session import MeasuringSession
-from tests.browser.steps import eventually, go_to, press, title_is, type_into
+from tests.browser.steps import go_to, press, title_is, type_into
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.spec import replace
@@ -163,7 +163,7 @@ def test_a_reload_brings_back_the_tool_its_places_and_the_zero(page: Page):
     take(page, "radius")
     read_from(page, "Plane")
     expect(page.locator(".wv-zero")).to_contain_text("the plane of the whole surface")
-    eventually(lambda: "µm" in answer(page).inner_text(), "there is an answer")
+    expect(page.locator(".wv-lab", has_text="from the plane of the whole surface")).to_be_visible()  # it is measured
     before = answer(page).inner_text()
     page.reload()
     expect(page.locator(".wv-title").first).to_contain_text("Radius")

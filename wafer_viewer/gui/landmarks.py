@@ -12,7 +12,7 @@ from wafer_viewer.gui.lie_of_land import Floats, Land, Place
 PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
 """Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
 _BUMP_SHARES = (1 / 3, 1 / 4, 1 / 6, 1 / 9, 1 / 14, 1 / 22)
-_LEAST_PATCH_PX, _ROOM_ROUND_BUMP = 4, 1.25
+_LEAST_PATCH_PX, _ROOM_ROUND_BUMP, _STANDS_OUT = 4, 1.25, 3.0
 _FLAT, _LEAST_FLAT, SAME_LEVEL, _APART = 0.04, 0.002, 0.12, 0.25
 """Shares of the range of heights: within which a patch is flat (for certain), patches are level, or are not."""
 
@@ -161,15 +161,31 @@ def two_faces(land: Land, near: Place) -> tuple[Place, Place, float]:
 
 
 def bump(land: Land, near: Place) -> tuple[Place, float]:
-    """The middle and the radius of what stands out most of surroundings that are even, up or down."""
+    """The middle and the radius of what stands out most of surroundings that are even, up or down.
+
+    Where nothing does, as among bumps side by side, something small and high near a place.
+    """
     rows, cols = land.heights.shape
-    best: tuple[float, Place, float] = (0.0, land.inner(near), 2 * _least_side(land))
+    best, middle, radius_um = _STANDS_OUT, None, 0.0
     for share in _BUMP_SHARES:
         side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share))
         found = _standing_out(land, side)
-        if found is not None and found[0] > best[0]:
-            best = found[0], found[1], 0.5 * _ROOM_ROUND_BUMP * side * land.pixel_um
-    return best[1], best[2]
+        if found is not None and found[0] > best:
+            best, middle, radius_um = *found, 0.5 * _ROOM_ROUND_BUMP * side * land.pixel_um
+    return (middle, radius_um) if middle is not None else (_high(land, near), 1.5 * _LEAST_PATCH_PX * land.pixel_um)
+
+
+def _high(land: Land, near: Place) -> Place:
+    """A high place near another."""
+    side = _LEAST_PATCH_PX
+    levels = _box_sums(land.heights - land.on_show.z0_um, (side, side), 1)
+    row, col = np.nonzero(levels >= np.percentile(levels, 98))
+    x, y = land.place(row + (side - 1) / 2, col + (side - 1) / 2)
+    away = np.hypot(x - land.inner(near)[0], y - land.inner(near)[1])
+    # The top of the nearest: of the high places about as near the highest.
+    reach = away <= away.min() + 4 * side * land.pixel_um
+    best = int(np.argmax(np.where(reach, levels[row, col], -np.inf)))
+    return float(x[best]), float(y[best])
 
 
 def _standing_out(land: Land, side: int) -> tuple[float, Place] | None:

@@ -18,6 +18,8 @@ Towards = NDArray[np.float64]
 """Unit vector from the sample towards the camera."""
 _WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
 _SIGN_PX, _BESIDE_PX, _WORD_PX = 26, 12, 90
+_ROOMY_PX, _LEAST_KNOB = 60, 0.4
+"""A region of so many pixels on the screen has knobs of full size; they never get smaller than that share of it."""
 _ENDS_OF_A_WAY = ("point", "point")
 """Two points and no more are joined by a line."""
 
@@ -50,7 +52,7 @@ class PlaceHandle:
             self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
             at = land.seen_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
-            self._knobs[hold].place(at, mm_per_pixel, towards)
+            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), towards)
         self._place_sign(land, mm_per_pixel)
 
     def remove(self) -> None:
@@ -58,6 +60,12 @@ class PlaceHandle:
         for part in (self._outline, *self._knobs.values(), self._sign):
             if part is not None:
                 part.remove()
+
+    def _knob_share(self, mm_per_pixel: float) -> float:
+        """Knobs of a region that is small on the screen are smaller, or they would hide it."""
+        x0, y0, x1, y1 = self.region.bounds_um
+        side_px = min(x1 - x0, y1 - y0) * 1e-3 / max(mm_per_pixel, 1e-12)
+        return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
     def _place_sign(self, land: Land, mm_per_pixel: float) -> None:
         """The sign lies beside the place: over whatever is there, or a wall would hide it."""
