@@ -24,13 +24,10 @@ def all_commands() -> list[Command]:
     page = SimpleNamespace(session=MagicMock(), change=MagicMock(), on_pick=MagicMock(), on_close=MagicMock())
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
-    beside = [
-        ReviewPanel.commands(MagicMock()),
-        ReportPanel.commands(MagicMock()),
-        CompareSection.commands(MagicMock()),
-    ]
     looks = [*looking(MagicMock()), *views.commands(), *picture.commands()]
-    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *(command for more in beside for command in more)]
+    panels = (ReviewPanel, ReportPanel, CompareSection, Welcome)
+    of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
+    return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
 
 
 def test_no_key_does_two_things():
