@@ -115,6 +115,27 @@ def measuring(*then: Act) -> Screen:
     return Screen(MeasuringSession, "measure", seen=True, then=then)
 
 
+def kept(key: str) -> tuple[Act, ...]:
+    """Measure with the tool of a key and keep what comes."""
+    keep = "[data-dock-region=right] button:has-text('Keep result'):not([data-disabled])"
+    return press(key), lambda page: page.wait_for_timeout(2000), click(keep)
+
+
+def fly_to_result(number: int) -> Act:
+    """Choose a result of the list."""
+    return click(f"tr[data-pick=finding][data-k='{number}']")
+
+
+def read_from(zero: str) -> Act:
+    """Choose what heights are read from."""
+
+    def act(page: Page) -> None:
+        page.get_by_label("Heights from").click()
+        page.get_by_role("option", name=zero, exact=True).click()
+
+    return act
+
+
 UNCALIBRATED = "no calibration was given"
 SCREENS: dict[str, Screen] = {
     "start": still(fake.empty, "plan"),
@@ -145,10 +166,14 @@ SCREENS: dict[str, Screen] = {
     "step": measuring(press("k")),
     "profile": measuring(press("l")),
     "point": measuring(press("x")),
+    "distance": measuring(press("m")),
+    "flatness": measuring(press("Shift+F")),
     "angle": measuring(press("b")),
     "radius": measuring(press("r")),
     "volume": measuring(press("v")),
     "texture": measuring(press("Shift+T")),
+    "results": measuring(*kept("k"), *kept("m"), *kept("r"), *kept("v"), *kept("b"), fly_to_result(3)),
+    "levelled": measuring(*kept("x"), press("Shift+F"), read_from("Region")),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "report": Screen(noted, "report", seen=True),

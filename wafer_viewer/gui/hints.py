@@ -69,6 +69,7 @@ FIELDS: dict[str, str] = {
     "Align": "How one surface is laid over the other before they are subtracted",
     "Keep height and tilt": "Whether they stay as measured, so that a common change is seen",
     # Measure
+    "Heights from": "What counts as zero: the stage's, or one laid through the surface; the drawn surface follows",
     "Width, µm": "Averaged over so much across the line, µm; 0 is one pixel",
     "Row": "Number of the row of pixels, 0 the top one",
     "Column": "Number of the column of pixels, 0 the left one",
@@ -89,6 +90,9 @@ FIELDS: dict[str, str] = {
     "Your name": "So others see it who look as well",
 }
 BUTTONS: dict[str, str] = {
+    "Horizontal cut": "Horizontal cut",
+    "Vertical cut": "Vertical cut",
+    "Add line": "Add a profile line",
     "Start scan": "Scan, pause, go on",
     "Pause": "Scan, pause, go on",
     "Go on": "Scan, pause, go on",
