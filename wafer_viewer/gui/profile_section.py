@@ -23,6 +23,7 @@ from wafer_viewer.model.sections import OtherSurface
 from wafer_viewer.session.state import Snapshot
 
 ALONE, CLEANED = "nothing", "raw and cleaned heights"
+HINT = "A second curve along the active line: its other heights, or those of another surface"
 FAILED = "The line stays"
 ICON = viser.Icon
 
@@ -74,7 +75,7 @@ class ProfileSection:
         self._cursors: Field[tuple[float, float]] = Field(
             cursors, lambda event: self._put_cursors(event.target.value), self._page, FAILED
         )
-        compare = gui.add_dropdown("Compare with", (ALONE, CLEANED))
+        compare = gui.add_dropdown("Compare with", (ALONE, CLEANED), hint=HINT)
         self._compare: Field[str] = Field(
             compare, lambda event: self._choose_other(event.target.value), self._page, FAILED
         )
