@@ -93,15 +93,22 @@ def judged(verdict: WaferVerdict | None) -> Snapshot:
     return dataclasses.replace(done, dataset=data, operating=operating, draft=aligned().draft)
 
 
+def taking() -> Snapshot:
+    """The scan of a released job is running."""
+    now = fake.scanning()
+    return dataclasses.replace(now, dataset=dataclasses.replace(now.dataset, job=a_released_job("W07", 1.2)))
+
+
 PASS, FAIL, OPEN = a_verdict(30.03, 2.01), a_verdict(31.2, 2.01), a_verdict(30.42, 2.01)
 SCREENS = {
     "20-jobs": (lambda: dataclasses.replace(fake.empty(), operating=Operating(jobs=JOBS)), "plan"),
     "21-operator": (waiting, "plan"),
     "22-aligned": (aligned, "plan"),
     "23-not-aligned": (lambda: aligned(14.6), "plan"),
+    "23-taking": (taking, "acquire"),
     "24-pass": (lambda: judged(PASS), "acquire"),
     "25-fail": (lambda: judged(FAIL), "acquire"),
     "26-inconclusive": (lambda: judged(OPEN), "acquire"),
     "27-pass-surface": (lambda: judged(PASS), "surface"),
 }
-"""As in tests/browser/screens.py."""
+"""Name to snapshot and step, as in the list of all screens."""
