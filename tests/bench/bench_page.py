@@ -3,11 +3,11 @@
     python tests/bench/bench_page.py [--quick]
 
 The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. The
-surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from the moment
-the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at rest, and
-while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of the scene's
-middle, which the surface fills, so much is always covered while the camera comes nearer. --quick: fewer rounds, no
-reconstruction, under a minute when the machine is free.
+surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from
+the moment the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at
+rest, and while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of
+the scene's middle, which the surface fills, so much is always covered while the camera comes nearer. --quick: fewer
+rounds, no reconstruction, under a minute when the machine is free.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ import psutil
 from playwright.sync_api import BrowserContext, Page, TimeoutError, sync_playwright
 
 from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
+from wafer_viewer.session.painter import NICENESS
 
 ROOT = Path(__file__).parents[2]
 SIZE = {"width": 1600, "height": 1000}
@@ -118,7 +119,8 @@ class Viewer:
 
     def memory(self) -> Memory:
         """What belongs to the viewer alone, and to the painters it started."""
-        painters = [p for p in self._own.children(recursive=True) if _paints(p)]
+        niceness = self._own.nice() + NICENESS  # as the host of the workers has, under which they live
+        painters = [p for p in self._own.children() if p.nice() == niceness and not p.children()]
         return Memory(self._own.memory_full_info().uss, sum(p.memory_full_info().uss for p in painters))
 
     def cpu_s(self) -> float:
@@ -132,14 +134,6 @@ class Viewer:
             ["ss", "-tinH", "state", "established", f"sport = :{self.port}"], capture_output=True, text=True, check=True
         )
         return sum(int(n) for n in re.findall(r"bytes_sent:(\d+)", told.stdout))
-
-
-def _paints(process: psutil.Process) -> bool:
-    """Whether a process is a painter: it has what painting needs in its memory, and no cluster."""
-    try:
-        return "spawn_main" in " ".join(process.cmdline()) and process.memory_info().rss > 60e6
-    except psutil.Error:
-        return False
 
 
 class Seat:

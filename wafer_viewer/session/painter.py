@@ -21,8 +21,10 @@ from wafer_viewer.session.paint_request import PaintRequest, Source
 
 __all__ = ["PaintRequest", "Painter", "Source"]
 
-_KEPT_BYTES = 192 * 2**20
-_NICE = 5
+_KEPT_BYTES = 48 * 2**20
+"""Of answers kept for other browsers: some views of one."""
+NICENESS = 5
+"""By how much painting gives way."""
 
 
 class Painter:
@@ -83,7 +85,7 @@ def _new_pool() -> ProcessPoolExecutor:
 
 def _settle_in() -> None:
     """Give way to the scan, and end with the viewer even if that is killed."""
-    live_in_the_background(_NICE)
+    live_in_the_background(NICENESS)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()

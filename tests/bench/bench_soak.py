@@ -1,0 +1,128 @@
+"""Eight hours at the page in minutes: does memory grow, does anything go wrong?
+
+    python tests/bench/bench_soak.py [--quick]
+
+The true viewer on a surface of 44 million points, and a browser that does what an operator does in a day, without the
+pauses between: 500 changes of the view (nearer, farther, aside, presets, colours), 100 profiles, 20 times the page is
+closed and opened again. Memory is what belongs to the viewer's process and to its painters alone (USS), from after a
+warm-up of a tenth of it all to the end, both times with the browser at rest. --quick: a tenth of the whole, no less
+than the warm-up: it says whether it runs, not what it leaves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from tests.bench.big_mosaic import BLOCKS_PX, big_dataset
+from tests.bench.page_driver import Memory, Seat, Viewer, seats
+from tests.bench.tables import met, show
+
+CHANGES, PROFILES, RECONNECTS = 500, 100, 20
+WARM_UP = 0.1
+GROWTH_GOAL = 0.1
+PAUSE_MS = 250
+"""An operator looks at least so long."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Whether memory grows in a day's use.")
+    parser.add_argument("--quick", action="store_true", help="a tenth of it")
+    share = WARM_UP if parser.parse_args().quick else 1.0
+    dataset, began = big_dataset(BLOCKS_PX), time.monotonic()
+    viewer = Viewer(dataset.parent)
+    try:
+        with seats(viewer) as seat:
+            seat.open()
+            seat.choose(dataset)
+            use(seat, WARM_UP)
+            before = at_rest(seat)
+            use(seat, share)
+            after = at_rest(seat)
+        told = viewer.complaints()
+    finally:
+        viewer.close()
+    show_growth(before, after, share, time.monotonic() - began, told)
+
+
+def use(seat: Seat, share: float) -> None:
+    """A share of a day: views are changed, now and then a profile is taken, or the page opened anew."""
+    change, profile = changes(seat), profiles(seat)
+    n_changes = round(CHANGES * share)
+    per_profile, per_reconnect = CHANGES // PROFILES, CHANGES // RECONNECTS
+    for n in range(1, n_changes + 1):
+        next(change)()
+        seat.page.wait_for_timeout(PAUSE_MS)
+        if n % per_profile == 0:
+            next(profile)()
+        if n % per_reconnect == 0:
+            seat.leave()
+            seat.open()
+            seat.first_picture_s()
+
+
+def changes(seat: Seat) -> Iterator[Callable[[], object]]:
+    """One change of the view after the other, over and over."""
+    return itertools.cycle(
+        [
+            lambda: seat.zoom(4),
+            lambda: seat.pan(160, 90),
+            lambda: seat.zoom(5),
+            lambda: seat.pan(-240, 60),
+            lambda: seat.page.keyboard.press("t"),
+            lambda: seat.zoom(-6),
+            lambda: seat.page.keyboard.press("i"),
+            lambda: seat.page.keyboard.press("h"),
+            lambda: seat.page.keyboard.press("u"),
+            lambda: seat.page.keyboard.press("Home"),
+        ]
+    )
+
+
+def profiles(seat: Seat) -> Iterator[Callable[[], object]]:
+    """A profile in the step for measuring, and back to the surface."""
+
+    def take(k: int) -> None:
+        page = seat.page
+        page.get_by_role("button", name="Measure", exact=True).first.click()
+        page.keyboard.press("l")
+        page.locator(".uplot").first.wait_for()
+        seat.zoom(1 if k % 2 else -1)
+        page.wait_for_timeout(PAUSE_MS)
+        page.keyboard.press("Escape")
+        page.get_by_role("button", name="Surface", exact=True).first.click()
+
+    return (lambda k=k: take(k) for k in itertools.count())
+
+
+def at_rest(seat: Seat) -> Memory:
+    """What the processes hold when all is drawn and the browser shows everything."""
+    seat.page.keyboard.press("i")
+    seat.settled_s(seat.now_ms())
+    return seat.viewer.memory()
+
+
+def show_growth(before: Memory, after: Memory, share: float, took_s: float, told: str) -> None:
+    """The table, and what the log says."""
+    parts = [("viewer", before.viewer, after.viewer), ("painters", before.painters, after.painters)]
+    parts.append(("together", sum(part[1] for part in parts), sum(part[2] for part in parts)))
+    rows = [
+        (name, old / 1e6, new / 1e6, f"{100 * (new / old - 1):+.1f}", met(new / old - 1, GROWTH_GOAL))
+        for name, old, new in parts
+    ]
+    title = f"{share:.0%} of a day's use in {took_s / 60:.0f} min; goal: no growth beyond {GROWTH_GOAL:.0%}"
+    show(title, ("memory (USS)", "warmed up, MB", "at the end, MB", "growth, %", ""), rows)
+    errors = [line for line in told.splitlines() if "ERROR" in line or "Traceback" in line]
+    print(f"\nErrors in the log: {len(errors)}")
+    for line in errors[:20]:
+        print(f"  {line}")
+
+
+if __name__ == "__main__":
+    main()
