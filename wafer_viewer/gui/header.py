@@ -98,18 +98,20 @@ class Header:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the header up to date."""
         self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
-        self._style.show(self._step_style(view.step))
+        shown = [step for step in STEPS if possible(step, snapshot) or step not in SHOWN_AT_NEED]
+        self._style.show(self._step_style(view.step, shown))
         set_prop(self._stop, "disabled", not snapshot.scanning or snapshot.rig.state == "stopping")
         for step, handle in self._steps.items():
             set_prop(handle, "disabled", not possible(step, snapshot))
-            set_prop(handle, "visible", possible(step, snapshot) or step not in SHOWN_AT_NEED)
+            set_prop(handle, "visible", step in shown)
             set_prop(handle, "icon", viser.Icon.CHECK if done(step, snapshot) and step != view.step else None)
 
-    def _step_style(self, current: Step) -> str:
-        rules = "".join(_step_rules(handle, k, step == current) for k, (step, handle) in enumerate(self._steps.items()))
+    def _step_style(self, current: Step, shown: list[Step]) -> str:
+        rules = "".join(_step_rules(self._steps[step], k, step == current) for k, step in enumerate(shown))
         narrow = "".join(
-            f"{by_id(h._impl.uuid)}{{width:{NARROW_STEP_PX}px!important;left:{LEFT_PX + k * NARROW_STEP_PX}px}}"
-            for k, h in enumerate(self._steps.values())
+            f"{by_id(self._steps[step]._impl.uuid)}{{width:{NARROW_STEP_PX}px!important;"
+            f"left:{LEFT_PX + k * NARROW_STEP_PX}px}}"
+            for k, step in enumerate(shown)
         )
         return f"<style>{rules}@media(max-width:{NARROW_WINDOW_PX}px){{{narrow}}}</style>"
 

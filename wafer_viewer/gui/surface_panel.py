@@ -189,7 +189,7 @@ class SurfacePanel:
         set_prop(self._range.handle, "min", _down(min(whole[0], low), 10 * step))
         set_prop(self._range.handle, "max", _up(max(whole[1], high), 10 * step))
         self._range.show((round(round(low / step) * step, 6), round(round(high / step) * step, 6)))
-        self._by_hand.show((round(low, 2), round(high, 2)))
+        self._by_hand.show((round(low, 2) + 0.0, round(high, 2) + 0.0))  # no zero has a sign
 
     def _whole(self, info: SurfaceInfo | None, view: View) -> tuple[float, float] | None:
         """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
