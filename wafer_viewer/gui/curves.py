@@ -40,7 +40,7 @@ class Curves:
         self._asked: object = None
         self._surface: object = None
         self._line = 0
-        self._news: Callable[[], None] = page.redraw
+        self._news: Callable[[], None] = lambda: None
         self.sections: tuple[Section, ...] = ()
         self.problems: tuple[str, ...] = ()
         page.on_close(self._worker.close)
