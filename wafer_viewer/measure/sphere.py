@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.heights import Floats, Points
-from wafer_viewer.measure.level import least_squares, robust_fit
+from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.errors import MeasureError
 
 STEEPEST = 0.95
 """Of the sphere's radius: points further from its axis lie on walls that no height map shows."""
+LEAST_POINTS = 10
 _ROUNDS = 50
 _SETTLED = 1e-4
 """Of the curvature: steps become smaller by their squares, so the one after this counts nothing."""
@@ -84,6 +85,8 @@ def fit_cap(points: Points, start: Cap | None = None) -> tuple[Cap, Points]:
 def _nearer(points: Points, cap: Cap) -> Cap:
     """One step of Gauss and Newton, outliers apart."""
     near = points.kept(cap.reaches(points))
+    if len(near) < LEAST_POINTS:
+        raise no_sphere()
     return cap.moved(robust_fit(cap.slopes(near), near.z_um - cap.at(near)).coefficients)
 
 
@@ -93,13 +96,12 @@ def no_sphere() -> MeasureError:
 
 
 def _first_guess(points: Points) -> Cap:
-    """x^2 + y^2 + z^2 is linear in x, y and z on a sphere; z is what errs, so this is for a start only."""
-    middle = np.array([points.x_um.mean(), points.y_um.mean(), np.median(points.z_um)])
-    places = np.stack([points.x_um, points.y_um, points.z_um], axis=1) - middle
-    x, y, z, rest = least_squares(np.column_stack([places, np.ones(len(places))]), np.sum(places**2, axis=1))
-    radius = float(np.sqrt(max(rest + (x**2 + y**2 + z**2) / 4, 0.0)))
-    if not radius:
+    """By a paraboloid: too curved for a steep cap, whose rim is left out then until the sphere reaches it."""
+    x_um, y_um = float(points.x_um.mean()), float(points.y_um.mean())
+    x, y = points.x_um - x_um, points.y_um - y_um
+    fit = robust_fit(np.stack([x**2 + y**2, x, y, np.ones(len(x))], axis=1), points.z_um)
+    bend, along_x, along_y, z_um = fit.coefficients.tolist()
+    if not bend:
         raise no_sphere()
-    center = middle + np.array([x, y, z]) / 2
-    upwards = float(np.median(places[:, 2] - z / 2) > 0) * 2 - 1
-    return Cap(float(center[0]), float(center[1]), float(center[2] + upwards * radius), upwards / radius)
+    top_um = z_um - (along_x**2 + along_y**2) / (4 * bend)
+    return Cap(x_um - along_x / (2 * bend), y_um - along_y / (2 * bend), top_um, -2 * bend)
