@@ -14,6 +14,7 @@ from playwright.sync_api import Page
 
 from tests.browser import fake_session as fake
 from tests.browser import operator_session as operator
+from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
@@ -160,6 +161,8 @@ SCREENS: dict[str, Screen] = {
     "many-fields": stitched(13, 16, fields=True),
     "many-fields-plan": stitched(13, 16, fields=True, look="plan"),
     "overlap": stitched(3, 3, colour_by="overlap"),
+    "compare": Screen(ComparedSession, "surface", seen=True, then=(click("[data-pick=compare-new]"),)),
+    "difference": Screen(ComparedSession, "surface", seen=True, then=(click("[data-pick=compare-look]"),)),
     "why": Screen(lambda: explained(True), "surface", seen=True, then=(ask_why,)),
     "why-not": Screen(lambda: explained(False), "surface", seen=True, then=(ask_why,)),
     "measure": measuring(press("Escape")),
