@@ -98,7 +98,7 @@ class Header:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the header up to date."""
         self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
-        shown = [step for step in STEPS if possible(step, snapshot) or step not in SHOWN_AT_NEED]
+        shown: list[Step] = [step for step in STEPS if possible(step, snapshot) or step not in SHOWN_AT_NEED]
         self._style.show(self._step_style(view.step, shown))
         set_prop(self._stop, "disabled", not snapshot.scanning or snapshot.rig.state == "stopping")
         for step, handle in self._steps.items():
