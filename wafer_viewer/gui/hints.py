@@ -44,9 +44,6 @@ FIELDS: dict[str, str] = {
     # Surface
     "Show": "The stitched surface, or one field",
     "Colour by": "What the colours mean",
-    "Compare with": "The second surface; the one on show is the first",
-    "Align": "How the second is laid over the first; as it fits: by the images, unless both are of the same frames",
-    "Keep height and tilt": "Do not level the second on the first, as against a golden sample",
     "Colours": "Monotonic in lightness; all but Viridis and Cividis keep their light end on the surface",
     "Range": "Between which values the colours run",
     "By hand": "Lowest and highest value of the colours",
