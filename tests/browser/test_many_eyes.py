@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
@@ -159,7 +160,7 @@ def remembered(page: Page, what: str) -> str:
 
 
 def test_what_needs_a_person_is_told_again_after_a_reload_until_it_is_dealt_with(serve: Serve):
-    session = FakeSession(fake.at_fault())
+    session = FakeSession(dataclasses.replace(fake.planned(), faults=fake.at_fault().faults))
     page = serve(session)
     session.fails_with = DatasetError("The folder is full: free some space.")
     press(page, "Cover the sample")

@@ -52,14 +52,15 @@ class Told(msgspec.Struct, frozen=True):
 
 
 class BrowserEar:
-    """Hears the reports of a page's browser: names it by its system, and keeps the layout.
+    """Hears the reports of a page's browser: keeps the layout, and names one that nobody named by its system.
 
     `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
     """
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._named = self._restored = False
+        self._system: str | None = None
+        self._restored = False
         self.left: Any = None
         page.gui.add_html('<div class="wv-tells"></div>')
         failed = "The layout is not remembered"
@@ -71,24 +72,18 @@ class BrowserEar:
         if not self._restored:
             self._restored = True
             restore(self._page.browser.layout, self.left, self._page.gui.main_panel)
+        name = snapshot.hands.name_of(self._page.browser.key)
+        if self._system is not None and name and "·" not in name and not self._page.browser.name:
+            self._page.session.control.rename(self._page.browser.key, f"{name} · {self._system}")
+            self._system = None
 
     def _hear(self, text: str) -> None:
-        page = self._page
-        if not self._restored:
-            return
-        told = msgspec.json.decode(text, type=Told)
+        page, told = self._page, msgspec.json.decode(text, type=Told)
+        self._system = system_name(told.system)
         layout = layout_of(told, page.browser.layout)
-        if layout != page.browser.layout:
+        if self._restored and layout != page.browser.layout:
             page.remember(replace(page.browser, layout=layout))
-        if not self._named:
-            self._named = True
-            self._name_by(told.system)
-
-    def _name_by(self, system: str) -> None:
-        """A browser that nobody named is told from others by its system, too."""
-        name = self._page.session.snapshot.hands.name_of(self._page.browser.key)
-        if not self._page.browser.name and name and "·" not in name:
-            self._page.session.control.rename(self._page.browser.key, f"{name} · {system_name(system)}")
+        page.redraw()
 
 
 def restore(layout: Layout, left: Any, right: Any) -> None:

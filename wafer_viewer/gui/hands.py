@@ -28,10 +28,13 @@ HANDS_ON = frozenset(
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
-        *("Accepted", "Rejected", "Note", "It is", "Save view", "Move there"),
+        *("Accepted", "Rejected", "Note", "Save view", "Move there"),
     }
 )
-"""By their labels: the widgets that move the rig, or change the plan, the dataset or the results."""
+"""By their labels: the widgets that move the rig, or change the plan, the dataset or the results.
+
+viser's button groups cannot be disabled: what they do is refused.
+"""
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
 OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
 PICKS = (
