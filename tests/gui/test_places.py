@@ -73,6 +73,24 @@ def test_radius_and_volume_begin_at_what_stands_out() -> None:
     assert y1 > 230
 
 
+def test_a_bump_is_found_where_its_die_ends_nearby() -> None:
+    x, y = xy()
+    die = (np.abs(x - 150) < 110) & (np.abs(y - 150) < 90)
+    dome = np.maximum(0, 14 * (1 - ((x - 100) ** 2 + (y - 180) ** 2) / 50**2))
+    (circle,) = FIRST["radius"](land_of(np.where(die, 12 + dome, 0) + noise()), (150.0, 150.0))
+    assert (circle.points[0].x_um, circle.points[0].y_um) == pytest.approx((100, 180), abs=15)
+    assert 25 < circle.radius_um < 70
+
+
+def test_among_bumps_side_by_side_a_top_nearby_is_chosen() -> None:
+    x, y = xy()
+    z = 6 * np.clip(np.cos(x * (2 * np.pi / 30)) * np.cos(y * (2 * np.pi / 30)) - 0.4, 0, None) + noise()
+    (circle,) = FIRST["radius"](land_of(z), (152.0, 152.0))
+    at = circle.points[0]
+    assert np.cos(at.x_um * (2 * np.pi / 30)) * np.cos(at.y_um * (2 * np.pi / 30)) > 0.8
+    assert np.hypot(at.x_um - 152, at.y_um - 152) < 40
+
+
 def test_an_angle_begins_on_the_slope_and_the_level_face() -> None:
     steep, level = FIRST["angle"](land_of(roof()), (150.0, 150.0))
     assert steep.bounds_um[0] > 150

@@ -12,7 +12,7 @@ from wafer_viewer.gui.lie_of_land import Floats, Land, Place
 PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
 """Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
 _BUMP_SHARES = (1 / 3, 1 / 4, 1 / 6, 1 / 9, 1 / 14, 1 / 22)
-_LEAST_PATCH_PX, _ROOM_ROUND_BUMP, _STANDS_OUT = 4, 1.25, 3.0
+_LEAST_PATCH_PX, _ROOM_ROUND_BUMP, _STANDS_OUT = 4, 1.25, 1.5
 _FLAT, _LEAST_FLAT, SAME_LEVEL, _APART = 0.04, 0.002, 0.12, 0.25
 """Shares of the range of heights: within which a patch is flat (for certain), patches are level, or are not."""
 
