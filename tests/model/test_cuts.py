@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from wafer_viewer.model.cuts import across, column_line, gap, nearest, numbered, row_line
+from wafer_viewer.model.cuts import across, beside, column_line, gap, nearest, numbered, row_line
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import ProfileCurve
 from wafer_viewer.model.region import Region
@@ -55,6 +56,16 @@ def test_a_line_across_another_has_its_middle_and_length_and_stays_on_the_surfac
     assert cross.width_um == 3.0
     _, low, _, high = across(Region.line(-100, 50, 899.5, 50), LATTICE).bounds_um
     assert (low, high) == (-199.5, 299.5)
+
+
+def test_a_line_beside_another_is_parallel_to_it_on_the_side_where_there_is_room():
+    moved = beside(Region.line(0, 100, 120, 100, 3.0), LATTICE)
+    assert moved == Region.line(0, 120, 120, 120, 3.0)
+    assert beside(Region.line(0, 295, 120, 295), LATTICE) == Region.line(0, 275, 120, 275)
+    lower, upper = beside(Region.line(0, -199, 0, 299), LATTICE).points
+    assert upper.x_um == lower.x_um < 0
+    whole = beside(row_line(LATTICE, 500), dataclasses.replace(LATTICE, shape=(1001, 2000)))
+    assert whole.bounds_um[0] >= LATTICE.x0_um
 
 
 def curve_of(z):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model import cuts
@@ -9,6 +11,8 @@ from wafer_viewer.model.cuts import MOST_LINES, Along
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
+
+_SAME_PLACE_UM = 1.0
 
 
 class LineVerbs:
@@ -33,11 +37,12 @@ class LineVerbs:
         self._page.change(step="measure", tool="profile", why=None, lines=lines, line=place, selected=None)
 
     def add(self) -> None:
-        """Another line, across the active one through its middle."""
+        """Another line, across the active one through its middle, or beside it where one crosses it there already."""
         view = self._page.view
         line = view.active_line if view.tool == "profile" else None
         if line is not None and len(view.lines) < MOST_LINES:
-            lines = (*view.lines, cuts.across(line, self._surface()))
+            crossed = sum(math.dist(cuts.middle(other), cuts.middle(line)) < _SAME_PLACE_UM for other in view.lines) > 1
+            lines = (*view.lines, (cuts.beside if crossed else cuts.across)(line, self._surface()))
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
 
     def remove(self) -> None:

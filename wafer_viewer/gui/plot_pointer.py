@@ -18,7 +18,10 @@ _MOVE = (
     f"if(this.from!==undefined){{const a=this.from,b={_ALONG},s=this.firstElementChild.style;s.display='block';"
     "s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
 )
-_UP = f"if(this.from!==undefined){{this.dataset.k=this.from+':'+{_ALONG};this.from=undefined;{html.pick_script(ZOOM)}}}"
+_UP = (
+    f"if(this.from!==undefined){{this.dataset.k=this.from+':'+{_ALONG};this.from=undefined;"
+    f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
+)
 _WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
 _KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 """Or the arrows would move the camera too."""

@@ -78,6 +78,14 @@ def across(line: Region, outline: Outline) -> Region:
     return Region.line(x - v, y + u, x + v, y - u, line.width_um)
 
 
+def beside(line: Region, outline: Outline) -> Region:
+    """A line parallel to another, a sixth of its length away on the side where there is room, within a surface."""
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    u, v = (xb - xa) / 6, (yb - ya) / 6
+    ways = [Region.line(xa - k * v, ya + k * u, xb - k * v, yb + k * u, line.width_um) for k in (1, -1)]
+    return next((way for way in ways if _holds(outline, way)), _kept_within(outline, ways[0]))
+
+
 def middle(line: Region) -> tuple[float, float]:
     """The place half way along a line."""
     a, b = line.points
@@ -110,6 +118,21 @@ def _far_x_um(outline: Outline) -> float:
 
 def _far_y_um(outline: Outline) -> float:
     return outline.y0_um - (outline.shape[0] - 1) * outline.pixel_um
+
+
+def _holds(outline: Outline, line: Region) -> bool:
+    x0, y0, x1, y1 = line.bounds_um
+    return outline.x0_um <= x0 and x1 <= _far_x_um(outline) and _far_y_um(outline) <= y0 and y1 <= outline.y0_um
+
+
+def _kept_within(outline: Outline, line: Region) -> Region:
+    """A line whose ends are drawn to the surface."""
+    ends = (
+        (min(max(p.x_um, outline.x0_um), _far_x_um(outline)), min(max(p.y_um, _far_y_um(outline)), outline.y0_um))
+        for p in line.points
+    )
+    (xa, ya), (xb, yb) = ends
+    return Region.line(xa, ya, xb, yb, line.width_um)
 
 
 def _room(at: float, half: float, low: float, high: float) -> tuple[float, ...]:
