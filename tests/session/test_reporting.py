@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -13,14 +14,16 @@ from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.__main__ import main
 from wafer_viewer.measure.step import step_height
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.findings import Findings, Length
 from wafer_viewer.model.notebook import Judgement, Notebook
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Report, ReportOrder, Section
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.sample import Feature, Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.session.reporting import contents, make_report, report_of
+from wafer_viewer.model.verdict import Judged, WaferVerdict
+from wafer_viewer.session import reporting
+from wafer_viewer.session.reporting import contents, gather, make_report, report_of
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.mosaic import write_mosaic
@@ -93,6 +96,18 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
     assert report.sections[0].figures[0].small
     assert ("Lot", "L7") in report.facts
     assert report.simulated
+
+
+def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
+    feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
+    judged = Judged(feature=feature, height=Length(value_um=12.01), word="inconclusive", why="No uncertainty.")
+    verdict = WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
+    material = dataclasses.replace(gather(dataset, RESULT), verdict=verdict)
+    rows = reporting._results(material).table.rows
+    assert rows[0][:3] == ("F1", "die", "Feature, 11.00 … 13.00\u202fµm")
+    assert rows[0][-1] == "INCONCLUSIVE"
+    assert ("Verdict", "INCONCLUSIVE, Coupon B") in reporting._facts(material)
+    assert gather(dataset, RESULT).verdict is None
 
 
 def test_simulated_stands_only_where_it_is_true(dataset):

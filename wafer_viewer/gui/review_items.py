@@ -17,7 +17,7 @@ from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import Judgement, key_of_result
+from wafer_viewer.model.notebook import Judgement, key_of_feature, key_of_result
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.verdict import Judged
@@ -102,7 +102,7 @@ def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
     if verdict is None or data is None:
         return
     for k, judged in enumerate(verdict.items):
-        key = f"feature {judged.feature.name}"
+        key = key_of_feature(judged.feature.name)
         places = [place for place in (judged.feature.upper, judged.feature.lower) if place is not None]
         yield ReviewItem(
             key=key,

@@ -48,6 +48,11 @@ def key_of_result(number: int) -> str:
     return f"result {number}"
 
 
+def key_of_feature(name: str) -> str:
+    """The key under which a feature of the job is judged."""
+    return f"feature {name}"
+
+
 class Notebook(Spec, frozen=True, kw_only=True):
     """The file ``notebook.json`` of one reconstruction."""
 

@@ -68,6 +68,15 @@ class Judge:
         self._desk.change(operating=replace(self._desk.now.operating, verdict=verdict, judging=judging))
 
 
+def kept_verdict(result: Result) -> WaferVerdict | None:
+    """The verdict that was kept on this very surface of a result, if there is one."""
+    path = result.path / FILE
+    if not (path.exists() and result.has_mosaic):
+        return None
+    kept = decode(path.read_bytes(), WaferVerdict, FILE, "json")
+    return kept if kept.surface == _mark(result.mosaic().provenance) else None
+
+
 def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     """The verdict on the wafer of a dataset: the kept one where it is of this very surface, else judged now.
 
@@ -78,8 +87,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)
-    mark, path = _mark(mosaic.provenance), result.path / FILE
-    if path.exists() and (kept := decode(path.read_bytes(), WaferVerdict, FILE, "json")).surface == mark:
+    if (kept := kept_verdict(result)) is not None:
         return kept
     calibrated = data.calibration_problem(today()) is None
     items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated)
@@ -93,10 +101,10 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
         released=job.released,
         simulated=data.simulated or mosaic.provenance.simulated,
         residual_um=job.alignment.residual_um if job.alignment else None,
-        surface=mark,
+        surface=_mark(mosaic.provenance),
     )
     if keep:
-        write_text(path, encode(verdict, "json"))
+        write_text(result.path / FILE, encode(verdict, "json"))
     return verdict
 
 

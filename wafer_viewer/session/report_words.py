@@ -10,11 +10,12 @@ from wafer_viewer.draw.numbers import duration, number, share, size, value_and_u
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.notebook import Notebook, key_of_result
+from wafer_viewer.model.notebook import Notebook, key_of_feature, key_of_result
 from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.verdict import Judged, WaferVerdict
 from wafer_viewer.session.state import SurfaceInfo
 
 UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°"}
@@ -42,10 +43,28 @@ def quantity_text(quantity: Quantity) -> str:
 
 def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
     """Number, name, what it is, its value, where, and what was thought of it."""
-    judgement = notebook.judgement(key_of_result(finding.number))
-    thought = " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
+    thought = _thought(notebook, key_of_result(finding.number))
     kind = f"{spaced(type(finding).__name__)}{_terms(finding)}"
     return (f"{finding.number}", finding.name, kind, quantity_text(finding.main), where(finding), thought)
+
+
+def feature_row(n: int, judged: Judged, notebook: Notebook) -> tuple[str, ...]:
+    """The same of a feature of the job, with its limits, the instrument's word and people's."""
+    feature = judged.feature
+    limits = f"Feature, {number(feature.lower_limit_um, 2)} … {number(feature.upper_limit_um, 2)}\u202fµm"
+    value = quantity_text(judged.height.quantity) if judged.height is not None else "not measured"
+    thought = _thought(notebook, key_of_feature(feature.name), judged.word.upper())
+    return (f"F{n}", feature.name, limits, value, "", thought)
+
+
+def verdict_text(verdict: WaferVerdict) -> str:
+    """The word for the wafer, and of which job."""
+    return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
+
+
+def _thought(notebook: Notebook, key: str, first: str = "") -> str:
+    judgement = notebook.judgement(key)
+    return " · ".join(part for part in (first, VERDICTS[judgement.verdict], judgement.note) if part)
 
 
 def regions(finding: AnyFinding) -> tuple[Region, ...]:

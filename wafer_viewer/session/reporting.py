@@ -14,14 +14,18 @@ from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.notebook import Notebook, key_of_result
 from wafer_viewer.model.report import PART_TITLES, Figure, Part, Report, ReportOrder, Section, Table
+from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.report_words import (
     bounds_um,
     calibration_pairs,
+    feature_row,
     plan_pairs,
     quantity_text,
     recipe_pairs,
     result_row,
     surface_pairs,
+    verdict_text,
 )
 from wafer_viewer.session.state import SurfaceInfo
 
@@ -47,6 +51,7 @@ class Material:
     info: SurfaceInfo | None
     findings: tuple[AnyFinding, ...]
     notebook: Notebook
+    verdict: WaferVerdict | None = None
 
     @property
     def day(self) -> str:
@@ -88,7 +93,7 @@ def gather(folder: Path, result_name: str) -> Material:
     dataset = Dataset.open(folder)
     result = dataset.result(result_name)
     info = load_summary(result) if result.has_mosaic else None
-    return Material(dataset, result, info, result.findings().items, read_notebook(result.path))
+    return Material(dataset, result, info, result.findings().items, read_notebook(result.path), kept_verdict(result))
 
 
 def contents(folder: Path, result_name: str) -> Contents:
@@ -125,13 +130,16 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
         ("Operator", sample.operator),
         ("Instrument", scan.rig or scan.imported_from),
         ("Program", f"Wafer Viewer {scan.software_version}"),
+        ("Verdict", verdict_text(material.verdict) if material.verdict else ""),
         ("Lengths", "calibrated" if material.uncalibrated is None else f"uncalibrated: {material.uncalibrated}"),
     )
     return tuple((name, value) for name, value in named if value)
 
 
 def _results(material: Material) -> Section:
-    rows = tuple(result_row(finding, material.notebook) for finding in material.findings)
+    features = material.verdict.items if material.verdict else ()
+    judged = [feature_row(k + 1, feature, material.notebook) for k, feature in enumerate(features)]
+    rows = (*judged, *(result_row(finding, material.notebook) for finding in material.findings))
     figures = tuple(
         figure for finding in material.findings[:MOST_PLACES] if (figure := _place(material, finding)) is not None
     )
