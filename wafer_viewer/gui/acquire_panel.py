@@ -90,7 +90,9 @@ class AcquirePanel:
         beside = button(gui, "Look at the surface", viser.Icon.CUBE, lambda _: page.change(step="surface"))
         self._look, self._look_beside = look, beside
         self._next = button(gui, "Next wafer", viser.Icon.PLAYER_TRACK_NEXT, self._next_wafer())
+        self._again = button(gui, "Scan it again", viser.Icon.REPEAT, lambda _: page.change(step="plan"))
         outlined(gui, beside, 36)
+        outlined(gui, self._again, 36)
         for handle in (self._go_on, look, self._next):
             leading(gui, handle)
 
@@ -125,6 +127,8 @@ class AcquirePanel:
         set_prop(self._look, "visible", done and not onward)
         set_prop(self._look_beside, "visible", onward)
         set_prop(self._next, "visible", onward)
+        verdict = snapshot.operating.verdict
+        set_prop(self._again, "visible", onward and verdict is not None and verdict.word == "inconclusive")
 
     def _show_frame(self, snapshot: Snapshot, few: bool) -> None:
         frame = self._page.session.latest_frame

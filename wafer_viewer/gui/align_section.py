@@ -18,23 +18,68 @@ from wafer_viewer.session.state import Draft, Snapshot
 FAILED = "The corner is not marked"
 
 
+class Aligning:
+    """Which corner this browser marks, and the verbs of it; one for the page, however many sections show it."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.chosen: int | None = None
+        page.on_pick("corner", self._choose)
+        page.on_pick("corner-at", self._clicked)
+        page.on_pick("unmark", lambda _: self._again())
+
+    def corner(self, draft: Draft) -> int:
+        """The corner to be marked: the one chosen, else the first that was not seen."""
+        if self.chosen is not None and self.chosen < len(draft.seen_um):
+            return self.chosen
+        return next((n for n, place in enumerate(draft.seen_um) if place is None), 0)
+
+    def go(self) -> None:
+        """Drive to where the corner should be."""
+        draft = self.page.session.snapshot.draft
+        if draft.job is not None:
+            x_um, y_um = expected_um(draft.job, draft.seen_um, self.corner(draft))
+            self.page.ask("The stage did not move", self.page.session.move_to(x_um=x_um, y_um=y_um))
+
+    def here(self) -> None:
+        """The corner is where the stage stands."""
+        now = self.page.session.snapshot
+        self._mark(self.corner(now.draft), now.rig.x_um, now.rig.y_um)
+
+    def _choose(self, key: str) -> None:
+        self.chosen = int(key)
+        self.page.redraw()
+
+    def _clicked(self, key: str) -> None:
+        n, (x_um, y_um) = clicked(key)
+        self._mark(n, x_um, y_um)
+
+    def _mark(self, n: int, x_um: float, y_um: float) -> None:
+        self.chosen = None
+        self.page.ask(FAILED, self.page.session.jobs.mark(n, x_um, y_um))
+
+    def _again(self) -> None:
+        self.chosen = None
+        self.page.ask("The corners stay", self.page.session.jobs.unmark())
+
+
 class AlignSection:
     """One corner at a time; when all are marked, how well they fit, and the way to mark them again."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
-        self._chosen: int | None = None
+    def __init__(self, aligning: Aligning, title: str) -> None:
+        self._aligning, self._title = aligning, title
+        page = aligning.page
         self._head = Cell(page.gui)
         self._body = Cell(page.gui)
         self._by_stage = page.gui.add_folder(None, visible=False)
         with self._by_stage:
-            there = self._button("Go there", viser.Icon.CROSSHAIR, self._go, "The stage did not move")
-            here = self._button("Mark here", viser.Icon.MAP_PIN, self._here, FAILED)
-            self._buttons = (there, here)
+            go = guarded(page, "The stage did not move")(lambda _: aligning.go())
+            here = guarded(page, FAILED)(lambda _: aligning.here())
+            self._buttons = (
+                button(page.gui, "Go there", viser.Icon.CROSSHAIR, go),
+                button(page.gui, "Mark here", viser.Icon.MAP_PIN, here),
+            )
             in_a_row(page.gui, self._buttons)
-        page.on_pick("corner", self._choose)
-        page.on_pick("corner-at", self._clicked)
-        page.on_pick("unmark", lambda _: self._again())
 
     def show(self, snapshot: Snapshot, visible: bool) -> None:
         """Bring the section up to date; without corners in the job there is nothing to do."""
@@ -47,47 +92,13 @@ class AlignSection:
             set_prop(self._by_stage, "visible", False)
             return
         n_seen = sum(place is not None for place in draft.seen_um)
-        aligned = job.alignment is not None and self._chosen is None
-        self._head.show(html.head("2 · Align", f"{n_seen} of {len(marks.places)} corners marked"))
-        self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.seen_um, self._corner(draft)))
+        aligned = job.alignment is not None and self._aligning.chosen is None
+        self._head.show(html.head(self._title, f"{n_seen} of {len(marks.places)} corners marked"))
+        corner = self._aligning.corner(draft)
+        self._body.show(_fit(job) if aligned else _corner(snapshot, job, draft.seen_um, corner))
         set_prop(self._by_stage, "visible", not aligned)
         for handle in self._buttons:
             set_prop(handle, "disabled", snapshot.rig.state != "ready")
-
-    def _corner(self, draft: Draft) -> int:
-        """The corner to be marked: the one chosen, else the first that was not seen."""
-        if self._chosen is not None and self._chosen < len(draft.seen_um):
-            return self._chosen
-        return next((n for n, place in enumerate(draft.seen_um) if place is None), 0)
-
-    def _button(self, name: str, icon: Any, act: Any, failed: str) -> Any:
-        return button(self._page.gui, name, icon, guarded(self._page, failed)(lambda _: act()))
-
-    def _choose(self, key: str) -> None:
-        self._chosen = int(key)
-        self._page.redraw()
-
-    def _clicked(self, key: str) -> None:
-        n, (x_um, y_um) = clicked(key)
-        self._mark(n, x_um, y_um)
-
-    def _here(self) -> None:
-        rig = self._page.session.snapshot.rig
-        self._mark(self._corner(self._page.session.snapshot.draft), rig.x_um, rig.y_um)
-
-    def _mark(self, n: int, x_um: float, y_um: float) -> None:
-        self._chosen = None
-        self._page.ask(FAILED, self._page.session.jobs.mark(n, x_um, y_um))
-
-    def _go(self) -> None:
-        draft = self._page.session.snapshot.draft
-        if draft.job is not None:
-            x_um, y_um = expected_um(draft.job, draft.seen_um, self._corner(draft))
-            self._page.ask("The stage did not move", self._page.session.move_to(x_um=x_um, y_um=y_um))
-
-    def _again(self) -> None:
-        self._chosen = None
-        self._page.ask("The corners stay", self._page.session.jobs.unmark())
 
 
 def _fit(job: Job) -> str:

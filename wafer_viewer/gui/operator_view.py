@@ -7,7 +7,7 @@ from typing import Any
 
 from wafer_viewer.draw.numbers import duration
 from wafer_viewer.gui import html, preflight_words
-from wafer_viewer.gui.align_section import AlignSection
+from wafer_viewer.gui.align_section import Aligning, AlignSection
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, duo, set_prop
@@ -29,7 +29,7 @@ FOCUS = (
 class OperatorView:
     """Three of the four actions; the fourth, the verdict, follows in Acquire."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, aligning: Aligning) -> None:
         self._page = page
         self._edits = Edits(self._commit, guarded(page, FAILED))
         self._folder = page.gui.add_folder(None, visible=False)
@@ -37,7 +37,7 @@ class OperatorView:
             self._title = Cell(page.gui)
             self._notes = Cell(page.gui)
             self._build_wafer()
-            self._align = AlignSection(page)
+            self._align = AlignSection(aligning, "2 · Align")
             self._checks = Cell(page.gui)
         page.on_pick("everything", lambda key: page.change(everything=key == "yes"))
 

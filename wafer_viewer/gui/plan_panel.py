@@ -10,6 +10,7 @@ import viser
 
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui import plan_words as words
+from wafer_viewer.gui.align_section import Aligning, AlignSection
 from wafer_viewer.gui.dialogs import load_plan_dialog, unless_there
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
@@ -106,15 +107,16 @@ class PlanPanel:
 
     def _build(self) -> None:
         gui = self._page.gui
-        self._actions = OperatorView(self._page)
+        aligning = Aligning(self._page)
+        self._actions = OperatorView(self._page, aligning)
         self._form = gui.add_folder(None)
         with self._form:
-            self._build_form()
+            self._build_form(aligning)
         self._foot = Cell(gui)
         self._start = button(gui, "Start scan", viser.Icon.PLAYER_PLAY, self._on("The scan did not start", self.start))
         leading(gui, self._start, 46)
 
-    def _build_form(self) -> None:
+    def _build_form(self, aligning: Aligning) -> None:
         gui = self._page.gui
         self._title = Cell(gui)
         self._notes = Cell(gui)
@@ -127,6 +129,7 @@ class PlanPanel:
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
         self._release = ReleaseSection(self._page)
+        self._align = AlignSection(aligning, "Align")
         self._preflight = Cell(gui)
 
     def _build_sample(self) -> None:
@@ -190,6 +193,7 @@ class PlanPanel:
         for handle in self._moves:
             set_prop(handle, "disabled", released)
         self._release.show(snapshot)
+        self._align.show(snapshot, True)
         self._preflight.show(preflight_words.section(checks))
 
     def _show_form(self, form: PlanForm) -> None:

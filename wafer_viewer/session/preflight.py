@@ -117,8 +117,8 @@ def alignment(now: Preflight) -> Check:
         mend = "Let the engineer name corners to align by." if now.job.released else ""
         return Check("Alignment", state, "Without alignment: places are those of the stage.", mend)
     if found is None:
-        state = "stop" if now.job.released else "attention"
-        return Check("Alignment", state, f"Not aligned: {len(marks.places)} corners to mark.", "Mark them.")
+        state, mend = ("stop", "Mark them.") if now.job.released else ("attention", "Mark them, or start without.")
+        return Check("Alignment", state, f"Not aligned: {len(marks.places)} corners to mark.", mend)
     fit = f"{found.n_marks} corners, residual {found.residual_um:.1f} um of {marks.limit_um:g} um"
     if found.residual_um > marks.limit_um:
         return Check("Alignment", "stop", f"{fit}: too large.", "Mark the named corners again.")
