@@ -1,0 +1,102 @@
+"""How long each tool takes to answer on a large stitched surface, at a place as people draw it and over all of it.
+
+    python tests/bench/bench_measure.py [--quick]
+
+A made-up wafer of 165 million points (--quick: 4 million). Seconds of the processor are given beside those of the
+clock: the first do not grow where the machine does other work as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from tests.bench.big_mosaic import WAFER_PX, big_dataset
+from tests.bench.tables import show
+from wafer_viewer.measure.levelled import Levelled, datum
+from wafer_viewer.measure.tools import measured
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.store.dataset import Dataset
+
+QUICK_PX = 2048
+DRAWN_SHARE = 0.02
+"""Of the surface's width: a region as people draw it."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true")
+    surface = Dataset.open(big_dataset(QUICK_PX if parser.parse_args().quick else WAFER_PX)).result().mosaic()
+    rows, cols = surface.shape
+    print(f"{rows * cols / 1e6:.0f} million points, {surface.levels} levels")
+    zeros = list(_zeros(surface))
+    show("A zero for the whole surface", ["heights from", "s", "s of the processor"], zeros)
+    flat = Levelled(surface, datum(surface, Levelling(by="form")))
+    for title, share in (("Drawn", DRAWN_SHARE), ("Over nearly all of it", 0.9)):
+        lines = [
+            [TOOLS[tool].title, *_timed(partial(measured, flat, tool, at, True))]
+            for tool, at in _places(surface, share).items()
+        ]
+        show(f"{title}, heights over the form", ["tool", "s", "s of the processor"], lines)
+
+
+def _zeros(surface: Mosaic) -> Iterator[list[str]]:
+    x, y, side = _middle(surface)
+    corners = ((x - side / 3, y), (x + side / 3, y), (x, y + side / 3))
+    for levelling in (
+        Levelling(by="three points", places=tuple(Region.point(*at) for at in corners)),
+        Levelling(by="plane"),
+        Levelling(by="region", places=(_square(x, y, 0.9 * side),)),
+        Levelling(by="form"),
+    ):
+        yield [levelling.by, *_timed(partial(datum, surface, levelling))]
+
+
+def _places(surface: Mosaic, share: float) -> dict[ToolName, tuple[Region, ...]]:
+    x, y, width = _middle(surface)
+    side = share * width
+    whole = _square(x, y, side)
+    halves = tuple(_square(x + shift * side, y, 0.45 * side) for shift in (-0.25, 0.25))
+    ends = tuple(Region.point(x + shift * side, y) for shift in (-0.5, 0.5))
+    return {
+        "profile": (Region.line(x - side / 2, y, x + side / 2, y),),
+        "point": ends[:1],
+        "distance": ends,
+        "step": halves,
+        "angle": halves,
+        "radius": (Region.circle(x, y, side / 3),),
+        "volume": (whole,),
+        "flatness": (whole,),
+        "texture": (whole,),
+    }
+
+
+def _middle(surface: Mosaic) -> tuple[float, float, float]:
+    """The middle of the surface and its shorter side, in um."""
+    rows, cols = surface.shape
+    x_um, y_um = surface.x0_um + cols / 2 * surface.pixel_um, surface.y0_um - rows / 2 * surface.pixel_um
+    return x_um, y_um, min(rows, cols) * surface.pixel_um
+
+
+def _square(x_um: float, y_um: float, side_um: float) -> Region:
+    return Region.rectangle(x_um - side_um / 2, y_um - side_um / 2, x_um + side_um / 2, y_um + side_um / 2)
+
+
+def _timed(work: Callable[[], object]) -> list[str]:
+    """Seconds by the clock and of the processor, or why there is no answer."""
+    begun, begun_cpu = time.perf_counter(), time.process_time()
+    try:
+        work()
+    except MeasureError as fault:
+        return ["-", f"{str(fault)[:48]}…"]
+    return [f"{time.perf_counter() - begun:.2f}", f"{time.process_time() - begun_cpu:.2f}"]
+
+
+if __name__ == "__main__":
+    main()
