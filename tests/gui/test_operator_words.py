@@ -81,6 +81,8 @@ def test_a_verdict_is_a_word_the_wafer_and_what_to_do(verdict, word, then):
     assert said.startswith(word)
     assert "W07 · L2231 · Coupon 6 mm B SIMULATED" in said
     assert then in said
+    assert "not released" not in said
+    assert "a trial: the job is not released" in words(card(replace(verdict, released=False)))
     hostile = replace(verdict, wafer_id="<img src=x>")
     assert "<img src=x>" not in card(hostile)
 

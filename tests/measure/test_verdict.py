@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import STEP_UM, gauge_blocks
-from wafer_viewer.measure.verdict import judge, judge_features, on_stage, overall, scans_needed, what_next
+from wafer_viewer.measure.verdict import (
+    LESS_WITH_REPEATS,
+    judge,
+    judge_features,
+    on_stage,
+    overall,
+    scans_needed,
+    what_next,
+)
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.quantities import Contribution, Length
 from wafer_viewer.model.region import Region
@@ -135,3 +143,8 @@ def test_what_cannot_be_measured_has_no_verdict_and_says_why():
     (uncalibrated,) = judge_features(gauge_blocks(1), [BLOCKS], None, calibration_valid=False)
     assert uncalibrated.word == "no verdict"
     assert "calibrate" in what_next([uncalibrated])
+
+
+def test_what_repeats_make_smaller_are_lines_of_a_steps_budget():
+    (item,) = judge_features(gauge_blocks(1), [BLOCKS], None, calibration_valid=True)
+    assert set(LESS_WITH_REPEATS) < {line.name for line in item.height.budget}

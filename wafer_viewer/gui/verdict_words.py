@@ -25,7 +25,8 @@ def card(verdict: WaferVerdict) -> str:
     """The word in the largest type of the page, with wafer and job, and what to do next."""
     word, sign, tone = LOOKS[verdict.word]
     simulated = '<em class="wv-sim">SIMULATED</em>' if verdict.simulated else ""
-    wafer = " · ".join(part for part in (verdict.wafer_id, verdict.lot, verdict.job) if part)
+    trial = "" if verdict.released else "a trial: the job is not released"
+    wafer = " · ".join(part for part in (verdict.wafer_id, verdict.lot, verdict.job, trial) if part)
     size = ' class="long"' if len(word) > 6 else ""
     return (
         f'<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'

@@ -50,7 +50,7 @@ class Judge:
 
     def _begin(self, subject: Subject | None) -> None:
         self._show(None, judging=subject is not None)
-        if subject is None:
+        if subject is None or subject != _subject(self._desk.now):
             return
         data, result = self._library.dataset, self._library.result
         done = self._at_work.submit(verdict_of, data, result, keep=self._library.shown.read_only is None)
