@@ -11,6 +11,7 @@ import pytest
 from tests.browser.stitched_session import GrowingSession, StitchedSession
 from tests.gui.stage_props import Browser
 from tests.gui.test_scene import settled, until
+from wafer_viewer.gui.quadtree import Node
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
@@ -210,3 +211,33 @@ def test_a_surface_without_overlaps_is_coloured_by_height_instead(browser: Brows
     settled(scene)
     assert shown[0] == "overlap"
     scene.close()
+
+
+def test_after_every_move_of_the_camera_tiles_cover_the_surface_once(
+    browser: Browser, growing: GrowingSession, scene: SceneView
+) -> None:
+    growing.grow(32)
+    scene.draw(growing.snapshot, VIEW)
+    settled(scene)
+    seen: list[int] = []
+    for x, y, away in ((0.0, 0.0, 0.3), (0.2, 0.1, 0.08), (-0.5, 0.2, 0.1), (0.0, 0.0, 3.0), (0.4, -0.2, 0.02)):
+        browser.camera.look_at = np.array([x, y, 0.05])
+        browser.camera.position = browser.camera.look_at + away * np.array([0.0, -0.6, 0.8])
+        browser.camera.moved[0](browser.camera)
+        until(lambda x=x: scene.pose is not None and scene.pose.look_at[0] == x and not scene.busy)
+        settled(scene)
+        spans = [_node(name).spans for name in browser.scene.names("/surface/") if "wall" not in name]
+        rows, cols = growing.shelf.surfaces[0].shape
+        covered = np.zeros((rows, cols), int)
+        for (r0, r1), (c0, c1) in spans:
+            covered[r0:r1, c0:c1] += 1
+        assert covered.max() <= 1
+        seen.append(len(spans))
+    assert max(seen) > seen[0] or max(seen) > 6
+
+
+def _node(name: str) -> Node:
+    """The node that a tile's name tells of: /surface/LEVEL/ROW_COL/SERIAL."""
+    _, _, level, place, _ = name.split("/")
+    row, col = place.split("_")
+    return Node(int(level), int(row), int(col))
