@@ -10,11 +10,11 @@ from PIL import Image
 
 from wafer_viewer.draw.colours import table
 from wafer_viewer.draw.print_picture import (
-    ATTENTION_SOFT,
     BAR_HIGH,
+    DARK,
     FOOT_SHARE,
-    INK,
     LEAST_HIGH,
+    LIGHT,
     MARGIN_SHARE,
     Caption,
     ColourKey,
@@ -59,14 +59,14 @@ def test_empty_rows_are_cut_off_but_for_a_margin_and_room_for_the_bar():
 @pytest.mark.parametrize("um_per_pixel", [0.031, 0.5, 17.0])
 def test_the_scale_bar_is_as_long_as_it_says(um_per_pixel: float):
     foot = a_picture(um_per_pixel=um_per_pixel)[HEIGHT:]
-    longest = max(_runs((foot == INK).all(axis=2)))
+    longest = max(_runs((foot == LIGHT.ink).all(axis=2)))
     length_um = longest * um_per_pixel
     nearest = min((m * 10.0**p for m in (1, 2, 5) for p in range(-2, 5)), key=lambda um: abs(um - length_um))
     assert length_um == pytest.approx(nearest, abs=6 * um_per_pixel)
 
 
 def test_simulated_stands_on_it_only_where_it_is_true():
-    plates = [(a_picture(simulated) == ATTENTION_SOFT).all(axis=2).sum() for simulated in (False, True)]
+    plates = [(a_picture(simulated) == LIGHT.plate).all(axis=2).sum() for simulated in (False, True)]
     assert plates[0] == 0
     assert plates[1] > 500
 
@@ -77,6 +77,13 @@ def test_the_bar_runs_from_the_low_colour_at_its_foot_to_the_high_one():
     rows = [np.flatnonzero((keyed == colour).all(axis=2).any(axis=1)) for colour in (highest, lowest)]
     assert 0 < rows[0].min() < rows[1].max() < BAR_HIGH * WIDTH + 120
     assert (plain[HEIGHT:] == keyed[HEIGHT:]).all()
+
+
+def test_what_was_drawn_for_a_dark_page_lies_on_dark_paper():
+    scene = np.zeros((HEIGHT, WIDTH, 4), np.uint8)
+    picture = print_picture(scene, 1.0, Caption("a", (), True), KEY, DARK)
+    assert tuple(picture[5, 5]) == DARK.paper
+    assert not (picture == LIGHT.paper).all(axis=2).any()
 
 
 def test_the_file_says_its_resolution():

@@ -83,10 +83,11 @@ class PrintPicture:
             ) from fault
 
     def _keep(self, rendered: NDArray[np.uint8], um_per_pixel: float, whole: bool) -> None:
-        from wafer_viewer.draw.print_picture import png, print_picture
+        from wafer_viewer.draw.print_picture import DARK, LIGHT, png, print_picture
 
         page, snapshot, view = self._page, self._page.session.snapshot, self._page.view
-        picture = print_picture(rendered, um_per_pixel, caption_of(snapshot, view), self._key(view))
+        paper = DARK if view.dark else LIGHT
+        picture = print_picture(rendered, um_per_pixel, caption_of(snapshot, view), self._key(view), paper)
         data = png(picture)
 
         def kept(path: Any) -> None:
