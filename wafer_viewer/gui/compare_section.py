@@ -96,9 +96,9 @@ class CompareSection:
         self._on_show = gui.add_folder(None, visible=False)
         with self._on_show:
             self._faces = Choice(gui, "Look at", words.FACES, self._choose_face)
-            self._told = Cell(gui)
             close = button(gui, "Close comparison", ICON.X, lambda _: self.close())
-            in_a_row(gui, [close], 34)
+            in_a_row(gui, [close])
+            self._told = Cell(gui)
 
     # --- what a person does
 
@@ -172,7 +172,7 @@ def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> str:
     )
     head = f'<div class="wv-h">Compare<span>{link}</span></div>'
     rows = [_row(c, chosen=known is not None and c.number == known.number) for c in snapshot.comparisons]
-    return head + (html.table((), rows, " n") if rows else "")
+    return head + (html.table((), rows, " n") + '<div style="height:8px"></div>' if rows else "")
 
 
 def _fold_word(unfolded: bool) -> str:
