@@ -130,7 +130,14 @@ def draft_of(job: Job | None) -> Draft:
 
 
 RIG = RigStatus(
-    state="ready", x_um=-312.0, y_um=145.0, z_um=2043.1, limits=LIMITS, calibration=CALIBRATION, setup=SETUP
+    state="ready",
+    x_um=-312.0,
+    y_um=145.0,
+    z_um=2043.1,
+    limits=LIMITS,
+    calibration=CALIBRATION,
+    setup=SETUP,
+    homed=True,
 )
 
 
@@ -154,7 +161,7 @@ def an_overview() -> Overview:
 
 
 def empty() -> Snapshot:
-    return Snapshot(rig=RIG, data_folder=DATA, overview=an_overview(), draft=draft_of(None))
+    return Snapshot(rig=RIG, data_folder=DATA, overview=an_overview(), draft=draft_of(None), compute_ready=True)
 
 
 def planned() -> Snapshot:

@@ -105,6 +105,19 @@ def operated(make: Callable[[], Any], step: str = "plan", *then: Act) -> Screen:
     return Screen(lambda: operator.OperatorSession(make()), step, then=then)
 
 
+def watched(make: Callable[[], Any]) -> FakeSession:
+    """A session whose controls somebody else holds."""
+    session = FakeSession(make())
+    session.control.arrive("another", "K. Adler")
+    return session
+
+
+def reopened() -> Any:
+    """A plan that was opened again after a restart."""
+    now = fake.planned()
+    return dataclasses.replace(now, draft=dataclasses.replace(now.draft, confirmed=False))
+
+
 def stitched(rows: int, cols: int, **chosen: object) -> Screen:
     """A stitched surface, with how its fields were placed."""
     at = (bring_into_sight("Stitching"),)
@@ -152,6 +165,8 @@ SCREENS: dict[str, Screen] = {
     "read-only": still(lambda: read_only(fake.measured()), "measure"),
     **{name.partition("-")[2]: operated(*screen) for name, screen in operator.SCREENS.items()},
     "surface": Screen(noted, "surface", seen=True),
+    "watching": Screen(lambda: watched(fake.scanning), "acquire"),
+    "reopened": still(reopened, "plan"),
     "points": Screen(noted, "surface", {"look": "points"}, seen=True),
     "seen-from-above": Screen(noted, "surface", {"look": "plan"}, seen=True),
     "slope": Screen(noted, "surface", {"colour_by": "slope"}, seen=True),

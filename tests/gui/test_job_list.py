@@ -13,7 +13,8 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.notices import Notices, seconds_left
 from wafer_viewer.session.state import Snapshot, Work
 
-READY = dataclasses.replace(fake.planned(), compute_ready=True)
+READY = fake.planned()
+STARTING = dataclasses.replace(READY, compute_ready=False)
 WORK = Work("w1", "Heights of the fields")
 
 
@@ -32,8 +33,8 @@ def test_a_job_says_how_it_stands(changes, said):
 
 
 def test_nothing_is_at_work_before_there_are_workers():
-    assert state_of(WORK, fake.planned()) == "waits for the workers"
-    assert state_of(dataclasses.replace(WORK, fraction=0.1), fake.planned()) == "10\u202f%"
+    assert state_of(WORK, STARTING) == "waits for the workers"
+    assert state_of(dataclasses.replace(WORK, fraction=0.1), STARTING) == "10\u202f%"
 
 
 def test_a_name_from_a_file_is_harmless_and_a_job_that_is_being_stopped_has_no_cross():
