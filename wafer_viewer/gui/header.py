@@ -173,5 +173,5 @@ def _pill(rig: RigStatus) -> str:
     word = "SIMULATED" if rig.simulated else "REAL"
     return (
         f'<span class="wv-pill {colour}" title="{safe(rig.message)}"><i></i><span><em>{word}</em> · '
-        f"{safe(rig.name)} · {safe(rig.state)}</span></span>"
+        f'<u title="{safe(rig.name)}">{safe(rig.name)}</u> · {safe(rig.state)}</span></span>'
     )

@@ -54,7 +54,7 @@ RGB_OF_TONE = {"attention": (217, 130, 0), "fault": (180, 35, 24), "busy": (11, 
 HEADER_PX, LEFT_PX, RIGHT_PX = 56, 300, 404
 PROFILE_PX = 268
 """Height of the bottom panel with a curve in it."""
-STEP_PX, NARROW_STEP_PX, NARROW_WINDOW_PX = 116, 96, 1400
+STEP_PX, NARROW_STEP_PX, NARROW_WINDOW_PX = 116, 96, 1460
 
 
 def palette(dark: bool) -> dict[str, str]:
