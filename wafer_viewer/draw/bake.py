@@ -61,16 +61,19 @@ VALUES: dict[Quantity, Callable[[HeightMap, Light], NDArray[np.float32]]] = {
 """What each quantity of `QUANTITIES` is at every pixel; NaN where it is not known."""
 
 
-def bake(part: HeightMap, look: Look, light: Light) -> Picture:
-    """The picture of a height map as it should appear, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn."""
-    heights = without_gaps(part.z_um)
-    colour = _with_image(_coloured(part, look, light), part, look.all_in_focus)
+def bake(part: HeightMap, look: Look, light: Light, filled_um: NDArray[np.float32] | None = None) -> Picture:
+    """The picture of a height map as it should appear, uint8 rgba [row, col, 4]; alpha 0 where nothing is drawn.
+
+    filled_um: its heights `without_gaps`, for who has them already.
+    """
+    heights = without_gaps(part.z_um) if filled_um is None else filled_um
+    colour = _with_image(_coloured(part, look, light, heights), part, look.all_in_focus)
     lit = _lit(colour, shade(heights, part.pixel_um, light.gain, light.span_um), look.hillshade)
     shown = np.isfinite(part.z_um) if look.colour_by != "origin" else part.origin != Origin.NOT_COVERED
     return np.dstack([lit.astype(np.uint8), np.where(shown, 255, 0).astype(np.uint8)])
 
 
-def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
+def _coloured(part: HeightMap, look: Look, light: Light, heights: NDArray[np.float32]) -> NDArray[np.float32]:
     """Colours 0 ... 255 before light; a gap takes its neighbour's, so that filtering at its edge finds no stranger."""
     if look.colour_by == "origin":
         return origin_table()[part.origin].astype(np.float32)
@@ -78,7 +81,7 @@ def _coloured(part: HeightMap, look: Look, light: Light) -> NDArray[np.float32]:
     if look.colour_by == "overlap":
         known = np.isfinite(values)
         return np.where(known[..., None], _by_value(np.where(known, values, 0), look), np.array(ELSEWHERE, np.float32))
-    return _by_value(without_gaps(values), look)
+    return _by_value(heights if values is part.z_um else without_gaps(values), look)
 
 
 def _by_value(values: NDArray[np.float32], look: Look) -> NDArray[np.float32]:

@@ -28,8 +28,9 @@ def _baked(shelf: Shelf, request: PaintRequest) -> tuple[HeightMap, NDArray[np.f
     margin = tuple(slice(max(0, a - _MARGIN_PX), b + _MARGIN_PX) for a, b in (request.rows, request.cols))
     around = levelled(at_level(surface, request.level, (margin[0], margin[1])), request.datum)
     inner = slice(r0 - margin[0].start, r1 - margin[0].start), slice(c0 - margin[1].start, c1 - margin[1].start)
-    picture = bake(around, request.look, request.light)[inner]
-    return around.crop(*inner), without_gaps(around.z_um)[inner], picture
+    heights = without_gaps(around.z_um)
+    picture = bake(around, request.look, request.light, heights)[inner]
+    return around.crop(*inner), heights[inner], picture
 
 
 def tile(shelf: Shelf, request: PaintRequest) -> bytes:
