@@ -7,7 +7,7 @@ import pytest
 
 from tests.session.compared_datasets import BUMP_UM, SHIFT_UM, two_datasets
 from wafer_viewer.model.comparison import Face, SurfaceName, show_of
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.subtraction import face_of, opened, subtract
@@ -130,6 +130,15 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         assert [c.name for c in session.snapshot.comparisons] == ["difference-before-cleaned"]
         with pytest.raises(DatasetError, match="comparison is gone"):
             session.read_out(430, 470, show)
+
+        pending = session.comparing.begin(*pairs[0])
+        work = session.wait_until(lambda now: bool(now.works), patience_s).works[-1]
+        assert (work.title, work.cancellable) == ("Compare with after", True)
+        session.cancel(work.id).result(patience_s)
+        with pytest.raises(ComputeError, match="was stopped"):
+            pending.result(patience_s)
+        session.wait_until(lambda now: not now.works, patience_s)
+        assert Dataset.open(before).differences() == ("difference-before-cleaned",)
 
         session.close_dataset().result(patience_s)
         assert session.snapshot.comparisons == ()
