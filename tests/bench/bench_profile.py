@@ -2,11 +2,11 @@
 
     python tests/bench/bench_profile.py [--quick] [--side PIXELS]
 
-The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. A handle of
-the line is taken hold of and moved as a hand does; all times are of the browser's own clock, from its event of the
-move: `changed`, until the new curve stands in the page, `drawn`, until the browser has drawn the frame that shows it.
-One move at a time, then moves 16 ms apart for a second: `followed` is how many curves were drawn in that second.
-The goal is 0.1 s. --quick: fewer moves; --side: another mosaic, 12850 for the paper's wafer.
+The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. A handle
+of the line is taken hold of and moved as a hand does; times are of the browser's own clock, from its event of the move:
+`changed`, until the new curve stands in the page, `drawn`, until the browser has drawn the frame that shows it. One
+move at a time, then moves 16 ms apart: how many curves were drawn in a second of that. The viewer's processor time is
+that of one move. The goal is 0.1 s. --quick: fewer moves; --side: another mosaic, 12850 for the paper's wafer.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ CURVE = "path[data-curve=A]"
 WATCH = """
 window.moves = [];
 let asked = null, before = '';
-addEventListener('pointermove', () => { asked ??= [performance.now(), before]; }, true);
+addEventListener('pointermove', event => { if (event.buttons) asked ??= performance.now(); }, true);
 const curve = () => document.querySelector('path[data-curve=A]')?.getAttribute('d') ?? '';
 new MutationObserver(() => {
   const now = curve();
   if (!now || now === before) return;
   before = now;
   if (!asked) return;
-  const [at] = asked, changed = performance.now();
+  const at = asked, changed = performance.now();
   asked = null;
   requestAnimationFrame(() => setTimeout(() => window.moves.push([changed - at, performance.now() - at]), 0));
 }).observe(document, {childList: true, subtree: true, characterData: true});
@@ -56,11 +56,12 @@ new MutationObserver(() => {
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Seconds of each move, and curves drawn in a second of moving on and on."""
+    """Seconds of each move, curves drawn in a second of moving on and on, the viewer's processor seconds a move."""
 
     changed_s: list[float]
     drawn_s: list[float]
-    followed: int
+    followed_hz: float
+    cpu_s: float
     n_points: int
 
 
@@ -82,7 +83,7 @@ def measured(dataset: Path, n_moves: int) -> Figures:
             page = browser.new_context(viewport=SIZE).new_page()
             page.add_init_script(WATCH)
             begin(page, viewer.address, dataset)
-            figures = moved(page, n_moves)
+            figures = moved(page, viewer, n_moves)
             browser.close()
             return figures
     finally:
@@ -104,28 +105,31 @@ def begin(page: Page, address: str, dataset: Path) -> None:
     page.wait_for_timeout(3 * REST_MS)
 
 
-def moved(page: Page, n_moves: int) -> Figures:
+def moved(page: Page, viewer: Viewer, n_moves: int) -> Figures:
     """Take hold of the line's right end and move it up and down."""
     x, y = right_handle(page)
     page.mouse.move(x, y)
     page.mouse.down()
+    before_s = viewer.cpu_s()
     for k in range(n_moves):
         page.mouse.move(x - 3, y - 12 * (1 + k % 6))
         page.wait_for_timeout(REST_MS)
+    cpu_s = (viewer.cpu_s() - before_s) / n_moves
     answers = page.evaluate("window.moves")
-    followed = drag_on(page, x, y)
+    followed_hz = drag_on(page, x, y)
     page.mouse.up()
     changed, drawn = ([answer[n] / 1e3 for answer in answers] for n in (0, 1))
-    return Figures(changed, drawn, followed, n_points(page))
+    return Figures(changed, drawn, followed_hz, cpu_s, n_points(page))
 
 
-def drag_on(page: Page, x: float, y: float) -> int:
-    """Curves drawn while the handle moves for a second."""
-    before = page.evaluate("window.moves.length")
+def drag_on(page: Page, x: float, y: float) -> float:
+    """Curves drawn in a second while the handle moves on and on."""
+    before, began = page.evaluate("[window.moves.length, performance.now()]")
     for k in range(60):
         page.mouse.move(x - 3, y - k)
         page.wait_for_timeout(16)
-    return page.evaluate("window.moves.length") - before
+    after, ended = page.evaluate("[window.moves.length, performance.now()]")
+    return (after - before) / (ended - began) * 1e3
 
 
 def right_handle(page: Page) -> tuple[float, float]:
@@ -157,7 +161,10 @@ def show_figures(figures: Figures, side: int, load: float) -> None:
     ]
     title = f"A profile of {figures.n_points} points on {side} x {side}, s from the handle's move, load {load:.1f}"
     show(title, ("until", "median", "worst", f"goal {GOAL_S:g} s"), rows)
-    print(f"  {len(figures.drawn_s)} moves; {figures.followed} curves drawn in a second of moving on")
+    print(
+        f"  {len(figures.drawn_s)} moves; {figures.followed_hz:.1f} curves drawn in a second of moving on; "
+        f"{1e3 * figures.cpu_s:.0f} ms of the viewer's processor time a move"
+    )
 
 
 if __name__ == "__main__":

@@ -87,6 +87,13 @@ def test_only_the_line_that_moved_is_measured_again(page):
     assert len(measured(page, curves, again)) == 2
 
 
+def test_a_moved_handle_has_its_curve_before_the_line_is_drawn(page):
+    curves, told = Curves(page), []
+    curves.on_news(lambda: told.append(len(curves.sections)))
+    curves.follow()
+    assert told == [2]
+
+
 def test_the_active_line_alone_is_compared(page):
     curves = Curves(page)
     measured(page, curves)
@@ -110,8 +117,10 @@ def test_where_another_surface_has_no_heights_the_page_says_so(page):
 
 def test_nothing_is_measured_while_no_profile_is_looked_at(page):
     curves = Curves(page)
-    curves.show(SNAPSHOT, changed(page.view, tool="step"))
-    curves.show(SNAPSHOT, changed(page.view, step="surface"))
+    for away in ({"tool": "step"}, {"tool": "profile", "step": "surface"}):
+        page.change(**away)
+        curves.show(SNAPSHOT, page.view)
+    page.change(step="measure")
     measured(page, curves)
     assert len(page.session.sections.asked) == 2
 

@@ -45,6 +45,7 @@ from wafer_viewer.gui.viewpoint import Viewpoint
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
 from wafer_viewer.gui.why_panel import WhyPanel
+from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
@@ -161,6 +162,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     page.on_pick("tool", measure.use)
     page.on_pick("look", scene.look_from)
     _listen_to_scene(page, scene, read_out, why)
+    _listen_to_lines(page, scene, curves)
     of_parts = [*welcome.commands(), *review.commands(), *report.commands(), *left.compare.commands()]
     _add_verbs(page, scene, [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))])
     page.on_close(measure.close)
@@ -178,12 +180,19 @@ def _add_verbs(page: Page, scene: SceneView, of_parts: list[Command]) -> None:
     add_hints(page.gui)
 
 
+def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
+    def moved(lines: tuple[Region, ...], line: int) -> None:
+        page.change(lines=lines, line=line, selected=None)
+        curves.follow()
+
+    scene.on_lines(guarded(page, "The surface was not read")(moved))
+
+
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
     """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
     clicks = Latest("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"
-    scene.on_lines(guarded(page, failed)(lambda lines, line: page.change(lines=lines, line=line, selected=None)))
     scene.on_places(guarded(page, failed)(lambda places: page.change(places=places, selected=None)))
     scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
 

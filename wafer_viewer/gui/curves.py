@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -13,6 +14,8 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import Profile
 from wafer_viewer.model.sections import Section, SectionAsked
 from wafer_viewer.session.state import Snapshot
+
+_NOT_FELT_S = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,7 @@ class Curves:
         self._asked: object = None
         self._surface: object = None
         self._line = 0
+        self._lock, self._measured = threading.Lock(), threading.Event()
         self._news: Callable[[], None] = lambda: None
         self.sections: tuple[Section, ...] = ()
         self.problems: tuple[str, ...] = ()
@@ -62,13 +66,28 @@ class Curves:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Have whatever changed measured; nothing while no profile is looked at."""
-        if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
-            return
-        self._line = view.line
-        surface = _stamp(snapshot, view.show)
-        wanted = tuple(_asked(view))
-        if (surface, wanted) != self._asked:
+        self._ask(snapshot)
+
+    def follow(self) -> None:
+        """A handle has moved: have its curve sent now, before its line is, so that one frame shows both.
+
+        Waits for it no longer than a hand could feel.
+        """
+        self._ask(self._page.session.snapshot)
+        self._measured.wait(_NOT_FELT_S)
+
+    def _ask(self, snapshot: Snapshot) -> None:
+        """For the newest view: the page may be drawing an older one while a handle moves."""
+        with self._lock:
+            view = self._page.view
+            if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
+                return
+            self._line = view.line
+            surface, wanted = _stamp(snapshot, view.show), tuple(_asked(view))
+            if (surface, wanted) == self._asked:
+                return
             self._asked = surface, wanted
+            self._measured.clear()
             measure = guarded(self._page, "The measurement stopped")(self._measure)
             self._worker.ask(lambda: measure(surface, wanted))
 
@@ -80,6 +99,7 @@ class Curves:
         self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
         self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
         self._news()
+        self._measured.set()
         self._page.redraw()
 
     def _section(self, asked: SectionAsked) -> Section | Missing:
