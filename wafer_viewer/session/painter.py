@@ -118,10 +118,11 @@ _STORE = _StoreShelf()
 
 @lru_cache(maxsize=12)
 def _surface(source: Source) -> Mosaic:
-    from wafer_viewer.session.subtraction import face_of
     from wafer_viewer.store.dataset import Dataset
 
     if source.show < 0:
+        from wafer_viewer.session.subtraction import face_of
+
         return face_of(source.dataset, source.result, Face(-source.show))
     dataset = Dataset.open(source.dataset)
     result = dataset.result(source.result)
