@@ -67,6 +67,7 @@ class SceneView:
         self._shown: Contents | None = None
         self._place: Hashable = None
         self._stands: Hashable = None
+        self._handled: object = None
         self._errand: Errand | None = None
         self._first_pose: Pose | None = None
         self._print_px: int | None = None
@@ -267,8 +268,10 @@ class SceneView:
         seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
         whole = self._stage.show((*seen, *contents.items), contents.stretch)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
-        if whole or contents.on_show is None:
+        handled = view, snapshot.findings, contents.on_show
+        if whole or handled != self._handled:  # handles do not wait for the last tile
             self._tools.show(view, contents.on_show, self._book, snapshot.findings)
+            self._handled = handled
         return whole and not contents.awaits_more
 
     @property
