@@ -5,15 +5,35 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from PIL import Image
 
 from tests.draw.made_up_sections import hill, section_of
 from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
-from wafer_viewer.draw.profile_frame import frame_of, runs, thinned
+from wafer_viewer.draw.profile_frame import frame_of, round_ends, runs, thinned
 from wafer_viewer.draw.profile_picture import HEIGHT_PX, WIDTH_PX, profile_png
 from wafer_viewer.draw.profile_plot import profile_plot_html
 
 rng = np.random.default_rng(3)
+
+
+curves = arrays(np.float64, st.integers(2, 3000), elements=st.floats(-100, 100) | st.just(np.nan))
+
+
+@given(curves, st.integers(2, 400))
+def test_a_thinned_curve_keeps_its_extremes_whatever_it_holds(z, most):
+    x, shown = thinned(np.arange(len(z), dtype=float), z, most)
+    assert len(x) == len(shown) <= (len(z) if len(z) <= most else most)
+    assert (np.diff(x) >= 0).all()
+    if np.isfinite(z).any():
+        assert np.nanmax(shown) == np.nanmax(z)
+        assert np.nanmin(shown) == np.nanmin(z)
+        low, high = round_ends(shown)
+        assert low < np.nanmin(z) <= np.nanmax(z) < high
+    else:
+        assert np.isnan(shown).all()
 
 
 @pytest.mark.parametrize("n", [2, 99, 100, 101, 1007, 6000])

@@ -6,11 +6,9 @@ import html as stdlib_html
 from concurrent.futures import Future
 from datetime import datetime, timedelta, timezone
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
 from tests.browser import fake_session as fake
 from tests.browser import seen_session as seen
@@ -19,7 +17,6 @@ from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.header import STEPS, done, possible
-from wafer_viewer.gui.profile_dock import MOST_PIECES, PIECES_STEP, pieces, thinned, y_range
 from wafer_viewer.gui.style import DARK, LIGHT, sheet
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
@@ -78,30 +75,6 @@ def test_the_budget_ends_with_the_combined_and_the_expanded_uncertainty():
     words = measure_words.budget(step.main)
     assert "Flatness of the regions" in words
     assert "0.155 · 0.310" in words
-
-
-curves = arrays(np.float64, st.integers(2, 3000), elements=st.floats(-100, 100) | st.just(np.nan))
-
-
-@given(curves, st.integers(2, 400))
-def test_a_thinned_curve_keeps_its_extremes_and_its_order(z, most):
-    x, shown = thinned(np.arange(len(z), dtype=float), z, most)
-    assert len(x) == len(shown) <= max(most, len(z) if len(z) <= most else 0)
-    assert (np.diff(x) >= 0).all()
-    if np.isfinite(z).any():
-        assert np.nanmax(shown) == np.nanmax(z)
-        assert np.nanmin(shown) == np.nanmin(z)
-        low, high = y_range(shown)
-        assert low < np.nanmin(z) <= np.nanmax(z) < high
-    else:
-        assert np.isnan(shown).all()
-
-
-def test_a_gap_stays_a_gap():
-    z = np.ones(4000)
-    z[1000:2000] = np.nan
-    x, shown = thinned(np.arange(4000.0), z, 400)
-    assert np.isnan(shown[(x > 1050) & (x < 1950)]).all()
 
 
 def test_a_step_is_possible_when_it_has_contents():
@@ -176,27 +149,6 @@ def test_the_guard_tells_what_nobody_foresaw(caplog):
     guarded(told, "The grid stays")(lambda: 1 / 0)()
     assert "did not foresee: division by zero" in told.faults[0].text
     assert "ZeroDivisionError" in caplog.text
-
-
-def test_measured_pieces_are_drawn_apart_and_nothing_is_lost():
-    z = np.array([1.0, 2.0, np.nan, np.nan, 3.0, np.nan, 4.0, 5.0])
-    apart = pieces(z)
-    assert len(apart) == PIECES_STEP
-    assert [np.flatnonzero(np.isfinite(p)).tolist() for p in apart[:3]] == [[0, 1], [4], [6, 7]]
-    assert not np.isfinite(apart[3:]).any()
-    np.testing.assert_array_equal(np.nansum(apart, axis=0), np.nan_to_num(z))
-
-
-def test_with_many_gaps_the_widest_stay_open():
-    z = np.tile([1.0, np.nan], 200)
-    z[100:140] = np.nan
-    apart = pieces(z)
-    assert len(apart) == MOST_PIECES
-    assert not any(np.isfinite(p[:100]).any() and np.isfinite(p[140:]).any() for p in apart)
-
-
-def test_a_curve_without_a_point_has_no_pieces():
-    assert not np.isfinite(pieces(np.full(5, np.nan))).any()
 
 
 def test_every_verdict_says_in_words_what_its_sign_says():
