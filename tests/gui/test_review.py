@@ -1,0 +1,80 @@
+"""What is under review as data, and views as they are kept and taken up again."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from tests.browser import fake_session as fake
+from tests.browser import operator_session as operator
+from wafer_viewer.gui.camera import Pose
+from wafer_viewer.gui.field_map import field_at
+from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
+from wafer_viewer.gui.saved_views import LOOKED, choices, saved
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.notebook import Judgement, Notebook
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.notebook_state import NotebookState
+
+POSE = Pose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
+
+
+def judged(*judgements: Judgement):
+    return dataclasses.replace(fake.measured(), notebook=NotebookState(Notebook(judgements=judgements)))
+
+
+def test_results_are_items_with_their_place_numbers_and_judgement():
+    first, second = review_items(judged(Judgement(key="result 2", verdict="rejected", note="burr")))
+    assert (first.key, first.sign, first.title) == ("result 1", "S1", "Die to trench")
+    assert first.box_um == (0.0, -120.0, 80.0, 60.0)
+    assert first.rows[0] == ("Height", "11.86", "0.31", "µm")
+    assert (first.judgement.verdict, second.judgement.note) == ("open", "burr")
+
+
+def test_features_of_a_released_job_come_first_with_the_word_of_the_instrument():
+    items = review_items(operator.judged(operator.FAIL))
+    assert [item.sign for item in items[:2]] == ["F1", "F2"]
+    assert items[0].said.startswith("FAIL. ")
+    assert {"Height", "Lower limit", "Upper limit"} <= {row[0] for row in items[0].rows}
+    x0, y0, x1, y1 = items[0].box_um
+    assert x0 < x1
+    assert y0 < y1
+
+
+def test_a_filter_lists_what_is_open_or_was_rejected():
+    now = judged(Judgement(key="result 1", verdict="accepted"), Judgement(key="result 2", verdict="rejected"))
+    assert [item.key for item in review_items(now, "rejected")] == ["result 2"]
+    assert review_items(now, "open") == ()
+
+
+def test_going_on_runs_round_the_ends_and_starts_at_either():
+    items = review_items(fake.measured())
+    keys = [item.key for item in items]
+    assert neighbour(items, keys[-1], 1).key == keys[0]
+    assert neighbour(items, keys[0], -1).key == keys[-1]
+    assert neighbour(items, "gone", 1).key == keys[0]
+    assert neighbour((), None, 1) is None
+    assert chosen_item(fake.measured(), "gone").key == keys[0]
+
+
+def test_a_view_is_kept_and_taken_up_again_as_it_was():
+    view = View(step="surface", look="plan", colour_by="slope", range_um=(1.0, 5.0), exaggeration=7.0, show=3)
+    kept = saved(view, POSE, "near")
+    assert kept.position_mm == (0.1, -0.9, 0.8)
+    assert dataclasses.replace(View(step="surface"), **choices(kept, fake.measured())) == view
+    assert set(LOOKED) == set(choices(kept, fake.measured()))
+
+
+def test_a_view_of_a_field_that_is_gone_or_in_words_of_another_version_still_opens():
+    kept = replace(saved(View(show=99), POSE, ""), look="hologram")
+    taken = choices(kept, fake.measured())
+    assert taken["show"] == 0
+    assert taken["look"] == "surface"
+
+
+def test_the_field_under_a_place_is_the_one_whose_centre_is_nearest():
+    now, view = fake.measured(), View(step="surface")
+    first = now.dataset.fields[0]
+    assert field_at(now, view, first.x_um + 5, first.y_um - 5) == first
+    assert field_at(now, view, 1e6, 0.0) is None
