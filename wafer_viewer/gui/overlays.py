@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
@@ -11,6 +14,7 @@ from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
 from wafer_viewer.session.questions import ReadOut
 from wafer_viewer.session.state import ScanProgress, Snapshot
@@ -20,6 +24,14 @@ SHORT_NAME = 24
 BAR_PX = 150
 """The scale bar is at most this long."""
 READ_OUT_PX = 60
+OVER: dict[LevelBy, str] = {
+    "stage": "",
+    "three points": "over three points",
+    "plane": "over its plane",
+    "region": "over the region",
+    "form": "over its form",
+}
+"""From what a height is read, where that is not the stage's zero."""
 NARROW_SCENE_PX = 740
 """Scale bar with all its words and read-out lie side by side from this width on."""
 
@@ -66,11 +78,14 @@ class ReadOutBox:
 
     def at(self, x_um: float, y_um: float) -> None:
         """Read the surface at a place; on a thread that may wait."""
-        view = self._page.view
-        read = self._page.session.read_out(x_um, y_um, view.show)
+        view, session = self._page.view, self._page.session
+        read = session.read_out(x_um, y_um, view.show)
+        if read.z_um is not None and view.levelling.by != "stage":
+            zero = session.datum(view.levelling, view.show).at(np.array([x_um]), np.array([y_um]))
+            read = replace(read, z_um=read.z_um - float(zero[0]))
         place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
-        self._text = f'{place}{_height(read)}<br><span class="dim">{_trust(read)}</span>&ensp;'
-        self._of = _surface(self._page.session.snapshot, view)
+        self._text = f'{place}{_height(read, view)}<br><span class="dim">{_trust(read)}</span>&ensp;'
+        self._of = _surface(session.snapshot, view)
         self._page.redraw()
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -84,12 +99,15 @@ class ReadOutBox:
 
 def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     stamp = snapshot.surface.stamp if snapshot.surface else None
-    return (snapshot.dataset.path if snapshot.dataset else None, view.show, stamp)
+    return (snapshot.dataset.path if snapshot.dataset else None, view.show, view.levelling, stamp)
 
 
-def _height(read: ReadOut) -> str:
-    """The height; where there is none, nothing: the reason stands below."""
-    return "" if read.z_um is None else f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>&ensp;"
+def _height(read: ReadOut, view: View) -> str:
+    """The height, and over what it is; where there is none, nothing: the reason stands below."""
+    if read.z_um is None:
+        return ""
+    over = f' <span class="dim">{OVER[view.levelling.by]}</span>' if view.levelling.by != "stage" else ""
+    return f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>{over}&ensp;"
 
 
 def _trust(read: ReadOut) -> str:

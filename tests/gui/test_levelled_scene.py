@@ -1,0 +1,156 @@
+"""A surface over a zero of the operator's choice: how it is drawn, coloured and read; colours by what is in view."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.gui.stage_props import Browser
+from tests.gui.stand_in import MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
+from tests.gui.test_scene import settled, until
+from wafer_viewer.draw.look import Look
+from wafer_viewer.gui.contents import OnShow
+from wafer_viewer.gui.overlays import ReadOutBox
+from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.levelling import Datum, Levelling
+from wafer_viewer.model.surface import Origin
+from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
+from wafer_viewer.session.painting import paint
+from wafer_viewer.session.questions import ReadOut
+
+PIXEL_UM, SIDE, TILT = 2.0, 400, 0.05
+BY_PLANE = Levelling(by="plane")
+PLANE = Datum(powers=((0, 0), (1, 0)), coefficients=(5.0, TILT))
+
+
+def tilted() -> Any:
+    """A tilted surface, 12 um higher in a square in its middle."""
+    x = (np.arange(SIDE) - (SIDE - 1) / 2) * PIXEL_UM
+    z = 5.0 + TILT * x[None, :] + np.zeros((SIDE, 1))
+    z[150:250, 150:250] += 12.0
+    z += np.random.default_rng(1).normal(0, 0.05, z.shape)
+    return height_map(z, PIXEL_UM, float(x[0]), -float(x[0]))
+
+
+JOB, PLAN = job_and_plan(grid(2, 2))
+SNAPSHOT = snapshot_of(tilted(), PLAN, JOB)
+
+
+class Levelled(StandIn):
+    """Finds the same plane each time it is asked for one."""
+
+    def datum(self, levelling: Levelling, show: int = 0) -> Datum:
+        return PLANE
+
+
+@pytest.fixture
+def browser() -> Browser:
+    return Browser()
+
+
+@pytest.fixture
+def scene(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> Iterator[SceneView]:
+    monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
+    session, faults = Levelled(MemoryShelf({0: tilted()})), list[Exception]()
+    made = SceneView(browser, session, faults.append)  # pyright: ignore[reportArgumentType]
+    yield made
+    made.close()
+    session.close()
+    assert faults == []
+
+
+def on_show(scene: SceneView, view: View) -> OnShow:
+    """What the scene says of its colours when it has drawn a view."""
+    heard: list[OnShow] = []
+    scene.on_scale(lambda shown: heard.append(shown) if shown else None)
+    scene.draw(SNAPSHOT, view)
+    until(lambda: heard)
+    settled(scene)
+    return heard[-1]
+
+
+def test_heights_are_drawn_over_the_zero_that_was_chosen(scene: SceneView) -> None:
+    by_stage = on_show(scene, View(step="surface"))
+    levelled = on_show(scene, View(step="surface", levelling=BY_PLANE))
+    assert by_stage.datum is None
+    assert levelled.datum == PLANE
+    assert (by_stage.scale.low, by_stage.scale.high) == pytest.approx((-15.0, 25.0), abs=1.0)
+    assert (levelled.scale.low, levelled.scale.high) == pytest.approx((0.0, 12.0), abs=0.5)
+
+
+def test_colours_run_between_the_heights_that_are_in_view(browser: Browser, scene: SceneView) -> None:
+    on_show(scene, View(step="surface", levelling=BY_PLANE))
+    browser.camera.look_at = np.array([0.0, 0.0, 0.0])
+    browser.camera.position = np.array([0.0, -0.001, 0.3])
+    told: list[tuple[float, float]] = []
+    scene.range_in_view(told.append)
+    until(lambda: told)
+    assert told[0] == pytest.approx((12.0, 12.0), abs=0.3)
+
+
+def test_the_camera_flies_to_a_rectangle_and_tells_what_it_sees(browser: Browser, scene: SceneView) -> None:
+    assert scene.pose is None
+    on_show(scene, View(step="surface"))
+    scene.look_from("top")
+    settled(scene)
+    scene.fly_to((-50.0, 20.0, 50.0, 90.0))
+    settled(scene)
+    corners = np.array(scene.seen_um())
+    assert corners.min(axis=0)[0] < -50 < 50 < corners.max(axis=0)[0]
+    assert np.ptp(corners, axis=0).max() < 400
+    pose = scene.pose
+    assert pose is not None
+    scene.look_from("all")
+    settled(scene)
+    scene.go_to(pose)
+    settled(scene)
+    assert np.allclose(browser.camera.position, pose.position)
+
+
+def test_a_print_gets_more_pixels_than_the_screen(browser: Browser, scene: SceneView) -> None:
+    on_show(scene, View(step="surface"))
+    before = {name.split("/")[2] for name in browser.scene.names("/surface/")}
+    assert scene.settle(8 * browser.camera.image_width, 30.0)
+    finest = min(int(level) for name in browser.scene.names("/surface/") if (level := name.split("/")[2]).lstrip("-"
+                 ).isdigit())  # fmt: skip
+    assert finest < min(int(level) for level in before if level.lstrip("-").isdigit())
+    assert scene.settle(None, 30.0)
+
+
+def test_the_read_out_is_over_the_chosen_zero_and_says_so() -> None:
+    shown: list[str] = []
+    view = View(step="surface", levelling=BY_PLANE)
+    session = SimpleNamespace(
+        read_out=lambda x, y, show: ReadOut(20.0, 0.9, Origin.MEASURED), datum=lambda *_: PLANE, snapshot=SNAPSHOT
+    )
+    page = SimpleNamespace(view=view, session=session, redraw=lambda: None)
+    box = object.__new__(ReadOutBox)
+    box._page, box._glass = page, SimpleNamespace(show=lambda text, **_: shown.append(text))  # type: ignore
+    box.at(100.0, 30.0)
+    box.show(SNAPSHOT, view)
+    assert "+10.00" in shown[-1]
+    assert "over its plane" in shown[-1]
+    box.show(SNAPSHOT, dataclasses.replace(view, levelling=Levelling()))
+    assert shown[-1] == ""
+
+
+def test_a_deviation_from_the_form_leaves_what_is_no_bowl() -> None:
+    x = np.linspace(-1, 1, SIDE)
+    z = 30 * (x[None, :] ** 2 + 0.5 * x[:, None] ** 2) + 4 * x[None, :] * x[:, None]
+    z[100:120, 100:120] += 6.0
+    shelf, source = MemoryShelf({0: height_map(z, PIXEL_UM, 1000.0, -500.0)}), Source(SNAPSHOT.dataset.path, "", 0, 1)
+    facts = msgspec.msgpack.decode(paint(shelf, PaintRequest(source, "facts")), type=Facts)
+    request = PaintRequest(source, "scale", look=Look(colour_by="form"), light=facts.light)
+    scale = msgspec.msgpack.decode(paint(shelf, request), type=Scale)
+    assert max(abs(scale.own_low), scale.p1, -scale.p1, abs(scale.p99)) < 0.01
+    flat = msgspec.msgpack.decode(
+        paint(shelf, dataclasses.replace(request, look=Look(colour_by="deviation"))), type=Scale
+    )
+    assert flat.p99 > 10
