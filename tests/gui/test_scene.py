@@ -27,6 +27,9 @@ from wafer_viewer.gui.stage import Item, Stage
 from wafer_viewer.gui.tiles import VERTICES, cut, look_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.findings import PointHeight
+from wafer_viewer.model.levelling import Datum, Levelling
+from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
@@ -35,6 +38,7 @@ from wafer_viewer.session.state import Snapshot
 GRID = grid(2, 2)
 JOB, PLAN = job_and_plan(GRID)
 STEP_UM = 20.0
+FACE = Region.rectangle(60.0, -80.0, 120.0, -20.0)
 
 
 def two_levels() -> HeightMap:
@@ -336,6 +340,55 @@ def test_a_region_moves_whole_by_its_middle_and_stays_on_the_surface(browser: Br
     assert after[2] <= GRID.width_um / 2
     assert after[2] - after[0] == pytest.approx(before[2] - before[0])
     assert told[-1][0] == told[0][0]
+
+
+def test_a_click_moves_the_point_of_its_tool_there(browser: Browser, scene: SceneView) -> None:
+    told: list[tuple[Region, ...]] = []
+    scene.on_places(told.append)
+    scene.on_pick(lambda x_um, y_um: None)
+    scene.draw(SNAPSHOT, View(step="measure", tool="point", exaggeration=1.0))
+    until(lambda: told)
+    settled(scene)
+    browser.scene.clicked[0](SimpleNamespace(ray_origin=(0.12, -0.06, 3.0), ray_direction=(0.0, 0.0, -1.0)))
+    until(lambda: len(told) > 1)
+    at = told[-1][0].points[0]
+    assert (at.x_um, at.y_um) == pytest.approx((120.0, -60.0), abs=4.0)
+
+
+def test_a_place_that_heights_are_levelled_at_is_told_when_it_is_let_go(
+    browser: Browser, session: StandIn, scene: SceneView
+) -> None:
+    session.datum = lambda levelling, show=0: Datum()  # type: ignore[attr-defined]
+    told: list[Levelling] = []
+    scene.on_levelling(told.append)
+    scene.draw(SNAPSHOT, View(step="measure", exaggeration=1.0))
+    settled(scene)
+    scene.draw(SNAPSHOT, View(step="measure", exaggeration=1.0, levelling=Levelling(by="region", places=(FACE,))))
+    until(lambda: browser.scene.names("/tools/level/"))
+    settled(scene)
+    node = browser.scene.nodes[browser.scene.names("level/0/whole/ball")[0]]
+    for phase in ("update", "end"):
+        asyncio.run(node.dragged[0](SimpleNamespace(end_position=(0.15, -0.05, 0.0), phase=phase)))
+    until(lambda: told)
+    settled(scene)
+    assert len(told) == 1
+    assert told[0].by == "region"
+    assert told[0].places != (FACE,)
+
+
+def test_kept_results_stand_where_they_were_measured_but_not_on_another_surface(
+    browser: Browser, scene: SceneView
+) -> None:
+    length = Length(value_um=3.0)
+    here = PointHeight(number=1, place=Region.point(-100, 20), height=length, points=9)
+    elsewhere = PointHeight(number=2, show=1, place=Region.point(100, 20), height=length, points=9)
+    kept = dataclasses.replace(SNAPSHOT, findings=(here, elsewhere))
+    scene.draw(kept, View(step="measure"))
+    until(lambda: browser.scene.names("/tools/kept/"))
+    settled(scene)
+    assert len(browser.scene.names("/tools/kept/sign")) == 1
+    scene.draw(kept, View(step="surface"))
+    until(lambda: not browser.scene.names("/tools/kept/"))
 
 
 def test_a_view_that_only_echoes_a_drag_does_not_move_the_handles_back(browser: Browser, scene: SceneView) -> None:
