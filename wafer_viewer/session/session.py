@@ -233,7 +233,7 @@ class Session:
         return self._do(self._rooms.book.export, Path(path))
 
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
-        """Why a pixel has its height, by a field's focus curve; show 0 asks the nearest of those that hold the place."""
+        """Why a pixel has its height, by a field's focus curve; show 0 asks the nearest field with the place."""
         return self._do(self._rooms.focus_curve, x_um, y_um, show)
 
     # -------------------------------------------- questions, from any thread
