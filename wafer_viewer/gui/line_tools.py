@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -10,6 +9,7 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
+from wafer_viewer.gui.echoes import Echoes
 from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
 from wafer_viewer.gui.landmarks import first_line
 from wafer_viewer.gui.lie_of_land import Land, Place
@@ -91,20 +91,20 @@ class LineTools:
     def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told) -> None:
         self._scene, self._dragged, self._tell = scene, dragged, told
         self._tools: list[LineTool] = []
-        self._seen: tuple[Region, ...] = ()
-        self._echoes: deque[tuple[Region, ...]] = deque(maxlen=64)
+        self._had_lines = False
+        self._echoes = Echoes[tuple[Region, ...]]()
         self._cursors = Cursors(scene)
 
     def show(self, view: View, land: Land, near: Place) -> None:
         """Have the lines of a view; one that has none gets a first one near a place."""
         if view.lines:
-            if not self._is_echo(view.lines):
+            if not self._echoes.is_echo(view.lines):
                 self._lay(view.lines)
-        elif self._seen or not self._tools:
-            self._seen = ()
+        elif self._had_lines or not self._tools:
             first, last = first_line(land, near)
             self._lay((Region.line(*first, *last),))
             self._told(0)
+        self._had_lines = bool(view.lines)
         self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
 
     def drag(self, name: str, to: Place) -> None:
@@ -126,8 +126,8 @@ class LineTools:
         self._cursors.remove()
         for tool in self._tools:
             tool.remove()
-        self._tools, self._seen = [], ()
-        self._echoes.clear()
+        self._tools, self._had_lines = [], False
+        self._echoes.forget()
 
     def _lay(self, lines: tuple[Region, ...]) -> None:
         for tool in self._tools[len(lines) :]:
@@ -139,18 +139,4 @@ class LineTools:
             self._tools.append(LineTool(self._scene, place, lines[place], self._dragged))
 
     def _told(self, active: int) -> None:
-        lines = tuple(tool.line for tool in self._tools)
-        self._echoes.append(lines)
-        self._tell(lines, active)
-
-    def _is_echo(self, lines: tuple[Region, ...]) -> bool:
-        """Whether a view's lines were seen before, or told from here: then those told before them are past too."""
-        if lines == self._seen:
-            return True
-        self._seen = lines
-        if lines not in self._echoes:
-            self._echoes.clear()
-            return False
-        while self._echoes.popleft() != lines:
-            pass
-        return True
+        self._tell(self._echoes.tell(tuple(tool.line for tool in self._tools)), active)
