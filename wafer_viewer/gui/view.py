@@ -32,6 +32,7 @@ class View:
     lines: those of the profiles, at most four; line: the active one, whose numbers are shown;
     plot: what was chosen of their plot.
     why: the place, stage um, whose height is being explained.
+    review: the key of what is under review, None the first; review_filter: which of all are listed.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     """
 
