@@ -60,7 +60,7 @@ def test_times_read_as_people_say_them(taken, said):
 @pytest.mark.parametrize(
     ("length", "words"),
     [
-        (Length(value_um=11.8623, expanded_um=0.3112, status="evaluated"), ("11.86", "± 0.31 µm", "k = 2")),
+        (Length(value_um=11.8623, expanded_um=0.3112, status="evaluated"), ("11.86", "± 0.31\u202fµm", "k = 2")),
         (Length(value_um=11.8623), ("11.86", "U not evaluated")),
         (Length(value_um=-3.0, status="uncalibrated"), ("−3.00", "uncalibrated")),
     ],
