@@ -70,6 +70,7 @@ def test_the_palette_has_a_verb_without_a_key_and_the_sheet_lists_the_keys(serve
     page.get_by_placeholder("Search commands...").fill("colour by slope")
     page.keyboard.press("Enter")
     expect(text_field(page, "Colour by")).to_have_value("Slope")
+    expect(page.get_by_role("dialog")).to_have_count(0)
     page.keyboard.press("F1")
     expect(page.get_by_role("dialog")).to_contain_text("Step height")
     expect(page.get_by_role("dialog")).to_contain_text("Ctrl + Shift + Z")
