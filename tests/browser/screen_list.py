@@ -183,6 +183,7 @@ SCREENS: dict[str, Screen] = {
     "measure": measuring(press("Escape")),
     "step": measuring(press("k")),
     "profile": measuring(press("l")),
+    "profiles": measuring(press("l"), press("Shift+L"), press("Shift+H")),
     "point": measuring(press("x")),
     "distance": measuring(press("m")),
     "flatness": measuring(press("Shift+F")),
