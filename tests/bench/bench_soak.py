@@ -92,7 +92,7 @@ def profiles(seat: Seat) -> Iterator[Callable[[], object]]:
         page = seat.page
         page.get_by_role("button", name="Measure", exact=True).first.click()
         page.keyboard.press("l")
-        page.locator(".uplot").first.wait_for()
+        page.locator(".wv-dock", has_text="Pt").first.wait_for()
         seat.zoom(1 if k % 2 else -1)
         page.wait_for_timeout(PAUSE_MS)
         page.keyboard.press("Escape")
