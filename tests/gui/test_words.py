@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html as stdlib_html
 from concurrent.futures import Future
 from datetime import datetime, timedelta, timezone
@@ -21,9 +22,11 @@ from wafer_viewer.gui.style import DARK, LIGHT, sheet
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.findings import Length
+from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.reconstruct.gate import POWERS
+from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.state import Fault
 
 
@@ -83,8 +86,13 @@ def test_a_step_is_possible_when_it_has_contents():
 
     assert of(fake.planned()) == {"plan"}
     assert of(fake.scanning()) == {"plan", "acquire", "surface"}
-    assert of(fake.measured()) == {"plan", "acquire", "surface", "measure"}
-    assert {step for step in STEPS if done(step, fake.measured())} == {"plan", "acquire", "surface"}
+    measured = fake.measured()
+    assert of(measured) == set(STEPS)
+    assert of(dataclasses.replace(measured, findings=())) == set(STEPS) - {"review"}
+    assert {step for step in STEPS if done(step, measured)} == {"plan", "acquire", "surface"}
+    judged = tuple(Judgement(key=key_of_result(f.number), verdict="accepted") for f in measured.findings)
+    reviewed = dataclasses.replace(measured, notebook=NotebookState(Notebook(judgements=judged)))
+    assert {step for step in STEPS if done(step, reviewed)} == set(STEPS) - {"report"}
 
 
 def test_both_palettes_name_the_same_colours():
