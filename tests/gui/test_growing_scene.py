@@ -13,6 +13,7 @@ from tests.gui.stage_props import Browser
 from tests.gui.test_scene import settled, until
 from wafer_viewer.gui.quadtree import Node
 from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.tiles import MOST_TILES
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 
@@ -21,9 +22,10 @@ VIEW = View(step="surface")
 
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No grace, and small tiles of a small surface."""
+    """No grace, and small tiles of a small surface, as many as are wanted."""
     monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
     monkeypatch.setattr("wafer_viewer.gui.quadtree.TILE_PX", 64)
+    monkeypatch.setitem(MOST_TILES, "surface", 200)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.quadtree import FINEST_LEVEL, MOST_ROOTS, Ground, Leaf, leaves, roots
+from wafer_viewer.gui.quadtree import FINEST_LEVEL, MOST_ROOTS, Ground, leaves, roots
 from wafer_viewer.gui.sight import Box3, Sight
 
 PIXEL_MM = 0.5e-3
