@@ -57,7 +57,6 @@ class FakeSession:
         self.control = fake_control(self)
         self.sections = FakeSections()
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
-        self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         self._listeners.append(listener)
