@@ -6,7 +6,7 @@ The true viewer in a process of its own, a headless Chromium that draws in softw
 surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from
 the moment the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at
 rest, and while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of
-the scene's middle, which the surface fills, so much is always covered while the camera comes nearer. --quick: fewer
+the scene's middle so much is covered while the camera comes nearer, as a share of what is at both ends. --quick: fewer
 rounds, no reconstruction, under a minute when the machine is free.
 """
 
@@ -107,7 +107,8 @@ def jumped(seat: Seat, notches: int) -> tuple[float, float, int]:
     seat.zoom(notches)
     settled_s = seat.settled_s(seat.now_ms())
     looks = seat.seen_since(began)
-    covered = min(look[3] for look in looks) / max(looks[-1][3], 1e-6) if notches > 0 else 1.0
+    ends = min(looks[0][3], looks[-1][3])  # the surface fills more of the scene the nearer it comes
+    covered = min(look[3] for look in looks) / max(ends, 1e-6) if notches > 0 else 1.0
     return settled_s, covered, seat.viewer.bytes_sent() - before
 
 
