@@ -95,7 +95,7 @@ def test_what_can_only_be_read_is_not_written_to(tmp_path):
 def test_a_notebook_that_is_none_is_said_by_its_name(bench):
     bench.verbs.save_view(VIEW).result()
     (bench.folder / "result" / "notebook.json").write_text(json.dumps({"views": 3}))
-    with pytest.raises(DatasetError, match="notebook.json"):
+    with pytest.raises(DatasetError, match=r"notebook.json"):
         read_notebook(bench.folder / "result")
 
 
