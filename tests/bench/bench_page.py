@@ -107,8 +107,8 @@ def jumped(seat: Seat, notches: int) -> tuple[float, float, int]:
     seat.zoom(notches)
     settled_s = seat.settled_s(seat.now_ms())
     looks = seat.seen_since(began)
-    ends = min(looks[0][3], looks[-1][3])  # the surface fills more of the scene the nearer it comes
-    covered = min(look[3] for look in looks) / max(ends, 1e-6) if notches > 0 else 1.0
+    ends = min(looks[0].coloured, looks[-1].coloured)  # the surface fills more of the scene the nearer it comes
+    covered = min(look.coloured for look in looks) / max(ends, 1e-6) if notches > 0 else 1.0
     return settled_s, covered, seat.viewer.bytes_sent() - before
 
 

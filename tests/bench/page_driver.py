@@ -1,10 +1,13 @@
 """The true viewer in a process of its own and a browser before it, for the page's benchmarks.
 
-What is seen is judged in the browser: the scene is looked at many times a second, small.
+What is seen is judged by the frames that the browser shows, sent small as they come: reading the canvas in the page
+would make it wait for every drawing.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import os
 import re
 import shutil
@@ -16,8 +19,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import psutil
+from numpy.typing import NDArray
+from PIL import Image
 from playwright.sync_api import BrowserContext, Page, TimeoutError, sync_playwright
 
 from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
@@ -30,36 +37,12 @@ QUIET_S, PATIENCE_S = 1.2, 40.0
 STRAY_BYTES = 3000
 """What is sent of itself: the time, a position."""
 COLOURED, CHANGED = 0.04, 0.004
-"""Shares of the scene: from the first on there is a picture; up to the second it counts as the same."""
+"""Shares of the scene's middle: from the first on there is a picture; up to the second it counts as the same."""
+SMALL_PX = 400
+"""Width of the frames that are looked at."""
+CHROMA, STEP = 26, 24
+"""Levels: what is as colourful as that is the surface; what changes by more has changed."""
 WATCH = """
-const get = HTMLCanvasElement.prototype.getContext;
-HTMLCanvasElement.prototype.getContext = function (kind, options) {
-  return get.call(this, kind, kind.startsWith('webgl') ? {...options, preserveDrawingBuffer: true} : options);
-};
-const small = Object.assign(document.createElement('canvas'), {width: 160, height: 120});
-const pen = get.call(small, '2d', {willReadFrequently: true});
-let before = null;
-window.seen = [];
-function look() {
-  const scene = document.querySelector('canvas[data-engine]');
-  if (!scene || !scene.width) return;
-  pen.clearRect(0, 0, 160, 120);
-  pen.drawImage(scene, 0, 0, 160, 120);
-  const now = pen.getImageData(0, 0, 160, 120).data;
-  let coloured = 0, changed = 0, middle = 0;
-  for (let i = 0; i < now.length; i += 4) {
-    const [r, g, b, a] = [now[i], now[i + 1], now[i + 2], now[i + 3]];
-    const chroma = Math.max(r, g, b) - Math.min(r, g, b);
-    const x = (i / 4) % 160, y = (i / 640) | 0;
-    const there = a > 200 && chroma > 26;
-    coloured += there;
-    middle += there && x > 40 && x < 120 && y > 30 && y < 90;
-    if (before) changed += Math.abs(r - before[i]) + Math.abs(g - before[i + 1]) + Math.abs(b - before[i + 2]) > 24;
-  }
-  before = now;
-  window.seen.push([performance.now(), coloured / 19200, changed / 19200, middle / 4661]);
-}
-setInterval(look, 40);
 const make = window.Worker;
 window.Worker = class extends make {
   constructor(...args) { super(...args); window.connectedAt ??= performance.now(); }
@@ -73,6 +56,11 @@ setInterval(() => {
   if (asked && text && text !== asked[1]) { window.answers.push(performance.now() - asked[0]); asked = null; }
 }, 5);
 """
+TURN = """({x, y, by, times}) => {
+  const scene = document.querySelector('canvas[data-engine]');
+  const turn = {clientX: x, clientY: y, deltaY: by, bubbles: true, cancelable: true};
+  for (let n = 0; n < times; n++) scene.dispatchEvent(new WheelEvent('wheel', turn));
+}"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,14 +124,47 @@ class Viewer:
         return sum(int(n) for n in re.findall(r"bytes_sent:(\d+)", told.stdout))
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A frame that was shown: the browser's time, shares of the scene's middle that are coloured and that changed."""
+
+    at_ms: float
+    coloured: float
+    changed: float
+
+
+class Watch:
+    """Looks at the middle of the scene in every frame that a page shows."""
+
+    def __init__(self, page: Page) -> None:
+        self.looks: list[Look] = []
+        self._before: NDArray[np.int16] | None = None
+        self._channel = page.context.new_cdp_session(page)
+        self._channel.on("Page.screencastFrame", self._frame)
+        size = {"maxWidth": SMALL_PX, "maxHeight": SMALL_PX}
+        self._channel.send("Page.startScreencast", {"format": "jpeg", "quality": 70, **size})
+
+    def _frame(self, event: dict[str, Any]) -> None:
+        self._channel.send("Page.screencastFrameAck", {"sessionId": event["sessionId"]})
+        picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(event["data"]))).convert("RGB"), np.int16)
+        rows, cols = picture.shape[:2]
+        # Between the panels on both sides, and clear of what lies on glass over the scene.
+        middle = picture[int(0.25 * rows) : int(0.75 * rows), int(0.28 * cols) : int(0.62 * cols)]
+        coloured = np.ptp(middle, axis=2) > CHROMA
+        same = self._before is not None and self._before.shape == middle.shape  # not while the window gets its size
+        before = self._before if same else middle
+        changed = np.abs(middle - before).sum(axis=2) > STEP
+        self._before = middle
+        self.looks.append(Look(1e3 * event["metadata"]["timestamp"], float(coloured.mean()), float(changed.mean())))
+
+
 class Seat:
     """A browser before the viewer, with what it sees; `context` keeps what it remembers over a reload."""
 
     def __init__(self, context: BrowserContext, viewer: Viewer) -> None:
         self.viewer, self._context = viewer, context
         context.add_init_script(WATCH)
-        self.page: Page = context.new_page()
-        self.page.set_default_timeout(1e3 * PATIENCE_S)
+        self.page = self._new_page()
         remember(self.page, "surface", False)
 
     def open(self) -> None:
@@ -153,8 +174,13 @@ class Seat:
     def leave(self) -> None:
         """Close the page and get another."""
         self.page.close()
-        self.page = self._context.new_page()
-        self.page.set_default_timeout(1e3 * PATIENCE_S)
+        self.page = self._new_page()
+
+    def _new_page(self) -> Page:
+        page = self._context.new_page()
+        page.set_default_timeout(1e3 * PATIENCE_S)
+        self.watch = Watch(page)
+        return page
 
     def choose(self, dataset: Path) -> None:
         """Open a dataset from the list."""
@@ -165,14 +191,19 @@ class Seat:
 
     def first_picture_s(self) -> tuple[float, float]:
         """From opening the page, and from connecting, to the first picture of the surface."""
-        condition = f"window.seen.some(s => s[1] > {COLOURED})"
-        self.page.wait_for_function(condition, timeout=1e3 * PATIENCE_S, polling=50)
-        at = self.page.evaluate(f"window.seen.find(s => s[1] > {COLOURED})[0]")
-        return at / 1e3, (at - self.page.evaluate("window.connectedAt ?? 0")) / 1e3
+        opened_ms = self.page.evaluate("performance.timeOrigin")
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            first = next((look for look in self.seen_since(opened_ms) if look.coloured > COLOURED), None)
+            if first is not None:
+                after_s = (first.at_ms - opened_ms) / 1e3
+                return after_s, after_s - self.page.evaluate("window.connectedAt") / 1e3
+            self.page.wait_for_timeout(50)
+        return float("nan"), float("nan")
 
     def now_ms(self) -> float:
         """The browser's clock."""
-        return self.page.evaluate("performance.now()")
+        return self.page.evaluate("performance.timeOrigin + performance.now()")
 
     def settled_s(self, since_ms: float) -> float:
         """From a moment of the browser's clock until the last change that was seen, once nothing more is sent either.
@@ -183,17 +214,15 @@ class Seat:
         while time.monotonic() < deadline:
             n_bytes, now = self.viewer.bytes_sent(), time.monotonic()
             sent = sent if n_bytes - sent[0] < STRAY_BYTES else (n_bytes, now)
-            looks = self.seen_since(since_ms)
-            last = max((at for at, _, changed, _ in looks if changed > CHANGED), default=since_ms)
-            at_rest = bool(looks) and looks[-1][0] - last > 1e3 * QUIET_S and now - sent[1] > QUIET_S
-            if at_rest:
+            last = max((look.at_ms for look in self.seen_since(since_ms) if look.changed > CHANGED), default=since_ms)
+            if self.now_ms() - last > 1e3 * QUIET_S and now - sent[1] > QUIET_S:
                 return (last - since_ms) / 1e3
             self.page.wait_for_timeout(100)
         return float("nan")
 
-    def seen_since(self, since_ms: float) -> list[list[float]]:
-        """Time, share coloured, share changed, share of the middle coloured, of each look since then."""
-        return self.page.evaluate(f"window.seen.filter(s => s[0] > {since_ms})")
+    def seen_since(self, since_ms: float) -> list[Look]:
+        """What was shown since then."""
+        return [look for look in self.watch.looks if look.at_ms > since_ms]
 
     def middle(self) -> tuple[float, float]:
         """The middle of the scene on the page."""
@@ -203,11 +232,12 @@ class Seat:
         return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
     def zoom(self, notches: int) -> None:
-        """Turn the wheel over the middle of the scene: towards it, or with a negative number away."""
-        self.page.mouse.move(*self.middle())
-        for _ in range(abs(notches)):
-            self.page.mouse.wheel(0, -240 if notches > 0 else 240)
-            self.page.wait_for_timeout(30)
+        """Turn the wheel over the middle of the scene, all notches at once: towards it, or with a negative number away.
+
+        A browser that draws hands on the notches of a real wheel one a frame: that is no jump.
+        """
+        x, y = self.middle()
+        self.page.evaluate(TURN, {"x": x, "y": y, "by": -240 if notches > 0 else 240, "times": abs(notches)})
 
     def pan(self, right_px: float, down_px: float) -> None:
         """Drag the surface along."""

@@ -109,15 +109,18 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         stop = guarded(page, "The scan was not stopped")(lambda: stop_dialog(page))
         header = Header(page.gui, lambda step: page.change(step=step, why=None), stop)
         strip, question = StatusStrip(page), Question(page)
+    left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
+    viewpoint, drawing = Viewpoint(page, scene), Drawing(scene)
+    page.show_first([frame, viewpoint, drawing])
     curves = Curves(page)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
-    why, left = WhyPanel(page), LeftPanel(page)
+    why = WhyPanel(page)
     ear.left = left.panel
     read_out, welcome = ReadOutBox(page), Welcome(page)
     parts = [
@@ -151,16 +154,10 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         question,
         reopened,
         hands,
-        Viewpoint(page, scene),
-        Drawing(scene),
+        viewpoint,
+        drawing,
     ]
-    left.results.on_chosen(scene.fly_to)
-    left.map.on_seen(scene.seen_um)
-    MapClicks(page, scene)
-    page.on_pick("dismiss", page.dismiss)
-    page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
-    page.on_pick("tool", measure.use)
-    page.on_pick("look", scene.look_from)
+    _listen_to_page(page, scene, left, measure)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
     of_parts = [*welcome.commands(), *review.commands(), *report.commands(), *left.compare.commands()]
@@ -178,6 +175,17 @@ def _add_verbs(page: Page, scene: SceneView, of_parts: list[Command]) -> None:
     add_commands(page, [*commands, add_keys_sheet(page, commands)])
     add_titles(page, commands)
     add_hints(page.gui)
+
+
+def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:
+    """What is clicked on the left, on the glass over the scene and in the header."""
+    left.results.on_chosen(scene.fly_to)
+    left.map.on_seen(scene.seen_um)
+    MapClicks(page, scene)
+    page.on_pick("dismiss", page.dismiss)
+    page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
+    page.on_pick("tool", measure.use)
+    page.on_pick("look", scene.look_from)
 
 
 def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:

@@ -70,16 +70,20 @@ class Page:
         self._leave = session.subscribe(lambda _: self._due.set())
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 
+    def show_first(self, parts: Sequence[Part]) -> None:
+        """Take up what the browser remembers, waiting for its answer, and have drawn what takes it longest.
+
+        The other parts are made meanwhile: `begin` draws them.
+        """
+        self._recall()
+        snapshot = self.session.snapshot
+        if not snapshot.reopening:
+            self._restore(snapshot)
+            self._show(parts, snapshot)
+
     def begin(self, parts: Sequence[Part]) -> None:
         """Start drawing; `parts` in the order in which they are drawn."""
         self._parts = parts
-        self.recalled = recalled = self._asked.result()
-        self.view = recalled.view
-        if recalled.browser.key:
-            self.browser = recalled.browser
-            self.notices = tuple(replace(note, id=f"kept-{k}") for k, note in enumerate(recalled.browser.notes))
-        else:
-            self.remember(Self(secrets.token_hex(8)))
         with self._lock:
             if self._closed:
                 return
@@ -221,9 +225,21 @@ class Page:
             return
         self._restore(snapshot)
         self._tell_standing(snapshot)
+        self._show(self._parts, snapshot)
+
+    def _show(self, parts: Sequence[Part], snapshot: Snapshot) -> None:
         view = self.view
-        for part in self._parts:
+        for part in parts:
             guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
+
+    def _recall(self) -> None:
+        self.recalled = recalled = self._asked.result()
+        self.view = recalled.view
+        if recalled.browser.key:
+            self.browser = recalled.browser
+            self.notices = tuple(replace(note, id=f"kept-{k}") for k, note in enumerate(recalled.browser.notes))
+        else:
+            self.remember(Self(secrets.token_hex(8)))
 
     def _restore(self, snapshot: Snapshot) -> None:
         """Give back, once, what was chosen for the dataset that is open."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from wafer_viewer.gui.sight import Box3, Sight
 
 TILE_PX = 256
-FINEST_LEVEL = -2
+FINEST_LEVEL = -3
 DRAFT_LEVELS = 2
 """By how many levels a tile that is out of sight is coarser than it would be in sight."""
 MOST_ROOTS = 6

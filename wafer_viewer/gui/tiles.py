@@ -22,10 +22,10 @@ Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 VERTICES = 200_000
 """Of a surface that is cut at one level."""
-SHARP_PX: dict[Way, float] = {"surface": 1.3, "points": 2.6, "plan": 1.3}
+SHARP_PX: dict[Way, float] = {"surface": 1.5, "points": 2.6, "plan": 1.5}
 MOST_TILES: dict[Way, int] = {"surface": 34, "points": 9, "plan": 34}
 """No texel in sight is larger on the screen, as far as so many tiles go."""
-_STEP, _FLAT_STEP = 4, 64
+_STEP, _FLAT_STEP = 8, 64
 """Pixels from vertex to vertex, of a tile in its own level."""
 OWN_COLOURS = {"grey": "grey", "difference": DIVERGING}
 """The map of a quantity that has one of its own."""
