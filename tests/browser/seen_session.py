@@ -11,6 +11,7 @@ from scipy import ndimage
 from tests.browser.fake_session import FakeSession
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
+from wafer_viewer.model.surface import HeightMap
 
 Z_UM = tuple(float(z) for z in np.arange(-6.0, 54.0))
 DIE_UM, TRENCH_UM = 30.0, 2.0
@@ -26,6 +27,10 @@ class SeenSession(FakeSession):
         self._painter = StandIn(MemoryShelf({0: whole, 1: whole}))
         self.answers: list[Future[FocusCurve]] = []
         self.paint = self._painter.paint
+        self._whole = whole
+
+    def surface_source(self, show: int) -> HeightMap:
+        return self._whole
 
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
         if self.answers:

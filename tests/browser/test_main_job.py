@@ -66,7 +66,7 @@ def test_plan_scan_surface_profile_and_step_height(page: Page, session: Session)
     press(page, "Measure this surface")
     title_is(page, "Profile")
     expect(page.locator(".wv-dock")).to_contain_text("Pt")
-    expect(page.locator(".uplot-container, .uplot").first).to_be_visible()
+    expect(page.locator(".wv-below svg").first).to_be_visible()
     keep_a_step(page, session)
     assert notes(page).count() == 0
 

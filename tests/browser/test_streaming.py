@@ -41,7 +41,7 @@ window.requestAnimationFrame = then => window.held ? window.held.push(then) : dr
 """
 """A browser does not draw a page out of sight."""
 SHOW = "const due = window.held; window.held = null; due.forEach(then => window.requestAnimationFrame(then));"
-HELD_BYTES, A_TILE_BYTES = 60_000, 120_000
+HELD_BYTES, A_TILE_BYTES = 20_000, 60_000
 
 
 class StoredSession(FakeSession):

@@ -21,8 +21,9 @@ pytestmark = [
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
-OPEN, WITH_CURVE = 700, 500
+OPEN, WITH_CURVE = 650, 500
 """A scene is higher without a curve below it than the one number, and lower with one than the other."""
+FOCUS_PLOT = ".wv-plot:not(.wv-profiles)"
 
 
 @pytest.fixture
@@ -123,15 +124,15 @@ def test_the_line_through_the_curve_leads_through_the_frames(page: Page):
 def test_escape_gives_the_scene_its_room_back(page: Page):
     eventually(lambda: height_px(page) > OPEN, "the scene is whole")
     page.keyboard.press("c")
-    expect(page.locator(".wv-plot")).to_be_visible()
+    expect(page.locator(FOCUS_PLOT)).to_be_visible()
     eventually(lambda: height_px(page) < WITH_CURVE, "the scene has made room")
     page.keyboard.press("Escape")
     title_is(page, "Surface")
-    expect(page.locator(".wv-plot")).to_have_count(0)
+    expect(page.locator(FOCUS_PLOT)).to_have_count(0)
     eventually(lambda: height_px(page) > OPEN, "the scene is whole again")
     page.keyboard.press("c")
     page.locator("[data-pick=why-close]").last.click()
-    expect(page.locator(".wv-plot")).to_have_count(0)
+    expect(page.locator(FOCUS_PLOT)).to_have_count(0)
 
 
 def test_what_cannot_be_read_stands_where_the_curve_would(page: Page, session: SeenSession):
@@ -145,10 +146,10 @@ def test_what_cannot_be_read_stands_where_the_curve_would(page: Page, session: S
 
 def test_another_step_or_tool_ends_the_explanation(page: Page):
     page.keyboard.press("c")
-    expect(page.locator(".wv-plot")).to_be_visible()
+    expect(page.locator(FOCUS_PLOT)).to_be_visible()
     page.keyboard.press("l")
     title_is(page, "Profile")
-    expect(page.locator(".wv-plot")).to_have_count(0)
+    expect(page.locator(FOCUS_PLOT)).to_have_count(0)
     page.keyboard.press("c")
     explains(page)
     go_to(page, "Surface")
