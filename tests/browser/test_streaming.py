@@ -174,9 +174,9 @@ def test_a_page_reloaded_while_tiles_come_is_drawn_anew(address: str, sent: Sent
     go_to(page, "Surface")
     eventually(lambda: sent.n_tiles > 2, "tiles come")
     zoom(page, 5)
+    drawn = sent.n_tiles
     page.reload()
     expect(page.locator(".wv-title").first).to_have_text("Surface")
-    drawn = sent.n_tiles
     eventually(lambda: sent.n_tiles > drawn, "tiles come again", SETTLED_S)
     at_rest(page, sent)
     click(page)

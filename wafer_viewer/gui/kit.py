@@ -41,6 +41,8 @@ class Field(Generic[T]):
 
     def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Teller, failed: str) -> None:
         self.handle = handle
+        self.edited = False
+        """Whether a person put something in that `show` has not come upon since."""
         self._touched_at = 0.0
         self._on_change = guarded(page, failed)(on_change)
         handle.on_update(self._update)
@@ -52,7 +54,10 @@ class Field(Generic[T]):
 
     def show(self, value: T) -> None:
         """Show a value, unless a person is just moving the widget."""
-        if time.monotonic() - self._touched_at > QUIET_S and not _alike(value, self.handle.value):
+        if time.monotonic() - self._touched_at <= QUIET_S:
+            return
+        self.edited = False
+        if not _alike(value, self.handle.value):
             self.handle.value = value
 
     def enable(self, enabled: bool) -> None:
@@ -61,7 +66,7 @@ class Field(Generic[T]):
 
     def _update(self, event: Any) -> None:
         if event.client is not None:
-            self._touched_at = time.monotonic()
+            self._touched_at, self.edited = time.monotonic(), True
             self._on_change(event)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -183,7 +184,7 @@ class PlanPanel:
 
     def _show_everything(self, snapshot: Snapshot, draft: Draft, checks: tuple[Check, ...]) -> None:
         if not self._edits.under_way:
-            self._show_form(half_typed(draft.typed) or form_of(draft.job))
+            self._show_form(_form_of(draft))
         self._show_words(snapshot, draft)
         self._grid_fields.visible = draft.job is not None and draft.job.grid is not None
         self._sweep_fields.visible = draft.job is not None
@@ -196,35 +197,32 @@ class PlanPanel:
         self._align.show(snapshot, True)
         self._preflight.show(preflight_words.section(checks))
 
-    def _show_form(self, form: PlanForm) -> None:
-        self._name.show(form.name)
-        self._lot.show(form.lot)
-        self._wafer.show(form.wafer_id)
-        self._product.show(form.product)
-        self._operator.show(form.operator)
-        self._size.show(form.size_mm)
-        self._columns_rows.show(form.columns_rows)
-        self._overlap.show(form.overlap_percent)
-        self._centre.show(form.centre_um)
-        self._range.show(form.range_um)
-        self._step.show(form.step_um)
-        self._exposures.show(form.exposures_us)
+    @property
+    def _fields(self) -> dict[str, Field[Any]]:
+        """The fields by the names that a form has for them."""
+        return {
+            "name": self._name,
+            "lot": self._lot,
+            "wafer_id": self._wafer,
+            "product": self._product,
+            "operator": self._operator,
+            "size_mm": self._size,
+            "columns_rows": self._columns_rows,
+            "overlap_percent": self._overlap,
+            "centre_um": self._centre,
+            "range_um": self._range,
+            "step_um": self._step,
+            "exposures_us": self._exposures,
+        }
 
-    def _read_form(self) -> PlanForm:
-        return PlanForm(
-            name=self._name.value,
-            lot=self._lot.value,
-            wafer_id=self._wafer.value,
-            product=self._product.value,
-            operator=self._operator.value,
-            size_mm=self._size.value,
-            columns_rows=self._columns_rows.value,
-            overlap_percent=self._overlap.value,
-            centre_um=self._centre.value,
-            range_um=self._range.value,
-            step_um=self._step.value,
-            exposures_us=self._exposures.value,
-        )
+    def _show_form(self, form: PlanForm) -> None:
+        for name, field in self._fields.items():
+            field.show(getattr(form, name))
+
+    def _read_form(self, draft: Draft) -> PlanForm:
+        """What was typed, over what the session knows: the other fields may not show that yet."""
+        typed = {name: field.value for name, field in self._fields.items() if field.edited}
+        return dataclasses.replace(_form_of(draft), **typed)
 
     def _typed(self, event: Any) -> None:
         self._typed_range_um = event.target.value
@@ -232,7 +230,7 @@ class PlanPanel:
 
     def _commit(self) -> Future[Any] | None:
         page, snapshot = self._page, self._page.session.snapshot
-        typed = self._read_form()
+        typed = self._read_form(snapshot.draft)
         try:
             form = with_typed_range(typed, snapshot.draft.job, self._typed_range_um)
             job = job_of(form, snapshot.draft.job, snapshot.rig.limits)
@@ -272,3 +270,7 @@ class PlanPanel:
         self._sweep_head.show(words.sweep(draft))
         self._depth.show(words.depth(snapshot, draft))
         self._strategies.show(words.strategies(snapshot, draft))
+
+
+def _form_of(draft: Draft) -> PlanForm:
+    return half_typed(draft.typed) or form_of(draft.job)
