@@ -165,7 +165,7 @@ def test_one_layer_alone_is_levelled_as_a_window_is():
     surface = Levelled(surface_of(slope := np.add.outer(np.arange(60) * 0.1, np.arange(80) * 0.3)), TILTED)
     region = Region.rectangle(-8, -6, 9, 7)
     part = surface.window(region)
-    alone = surface.heights("filled", region)
+    alone = surface.one_layer("filled", region)
     np.testing.assert_allclose(alone.z_um, part.z_um, atol=1e-5)
     assert (alone.x0_um, alone.y0_um) == (part.x0_um, part.y0_um)
     assert not np.allclose(alone.z_um, slope[: alone.z_um.shape[0], : alone.z_um.shape[1]])

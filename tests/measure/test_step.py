@@ -9,9 +9,11 @@ from tests.measure.surfaces import STEP_UM, calibration, gauge_blocks, surface_o
 from wafer_viewer.measure import heights
 from wafer_viewer.measure.step import step_height
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import Origin
+from wafer_viewer.reconstruct.stitch import stitch
 
 UPPER = Region.rectangle(-150, -50, -40, 50)
 LOWER = Region.rectangle(40, -50, 150, 50)
@@ -211,3 +213,10 @@ def test_any_step_on_any_plane_is_found(height, slope_x, slope_y):
     surface = surface_of(slope_x * x_um + slope_y * y_um + np.where(x_um < 0, height, 0.0))
     step = step_height(surface, Region.rectangle(-28, -14, -4, 14), Region.rectangle(4, -14, 28, 14))
     assert step.height.value_um == pytest.approx(height, abs=1e-3)
+
+
+def test_a_surface_stitched_in_memory_is_measured_like_its_only_field():
+    blocks = gauge_blocks(1)
+    lone = Field(number=1, row=0, col=0, x_um=float(blocks.x_um.mean()), y_um=float(blocks.y_um.mean()), z_start_um=0.0)
+    step = step_height(stitch([blocks], [lone]), UPPER, LOWER)
+    assert step.height.value_um == pytest.approx(step_height(blocks, UPPER, LOWER).height.value_um, abs=1e-4)

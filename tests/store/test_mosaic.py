@@ -56,7 +56,7 @@ def test_one_layer_of_heights_is_read_alone_as_a_window_has_it(stored, monkeypat
     read = []
     whole = ZarrMosaic.read
     monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or whole(self, name, *at))
-    alone = stored.heights(layer, region, level)
+    alone = stored.one_layer(layer, region, level)
     np.testing.assert_array_equal(alone.z_um, heights(part, layer))
     assert (alone.pixel_um, alone.x0_um, alone.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
     assert len(read) == (2 if layer == "smoothed" else 1)

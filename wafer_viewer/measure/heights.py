@@ -12,7 +12,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Length
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HasHeights, HeightLayer, HeightMap, Heights, Mosaic, Provenance
+from wafer_viewer.model.surface import HasLayers, HeightLayer, HeightMap, Heights, Mosaic, Provenance
 
 Layer = HeightLayer
 Floats = NDArray[np.float64]
@@ -57,8 +57,8 @@ def heights(surface: HeightMap, layer: Layer) -> NDArray[np.float32]:
 
 def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> Heights:
     """One layer of the part of a surface that holds a region, read alone where the surface can."""
-    if isinstance(surface, HasHeights):
-        return surface.heights(layer, region, level)
+    if isinstance(surface, HasLayers):
+        return surface.one_layer(layer, region, level)
     part = surface.window(region, level)
     return Heights(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um)
 

@@ -78,7 +78,7 @@ class Levelled:
         z_um, z_raw_um = ((z - zero).astype(np.float32) for z in (part.z_um, part.z_raw_um))
         return dataclasses.replace(part, z_um=z_um, z_raw_um=z_raw_um)
 
-    def heights(self, layer: Layer, region: Region, level: int = 0) -> Heights:
+    def one_layer(self, layer: Layer, region: Region, level: int = 0) -> Heights:
         """One layer of heights of what `window` returns; raises as the surface itself does."""
         part = height_window(self.surface, layer, region, level)
         zero = self.datum.at(part.x_um[None, :], part.y_um[:, None])

@@ -231,10 +231,10 @@ class Heights:
 
 
 @runtime_checkable
-class HasHeights(Protocol):
+class HasLayers(Protocol):
     """A surface that reads one layer of heights alone: a sixth of the work where nothing else is asked for."""
 
-    def heights(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+    def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
         """The part of a level that holds a region. Raises MeasureError when the region lies outside."""
         ...
 

@@ -231,7 +231,7 @@ class ZarrMosaic:
         pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
         return HeightMap(**layers, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance)
 
-    def heights(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+    def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
         """One layer of heights of what `window` returns, and nothing else; raises as `window` does."""
         rows, cols = self._window(region, level)
         z_um = self.read("z_raw_um" if layer == "unsmoothed" else "z_um", level, rows, cols)
