@@ -23,7 +23,7 @@ from wafer_viewer.measure.level import Fit, robust_fit
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum, LevelBy, Levelling
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import HeightMap, Heights, Mosaic, Provenance
+from wafer_viewer.model.surface import HeightMap, Heights, Mosaic, ReadThrough
 
 FITTED_PIXELS = 1_000_000
 """A plane or form of the whole surface is fitted to about as many pixels at most."""
@@ -33,41 +33,11 @@ Powers = tuple[tuple[int, int], ...]
 FLAT: Powers = ((1, 0), (0, 1), (0, 0))
 
 
-class Levelled:
+class Levelled(ReadThrough):
     """A surface whose heights are those over a datum; windows are levelled as they are read."""
 
     def __init__(self, surface: Mosaic, datum: Datum, levelling: Levelling = Levelling()) -> None:
         self.surface, self.datum, self.levelling = surface, datum, levelling
-
-    @property
-    def pixel_um(self) -> float:
-        """Pixel size of level 0."""
-        return self.surface.pixel_um
-
-    @property
-    def x0_um(self) -> float:
-        """Stage x of the centre of pixel (0, 0) of level 0."""
-        return self.surface.x0_um
-
-    @property
-    def y0_um(self) -> float:
-        """Stage y of the centre of pixel (0, 0) of level 0."""
-        return self.surface.y0_um
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, cols) of level 0."""
-        return self.surface.shape
-
-    @property
-    def levels(self) -> int:
-        """Number of levels."""
-        return self.surface.levels
-
-    @property
-    def provenance(self) -> Provenance:
-        """Where it comes from."""
-        return self.surface.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level that holds a region, its heights over the datum; raises as the surface itself does."""

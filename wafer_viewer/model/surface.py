@@ -239,6 +239,42 @@ class HasLayers(Protocol):
         ...
 
 
+class ReadThrough:
+    """The base of a mosaic that lies where another does, and only reads it differently."""
+
+    surface: Mosaic
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.surface.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0) of level 0."""
+        return self.surface.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0) of level 0."""
+        return self.surface.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.surface.shape
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return self.surface.levels
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where it comes from."""
+        return self.surface.provenance
+
+
 def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) -> tuple[slice, slice]:
     """The rows and columns of a level of a surface that hold a region.
 

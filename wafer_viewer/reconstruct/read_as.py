@@ -9,45 +9,15 @@ import numpy as np
 
 from wafer_viewer.model.comparison import Heights
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import UNMEASURED_FROM, HeightMap, Mosaic, Origin, Provenance
+from wafer_viewer.model.surface import UNMEASURED_FROM, HeightMap, Mosaic, Origin, ReadThrough
 
 
 @dataclass(frozen=True, eq=False)
-class ReadAs:
+class ReadAs(ReadThrough):
     """A `Mosaic` of which one of both height maps stands for both: the raw one, or the cleaned one."""
 
     surface: Mosaic
     heights: Heights
-
-    @property
-    def pixel_um(self) -> float:
-        """Pixel size of level 0."""
-        return self.surface.pixel_um
-
-    @property
-    def x0_um(self) -> float:
-        """Stage x of pixel (0, 0) of level 0."""
-        return self.surface.x0_um
-
-    @property
-    def y0_um(self) -> float:
-        """Stage y of pixel (0, 0) of level 0."""
-        return self.surface.y0_um
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(rows, cols) of level 0."""
-        return self.surface.shape
-
-    @property
-    def levels(self) -> int:
-        """Those of the surface."""
-        return self.surface.levels
-
-    @property
-    def provenance(self) -> Provenance:
-        """That of the surface."""
-        return self.surface.provenance
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level that holds a region, with one map of heights."""
