@@ -50,8 +50,8 @@ def surface(
 
     So is a steep cell that is only partly there: stretched over a wall, its few pixels would hang there as rags.
 
-    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge. Skirts are as deep
-    as the heights near them differ: behind them no crack shows to a neighbour of other vertices.
+    x_mm [col], y_mm [row] are the pixels' places; the texture covers the same pixels, edge to edge. Skirts reach
+    down to the lowest height near them: behind them no crack shows to a neighbour of other vertices.
     """
     rows, cols = picked(len(y_mm), step), picked(len(x_mm), step)
     grid_y, grid_x = np.meshgrid(y_mm[rows], x_mm[cols], indexing="ij")
@@ -79,7 +79,7 @@ def _skirt(of: Mesh, line: NDArray[np.intp], there: NDArray[np.bool_]) -> Mesh:
     top, width = of.vertices[line], 2 * _SKIRT_STEPS + 1
     around = np.lib.stride_tricks.sliding_window_view(np.pad(top[:, 2], _SKIRT_STEPS, mode="edge"), width)
     spacing = float(np.hypot(*(top[-1, :2] - top[0, :2]))) / max(1, len(line) - 1)
-    foot = top - np.stack([np.zeros(len(line)), np.zeros(len(line)), np.ptp(around, axis=1) + 0.1 * spacing], axis=1)
+    foot = np.column_stack([top[:, :2], around.min(axis=1) - 0.1 * spacing])
     return Mesh(
         np.concatenate([top, foot]).astype(np.float32),
         np.concatenate([of.uv[line]] * 2),
