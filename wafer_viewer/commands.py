@@ -63,11 +63,13 @@ def serve(
         open_browser: Also open the page in the browser of this machine.
     """
     from wafer_viewer.gui.app import serve as serve_page
+    from wafer_viewer.session.memory import return_what_is_freed
     from wafer_viewer.session.session import Session
 
     if not 0 <= port <= LAST_PORT:
         raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    return_what_is_freed()
     session = Session(data.expanduser(), _config(rig), scheduler)
     try:
         serve_page(session, port=port, open_browser=open_browser)
