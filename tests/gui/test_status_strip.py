@@ -41,6 +41,12 @@ def test_the_calibration_counts_down(until, said, tone):
     assert "block 2" in more
 
 
+def test_the_calibration_of_a_simulation_is_never_due():
+    words, tone, more = due(replace(calibrated("2999-12-31"), simulated=True), TODAY)
+    assert (words, tone) == ("Calibrated by simulation", "")
+    assert "nothing real" in more
+
+
 def test_no_calibration_is_said_in_words():
     assert due(None, TODAY)[:2] == ("No calibration", "fault")
     now = fake.measured("imported without one")

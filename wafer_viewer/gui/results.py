@@ -57,7 +57,10 @@ class ResultList:
             return
         self._list.show(html.head("Results", str(len(snapshot.findings) or "")) + self._rows(snapshot, view))
         chosen = self._chosen(snapshot, view) is not None
-        set_prop(self._csv, "disabled", not snapshot.findings)
+        for act in (self._csv, self._rename, self._delete):
+            set_prop(act, "visible", bool(snapshot.findings))
+        for way in (self._undo, self._redo):
+            set_prop(way, "visible", bool(snapshot.findings or snapshot.findings_undo or snapshot.findings_redo))
         set_prop(self._rename, "disabled", not chosen)
         set_prop(self._delete, "disabled", not chosen)
         set_prop(self._undo, "disabled", not snapshot.findings_undo)

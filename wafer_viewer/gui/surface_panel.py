@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -189,7 +190,13 @@ class SurfacePanel:
         set_prop(self._range.handle, "min", _down(min(whole[0], low), 10 * step))
         set_prop(self._range.handle, "max", _up(max(whole[1], high), 10 * step))
         self._range.show((round(round(low / step) * step, 6), round(round(high / step) * step, 6)))
-        self._by_hand.show((round(low, 2) + 0.0, round(high, 2) + 0.0))  # no zero has a sign
+        self._show_by_hand(low, high, step)
+
+    def _show_by_hand(self, low: float, high: float, step: float) -> None:
+        decimals = max(0, -math.floor(math.log10(step)))
+        set_prop(self._by_hand.handle, "step", step)
+        set_prop(self._by_hand.handle, "precision", decimals)
+        self._by_hand.show((round(low, decimals) + 0.0, round(high, decimals) + 0.0))  # no zero has a sign
 
     def _whole(self, info: SurfaceInfo | None, view: View) -> tuple[float, float] | None:
         """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
