@@ -77,7 +77,7 @@ if [ "$what" != setup ]; then
   step "Format" "$bin/ruff" format --check --quiet .
   step "Types" "$bin/pyright" --pythonpath "$bin/python"
   step "Layers" "$bin/lint-imports"
-  step "Fast tests" "$bin/python" -m pytest -q -m "not slow and not browser and not hardware"
+  step "Fast tests" "$bin/python" -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not hardware"
 fi
 if [ "$what" = all ]; then
   for bench in tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py; do

@@ -98,7 +98,7 @@ def due(made: Calibration | None, today: datetime.date) -> Words:
     if made is None:
         return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
     if made.simulated:
-        return "Calibrated by simulation", "", "Pixel size and scales are those that the simulation has; nothing real is measured."
+        return "Calibrated by simulation", "", "Pixel size and scales are the simulation's: nothing real is measured."
     days = (datetime.date.fromisoformat(made.due) - today).days
     more = f"Calibrated on {made.made} against {made.against}, due on {made.due}."
     if days < 0:

@@ -2,7 +2,8 @@
 
 A page that is looked at all day makes and drops blocks of some hundred kilobytes: tiles, pictures, messages. The C
 library of Linux (glibc) learns from the first ones to keep such blocks in its heaps, where what lives longer lies
-between them, and the process only ever grows: half a day's use took 500 MB that nobody held (tests/bench/bench_soak.py).
+between them, and the process only ever grows: half a day's use took 500 MB that nobody held, as
+tests/bench/bench_soak.py shows.
 """
 
 from __future__ import annotations
