@@ -5,6 +5,7 @@ It is kept in the browser itself. What only makes sense on one dataset is given 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any, TypeVar, get_type_hints
@@ -67,10 +68,14 @@ class Remembered:
 
 
 def recall(client: viser.ClientHandle) -> Remembered:
-    """What this browser remembers; nothing when it has nothing, or does not answer."""
+    """What this browser remembers; nothing when it has nothing, or does not answer. All is asked for at once."""
+
+    def ask(key: str) -> str:
+        return client.local_storage.get_item(key, timeout=WAIT_S) or "{}"
+
     try:
-        keys = (VIEW_KEY, SELF_KEY, CAMERA_KEY)
-        view, browser, camera = (client.local_storage.get_item(key, timeout=WAIT_S) or "{}" for key in keys)
+        with ThreadPoolExecutor(3, thread_name_prefix="recall") as asking:
+            view, browser, camera = asking.map(ask, (VIEW_KEY, SELF_KEY, CAMERA_KEY))
     except (RuntimeError, TimeoutError):
         return Remembered()
     return replace(read(view), browser=read_self(browser), standpoint=_as(_items(camera), Standpoint) or Standpoint())
