@@ -142,6 +142,20 @@ def test_a_stopped_scan_goes_on_where_it_was(virtual_rig, small_plan, recorder, 
     assert second.duration_s < 0.7 * plan.predicted_s
 
 
+def test_a_stop_breaks_off_the_way_to_a_pass(virtual_rig, small_plan, recorder, control):
+    rig = virtual_rig()
+    plan = small_plan(rig)
+    rig.stage.move_to(x_um=60_000.0)
+    hand = control()
+    hand.should_stop = lambda: rig.stage.position().x_um < 50_000.0
+    stopped = run_scan(plan, rig, recorder, hand)
+    assert (stopped.stopped, stopped.kept, stopped.missing) == (True, 0, ())
+    assert not rig.stage.moving()
+    assert 40_000.0 < rig.stage.position().x_um < 50_000.0
+    assert [event[0] for event in recorder.events] == ["begun", "ended"]
+    assert run_scan(plan, rig, recorder, control()).kept == plan.n_frames
+
+
 def test_a_finished_scan_moves_nothing_when_continued(virtual_rig, small_plan, recorder, control):
     rig = virtual_rig()
     plan = small_plan(rig)

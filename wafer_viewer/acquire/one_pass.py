@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.acquire.reconcile import Hole, Reconciler, Timing
 from wafer_viewer.model.devices import CameraImage, PulseSummary, Rig
-from wafer_viewer.model.errors import MissedPulse, RigError
+from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
 from wafer_viewer.model.plan import Axis, Leg, PulseTrain
 from wafer_viewer.model.stack import Frame
 
@@ -17,6 +17,7 @@ POLL_S = 0.05
 GRACE_S = 0.25
 """How long after the last pulse's exposure and readout an image may still come."""
 SYNC_TRIES = 3
+NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposures=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,8 @@ def run_pass(
     Raises MissedPulse when the box sent no pulse at all, RigError when no image came at all or a device refuses.
     """
     one = _Pass(rig, leg, exposure_us, offset_us, keep, should_stop)
+    if not one.get_there():
+        return PassResult(NOTHING_SENT, (), offset_us, stopped=True)
     rig.camera.start(exposure_us)
     stopped = one.shoot() if leg.speed_um_s == 0 else one.sweep()
     result = one.finish(stopped)
@@ -99,14 +102,18 @@ class _Pass:
         self._should_stop = should_stop
         self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, offset_us))
 
+    def get_there(self) -> bool:
+        """Go to where the pass begins; returns whether it was not stopped on the way."""
+        train = self._leg.train
+        first_um = self._rig.limits.axis(train.axis).position_um(train.first_count)
+        return self._go_to(first_um - self._run_up_um())
+
     def sweep(self) -> bool:
         """Move through all pulses at speed; returns whether it was stopped on the way."""
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
-        axis = self._rig.limits.axis(train.axis)
-        run_up_um = train.direction * axis.run_up_um(speed)
-        self._go_to(axis.position_um(train.first_count) - run_up_um)
+        last_um = self._rig.limits.axis(train.axis).position_um(train.last_count)
         self._rig.box.arm(train)
-        stage.start(train.axis, axis.position_um(train.last_count) + run_up_um, speed)
+        stage.start(train.axis, last_um + self._run_up_um(), speed)
         while stage.moving():
             if self._should_stop():
                 stage.stop()
@@ -119,13 +126,12 @@ class _Pass:
         """Halt and settle at every count of the train and take a frame there; returns whether it was stopped."""
         train = self._leg.train
         axis, exposed_s = self._rig.limits.axis(train.axis), self._exposed_s()
-        self._go_to(axis.position_um(train.first_count))
         self._rig.box.arm(train, on_command=True)
         last_s = -1.0
         for i in range(train.n_frames):
-            if self._should_stop():
+            count = train.first_count + train.direction * train.counts_per_frame * i
+            if not self._go_to(axis.position_um(count)):
                 return True
-            self._go_to(axis.position_um(train.first_count + train.direction * train.counts_per_frame * i))
             self._wait_until(last_s + self._rig.limits.camera.period_s(self._exposure_us))
             last_s = self._rig.clock.now_s()
             self._rig.box.fire()
@@ -145,10 +151,19 @@ class _Pass:
             self._check_anything_came(summary, holes)
         return PassResult(summary, holes, self._reconciler.offset_us, stopped)
 
-    def _go_to(self, at_um: float) -> None:
+    def _run_up_um(self) -> float:
+        train = self._leg.train
+        return train.direction * self._rig.limits.axis(train.axis).run_up_um(self._leg.speed_um_s)
+
+    def _go_to(self, at_um: float) -> bool:
+        """Move along the pass' axis, to the pass in the others; returns whether it was not stopped."""
         leg = self._leg
         goal: dict[Axis, float] = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um, leg.train.axis: at_um}
-        self._rig.stage.move_to(x_um=goal["x"], y_um=goal["y"], z_um=goal["z"])
+        try:
+            self._rig.stage.move_to(x_um=goal["x"], y_um=goal["y"], z_um=goal["z"], should_stop=self._should_stop)
+        except MotionStopped:
+            return False
+        return True
 
     def _look(self, timeout_s: float) -> None:
         """Fetch what has come, and beat the heart of the box."""

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from wafer_viewer.acquire.one_pass import PassResult, clock_offset_us, rest_afterwards, run_pass
 from wafer_viewer.acquire.reconcile import Hole
-from wafer_viewer.model.devices import Rig, ScanControl, ScanSink
+from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Leg, ScanPlan, Shot
+from wafer_viewer.model.scanning import ScanControl, ScanSink
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import Frame
 

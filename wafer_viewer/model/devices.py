@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Axis, Leg, PulseTrain, ScanPlan, Shot
-from wafer_viewer.model.stack import Frame, FrameStatus, Image
+from wafer_viewer.model.plan import Axis, PulseTrain, ScanPlan
+from wafer_viewer.model.stack import FrameStatus, Image
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +99,19 @@ class Stage(Protocol):
         """Where the stage is now."""
         ...
 
-    def move_to(self, *, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> None:
-        """Go there at full speed and wait until it has settled; None leaves an axis where it is."""
+    def move_to(
+        self,
+        *,
+        x_um: float | None = None,
+        y_um: float | None = None,
+        z_um: float | None = None,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> None:
+        """Go there at full speed and wait until it has settled; None leaves an axis where it is.
+
+        `should_stop` is asked before, and every few ms on the way, so a driver starts the axes and polls them instead
+        of waiting for one long answer. Where it says True the stage is stopped, and MotionStopped comes once it stands.
+        """
         ...
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
@@ -242,52 +253,4 @@ class Rig(Protocol):
 
     def close(self) -> None:
         """Stop motion, disarm the box, let the ports go."""
-        ...
-
-
-class ScanSink(Protocol):
-    """Where a scan's frames and events go; the dataset's writer is one. Every call returns once the thing is kept."""
-
-    def pass_begun(self, number: int, leg: Leg) -> None:
-        """A leg starts."""
-        ...
-
-    def frame(self, frame: Frame) -> None:
-        """A frame for a slot; one that is already kept is not written again."""
-        ...
-
-    def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty."""
-        ...
-
-    def repaired(self, shot: Shot) -> None:
-        """A slot that stayed empty has its frame now."""
-        ...
-
-    def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over."""
-        ...
-
-    def fault(self, what: str) -> None:
-        """Something a person should know."""
-        ...
-
-
-class ScanControl(Protocol):
-    """How a running scan is watched and steered; the runner asks between frames."""
-
-    def should_stop(self) -> bool:
-        """True: end after putting the rig at rest."""
-        ...
-
-    def should_pause(self) -> bool:
-        """True: halt at the end of this leg, and ask again."""
-        ...
-
-    def wait_while_paused(self) -> None:
-        """Return when the pause is over or the scan is to stop."""
-        ...
-
-    def progress(self, plan: ScanPlan, frame: Frame) -> None:
-        """A frame was kept."""
         ...

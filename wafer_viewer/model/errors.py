@@ -22,6 +22,16 @@ class RigTimeout(RigError):
     """A device did not answer in time."""
 
 
+class MotionStopped(RigError):
+    """A motion that a person broke off: no fault, but it did not arrive."""
+
+    @classmethod
+    def at(cls, x_um: float, y_um: float, z_um: float) -> MotionStopped:
+        """It stands there now."""
+        x, y, z = (f"{round(um / 1000, 4) + 0.0:+.4f}" for um in (x_um, y_um, z_um))
+        return cls(f"The move was stopped at X {x}, Y {y}, Z {z} mm.")
+
+
 class MissedPulse(RigError):
     """A pulse that the box should have sent was not sent."""
 

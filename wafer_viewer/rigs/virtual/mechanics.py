@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from wafer_viewer.model.devices import Position
-from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.errors import MotionStopped, RigError
 from wafer_viewer.model.limits import AxisLimits, RigLimits
 from wafer_viewer.model.plan import Axis
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -22,6 +22,8 @@ AXIAL_WAVES_UM = (20.0, 400.0)
 """The shortest and the longest wave of these errors."""
 RING_UM = 0.3
 RING_HZ = 60.0
+WATCH_S = 0.002
+"""How often a motion is asked after, and whoever may break it off: 0.2 mm at full speed."""
 
 
 class ScaleError:
@@ -123,16 +125,28 @@ class VirtualStage:
             scales.z_um + self._error_z.at(scales.z_um),
         )
 
-    def move_to(self, *, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> None:
-        """Go there at full speed and wait until it has settled; None leaves an axis where it is."""
+    def move_to(
+        self,
+        *,
+        x_um: float | None = None,
+        y_um: float | None = None,
+        z_um: float | None = None,
+        should_stop: Callable[[], bool] | None = None,
+    ) -> None:
+        """Go there at full speed and wait until it has settled; None leaves an axis where it is.
+
+        Raises MotionStopped, with the stage at rest, where `should_stop` says so before or on the way.
+        """
         wanted = zip(self.axes.values(), (x_um, y_um, z_um), strict=True)
         goals = [(axis, to_um) for axis, to_um in wanted if to_um is not None]
         for axis, to_um in goals:
             self._check(axis, to_um)
+        if should_stop is not None and should_stop():
+            raise self._stopped()
         for axis, to_um in goals:
             if to_um != axis.profile.position_at(self._clock.now_s()):
                 self._start(axis, to_um, axis.limits.speed_um_s)
-        self.wait()
+        self._arrive(should_stop)
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
         """Begin a motion of one axis at a given speed, and return at once."""
@@ -155,8 +169,7 @@ class VirtualStage:
 
     def wait(self) -> None:
         """Wait until every axis stands and has settled."""
-        settled_s = max(axis.settled_s() for axis in self.axes.values())
-        self._clock.sleep(max(0.0, settled_s - self._clock.now_s()))
+        self._clock.sleep(self._unsettled_s())
 
     def stop(self) -> None:
         """Decelerate every axis to a halt. This is no emergency stop."""
@@ -166,6 +179,24 @@ class VirtualStage:
             if axis.moving(now_s):
                 axis.stop(now_s)
                 self._tell(axis, now_s)
+
+    def _arrive(self, should_stop: Callable[[], bool] | None) -> None:
+        """Wait for the end of a motion, or break it off; what has arrived and only settles is not broken off."""
+        while should_stop is not None and self.moving():
+            if should_stop():
+                self.stop()
+                self.wait()
+                raise self._stopped()
+            self._clock.sleep(min(WATCH_S, self._unsettled_s()))
+        self.wait()
+
+    def _unsettled_s(self) -> float:
+        settled_s = max(axis.settled_s() for axis in self.axes.values())
+        return max(0.0, settled_s - self._clock.now_s())
+
+    def _stopped(self) -> MotionStopped:
+        here = self.position()
+        return MotionStopped.at(here.x_um, here.y_um, here.z_um)
 
     def _check(self, axis: VirtualAxis, to_um: float) -> None:
         axis.check(to_um)
