@@ -150,8 +150,14 @@ class Conductor:
 
     def stop_scan(self) -> Future[None]:
         """End the scan; done when it is over."""
-        self.rig.stop()
+        self.rig.stop_scan()
         return self._scan_over
+
+    def stop(self, at_once: Future[bool]) -> Future[bool]:
+        """Stop in its turn what was asked for before a stop that went to the rig `at_once`, ahead of this thread."""
+        if self.desk.now.scanning:
+            return self.desk.then(self.stop_scan(), lambda _: True)
+        return self.desk.then(self.rig.break_off(), lambda anything: anything or at_once.result())
 
     def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
         """Make all heights of the open dataset again."""

@@ -58,6 +58,12 @@ class Desk:
         first.add_done_callback(go_on)
         return answer
 
+    def afterwards(self, first: Future[Any], verb: Callable[[], None]) -> Future[Any]:
+        """Carry out a verb once `first` is over, whatever it came to; done, as `first` was, when the verb is."""
+        answer: Future[Any] = Future()
+        first.add_done_callback(lambda done: self.do(verb).add_done_callback(lambda _: _hand_on(done, answer)))
+        return answer
+
     def note(self, event: Callable[..., None], *args: Any) -> None:
         """Carry out what follows from an event; nobody waits for it, so what goes wrong is logged."""
         if not self._closed:

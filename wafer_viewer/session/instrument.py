@@ -50,6 +50,8 @@ class Instrument:
     def __init__(self, desk: Desk, notices: Notices, config: RigConfig, reports: Reports) -> None:
         self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
         self._link: Link | None = None
+        self._moves = 0
+        """How many were asked for and are not over."""
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
@@ -71,12 +73,12 @@ class Instrument:
         return self._link
 
     def move_to(self, move: Move) -> Future[None]:
-        """Move the stage; done on arrival."""
+        """Move the stage; done on arrival, or with MotionStopped."""
         self.require_idle("move the stage")
         link = self.start()
-        if self._desk.now.rig.state == "ready":
-            self._show(state="moving")
-        return self._desk.then(link.ask(move), lambda _: None)
+        self._moves += 1
+        self._show_moves()
+        return self._desk.afterwards(link.ask(move), self._move_over)
 
     def scan(self, scan: Scan) -> Future[None]:
         """Begin a scan; done once it has begun."""
@@ -98,11 +100,19 @@ class Instrument:
         self._show(message="")
         return self.start().ask(Resume())
 
-    def stop(self) -> Future[None]:
+    def break_off(self) -> Future[bool]:
+        """Stop whatever moves, from any thread; done at rest, with whether there was anything to stop."""
+        if self._link is not None and self._link.alive:
+            return self._link.ask(Stop())
+        nothing: Future[bool] = Future()
+        nothing.set_result(False)
+        return nothing
+
+    def stop_scan(self) -> None:
         """End the scan with the rig at rest."""
         self._require_scan("stop")
         self._show(state="stopping", message="")
-        return self.start().ask(Stop())
+        self.break_off()
 
     def require_idle(self, what: str) -> None:
         """Raise RigError while a scan has the rig."""
@@ -133,14 +143,24 @@ class Instrument:
         )
         self._desk.change(rig=status)
         self._at(At(event.position))
+        self._show_moves()
         self._reports.ready(event)
 
     def _absent(self, event: RigAbsent) -> None:
         self._show(state="absent", message=event.why)
 
     def _at(self, event: At) -> None:
-        p, state = event.position, self._desk.now.rig.state
-        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, state="ready" if state == "moving" else state)
+        p = event.position
+        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um)
+
+    def _move_over(self) -> None:
+        self._moves -= 1
+        self._show_moves()
+
+    def _show_moves(self) -> None:
+        """Moving from the first of several moves to the end of the last."""
+        if self._desk.now.rig.state in ("ready", "moving"):
+            self._show(state="moving" if self._moves else "ready")
 
     def _paused(self, event: Paused) -> None:
         if self._desk.now.rig.state != "stopping":
@@ -156,7 +176,7 @@ class Instrument:
         self._notices.fault("The scan reports a fault", event.what, "scan")
 
     def _begun(self, done: Future[None]) -> None:
-        if done.exception() is not None and self._desk.now.rig.state == "scanning":
+        if done.exception() is not None and self._desk.now.scanning:
             self._show(state="ready")
 
     def _scan_ended(self, event: ScanEnded) -> None:

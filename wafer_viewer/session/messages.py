@@ -45,7 +45,10 @@ class Resume:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """End the scan soon, with the rig at rest. Answered at once."""
+    """Break off the motion under way and those that wait for it, and end the scan.
+
+    Answered once the rig is at rest, with whether there was anything to stop.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)

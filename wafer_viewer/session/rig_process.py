@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import queue
 import threading
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from wafer_viewer.model.devices import Rig
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.errors import MotionStopped, WaferViewerError
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
 from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, SampleSeen, Scan, Stop
@@ -49,51 +50,87 @@ def _introduce(rig: Rig, config: RigConfig) -> RigReady:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A verb in its turn, with the number of stops before it: what was asked for before a stop is not begun after."""
+
+    ask: Ask
+    n_stops: int
+
+
 class Operator:
-    """Carries out one verb at a time; what steers a running scan is heard at once, on a thread of its own."""
+    """Carries out one verb at a time; what steers or breaks off a motion is heard at once, on a thread of its own.
+
+    That thread only counts and sets flags: whoever moves the rig asks for them, so one thread alone uses the devices.
+    """
 
     def __init__(self, rig: Rig, end: ChildEnd) -> None:
         self._rig, self._end = rig, end
-        self._todo: queue.SimpleQueue[Ask | None] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
         self._steering = Steering()
-        self._steer = {Pause: self._steering.pause, Resume: self._steering.resume, Stop: self._steering.stop}
+        self._steer = {Pause: self._steering.pause, Resume: self._steering.resume}
+        self._n_stops = self._heeded = 0
+        """Stops heard so far, and how many of them had been heard when something was last broken off."""
 
     def work(self) -> None:
         """Work until the pipe ends."""
         threading.Thread(target=self._listen, name="verbs", daemon=True).start()
-        while (ask := self._todo.get()) is not None:
+        while (order := self._todo.get()) is not None:
             try:
-                self._carry_out(ask)
+                self._carry_out(order)
             except WaferViewerError as fault:
-                self._end.refuse(ask, fault)
+                if isinstance(fault, MotionStopped):
+                    self._heeded = self._n_stops
+                self._end.refuse(order.ask, fault)
 
     def _listen(self) -> None:
         for ask in self._end.verbs():
-            if isinstance(ask.verb, Move | Scan):
-                self._todo.put(ask)
-            else:
-                self._steer[type(ask.verb)]()
+            if (steer := self._steer.get(type(ask.verb))) is not None:
+                steer()
                 self._end.answer(ask)
+                continue
+            if isinstance(ask.verb, Stop):
+                self._stop()
+            self._todo.put(Order(ask, self._n_stops))
         self._steering.end()
+        self._stop()
         self._todo.put(None)
 
-    def _carry_out(self, ask: Ask) -> None:
-        if isinstance(ask.verb, Scan):
-            self._scan(ask, ask.verb)
-        else:
-            self._move(ask, ask.verb)
+    def _stop(self) -> None:
+        self._n_stops += 1
+        self._steering.stop()
 
-    def _move(self, ask: Ask, move: Move) -> None:
+    def _carry_out(self, order: Order) -> None:
+        match order.ask.verb:
+            case Scan() as scan:
+                self._scan(order, scan)
+            case Move() as move:
+                self._move(order, move)
+            case _:
+                self._end.answer(order.ask, order.n_stops <= self._heeded)
+
+    def _stopped_since(self, order: Order) -> bool:
+        return self._n_stops > order.n_stops
+
+    def _move(self, order: Order, move: Move) -> None:
+        stage = self._rig.stage
         try:
-            self._rig.stage.move_to(x_um=move.x_um, y_um=move.y_um, z_um=move.z_um)
+            stage.move_to(
+                x_um=move.x_um, y_um=move.y_um, z_um=move.z_um, should_stop=lambda: self._stopped_since(order)
+            )
         finally:
-            self._end.tell(At(self._rig.stage.position()))
-        self._end.answer(ask)
+            self._end.tell(At(stage.position()))
+        self._end.answer(order.ask)
 
-    def _scan(self, ask: Ask, scan: Scan) -> None:
+    def _scan(self, order: Order, scan: Scan) -> None:
         self._steering.reset()
+        if self._stopped_since(order):
+            self._steering.stop()
         with writer_of(scan, self._rig) as writer:
-            self._end.answer(ask)
+            self._end.answer(order.ask)
             ended = take(scan, self._rig, writer, self._end.tell, self._steering)
+        if ended.stopped:
+            self._heeded = self._n_stops
+        self._rig.stage.wait()
         self._end.tell(At(self._rig.stage.position()))
         self._end.tell(ended)

@@ -19,10 +19,10 @@ FREE = frozenset(
         *("profile", "step_height", "read_out", "focus_curve", "measure", "datum", "thumbnail"),
         *("export_surface", "export_findings"),
         *("papers.keep_picture", "papers.write_report", "papers.contents"),
-        *("stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
+        *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
     }
 )
-"""What everybody may: look, measure without keeping, write what there is to a file, and stop a scan.
+"""What everybody may: look, measure without keeping, write what there is to a file, and stop what moves.
 
 A name in a group of verbs is written with the group's, ``notebook.views``. Whatever is not named here moves the rig,
 or changes the plan, the dataset or the results.

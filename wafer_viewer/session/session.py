@@ -79,10 +79,7 @@ class Session:
         return self._desk.subscribe(listener)
 
     def wait_until(self, condition: Callable[[Snapshot], bool], timeout_s: float = 60.0) -> Snapshot:
-        """Wait for a snapshot of which `condition` holds; never call it on the session's thread.
-
-        Raises TimeoutError when none came in time.
-        """
+        """Wait, on another thread than the session's, for a snapshot of which `condition` holds, or a TimeoutError."""
         return self._desk.wait_until(condition, timeout_s)
 
     def close(self) -> None:
@@ -133,7 +130,7 @@ class Session:
     # -------------------------------------------------------------------- rig
 
     def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
-        """Move the stage; done on arrival."""
+        """Move the stage; done on arrival, or with MotionStopped."""
         return self._do(self._rooms.move_to, Move(x_um, y_um, z_um))
 
     def start_scan(self, name: str | None = None) -> Future[Path]:
@@ -151,6 +148,10 @@ class Session:
     def resume(self) -> Future[None]:
         """Go on after a pause."""
         return self._do(self._rooms.rig.resume)
+
+    def stop(self) -> Future[bool]:
+        """Stop every motion now, a scan's too; done at rest: False if nothing moved. This is no emergency stop."""
+        return self._do(self._rooms.stop, self._rooms.rig.break_off())
 
     def stop_scan(self) -> Future[None]:
         """End the scan; done when the rig is at rest. This is no emergency stop."""
