@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
+import subprocess
+import sys
 
 import msgspec
 import pytest
@@ -193,7 +197,59 @@ def test_the_file_is_small_and_plain(program):
     program.end()
     kept = msgspec.json.decode(kept_file(program).read_bytes())
     assert set(kept) == {"version", "job"}
-    assert list(kept_file(program).parent.iterdir()) == [kept_file(program)]
+    assert {path.name for path in kept_file(program).parent.iterdir()} == {NAME, "lock"}
+
+
+@pytest.fixture
+def second(program):
+    """Another program on the same data folder."""
+    made = Program(program.folder)
+    yield made
+    made.end()
+
+
+def test_the_second_program_on_a_folder_says_that_it_remembers_nothing_and_leaves_the_first_alone(program, second):
+    program.start()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.do(program.rooms.drafting.keep_typed, HALF)
+    now = second.start()
+    assert now.draft.job is None
+    (fault,) = now.faults
+    assert (fault.title, fault.needs_person) == ("What is open here is not remembered", False)
+    assert f"process {os.getpid()}" in fault.text
+    second.do(second.rooms.drafting.edit, small_job(cols=3))
+    second.end()
+    program.end()
+    now = program.start()
+    assert (now.draft.job, now.draft.typed, now.faults) == (small_job(), HALF, ())
+
+
+def test_who_comes_after_the_first_has_ended_remembers_again(program, second):
+    program.start()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.end()
+    assert second.start().draft.job == small_job()
+    assert second.now.faults == ()
+
+
+def test_a_program_that_was_killed_holds_nothing(program):
+    held = program.folder / KEPT_IN
+    held.mkdir()
+    take = "import sys, pathlib; from wafer_viewer.store.lock import Lock; Lock.take(pathlib.Path(sys.argv[1]))"
+    wait = "; print('held', flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", take + wait, held], stdin=-1, stdout=-1) as other:
+        assert other.stdout.readline() == b"held\n"
+        other.kill()
+    assert json.loads((held / "lock").read_text())["pid"] == other.pid
+    assert program.start().faults == ()
+
+
+def test_a_folder_that_nobody_may_write_to_costs_the_memory_and_not_the_start(program, monkeypatch):
+    monkeypatch.setattr(Lock, "take", held_elsewhere)
+    assert program.start().faults == ()
+    program.do(program.rooms.drafting.edit, small_job())
+    program.end()
+    assert not kept_file(program).exists()
 
 
 @pytest.mark.slow

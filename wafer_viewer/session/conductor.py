@@ -90,6 +90,9 @@ class Conductor:
 
     def _reopen(self) -> None:
         """Open what was open when the program ended. Raises DatasetError where that cannot be."""
+        if (why := self.reopening.claim()) is not None:
+            self.notices.fault("What is open here is not remembered", why, "open", needs_person=False)
+            return
         kept = self.reopening.read()
         if kept.is_empty:
             return

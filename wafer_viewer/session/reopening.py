@@ -1,7 +1,8 @@
 """What is open is open again after a restart: the dataset, its result, and the plan, finished or not.
 
 It is kept in ``.wafer-viewer/session.json`` of the data folder. A file that is damaged or of another version costs
-the memory, never the start.
+the memory, never the start. It belongs to one program at a time, held as a dataset is (store/lock.py): a second one on
+the same folder begins with nothing open and leaves the first one's memory alone.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import logging
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -17,6 +18,9 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.state import Snapshot, Typed
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.lock import Lock
 
 KEPT_IN, NAME = ".wafer-viewer", "session.json"
 VERSION = 1
@@ -60,7 +64,7 @@ def kept_of(snapshot: Snapshot, result: str) -> Kept:
 class Reopening:
     """The file: read once at the start, written whenever what is open has changed and then rested.
 
-    It is told of changes on one thread, and writes on others.
+    It is told of changes on one thread, and writes on others. What was not claimed is not written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -69,6 +73,30 @@ class Reopening:
         self._waiting: Kept | None = None
         self._timer: threading.Timer | None = None
         self._writing = threading.Lock()
+        self._held: Lock | None = None
+
+    def claim(self) -> str | None:
+        """Hold the file until the end; returns why not, as a sentence to show, where another program holds it.
+
+        A folder that cannot be written to is no reason: what is open is not remembered then, as the log says.
+        """
+        from wafer_viewer.store.files import writing
+        from wafer_viewer.store.lock import Lock, holder_of
+
+        folder = self._path.parent
+        try:
+            with writing(folder):
+                folder.mkdir(exist_ok=True)
+            self._held = Lock.take(folder)
+        except DatasetError as fault:
+            if (holder := holder_of(folder)) is not None:
+                return (
+                    f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers its own plan there. This "
+                    "one began with nothing open, and after a restart it will do so again. To have it remembered, "
+                    f"end the other one first; if that is gone already, delete {folder / 'lock'}. Nothing else to do."
+                )
+            log.warning("What is open will not be remembered: %s", fault)
+        return None
 
     def read(self) -> Kept:
         """What was open when the program ended last; empty at the first start.
@@ -91,6 +119,8 @@ class Reopening:
 
     def keep(self, snapshot: Snapshot, result: str) -> None:
         """Write soon what is open, if that is anything new."""
+        if self._held is None:
+            return
         draft, data = snapshot.draft, snapshot.dataset
         seen = (draft.job, draft.typed, data.path if data is not None else None, result)
         if seen == self._seen:
@@ -104,27 +134,27 @@ class Reopening:
 
     def write(self) -> None:
         """Write now what waits to be written."""
-        from wafer_viewer.store.files import write_text, writing
+        from wafer_viewer.store.files import write_text
 
         with self._writing:
             kept, self._waiting = self._waiting, None
             if kept is None:
                 return
             try:
-                with writing(self._path.parent):
-                    self._path.parent.mkdir(exist_ok=True)
                 write_text(self._path, msgspec.json.encode(kept).decode())
             except DatasetError as fault:
                 log.warning("What is open is not remembered: %s", fault)
 
     def close(self, snapshot: Snapshot, result: str) -> None:
-        """Write how it is at the end."""
-        if snapshot.reopening:
-            return
-        self.keep(snapshot, result)
+        """Write how it is at the end, and let another program have the file."""
+        if not snapshot.reopening:
+            self.keep(snapshot, result)
         if self._timer is not None:
             self._timer.cancel()
         self.write()
+        if self._held is not None:
+            self._held.release()
+            self._held = None
 
 
 def _small(path: Path) -> bytes:
