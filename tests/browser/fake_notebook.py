@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
-from wafer_viewer.model.report import PARTS, ReportOrder
+from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
 
 
@@ -60,16 +60,31 @@ class FakeNotebook:
         self._session.change(notebook=state)
 
 
+HELD: Contents = {
+    "results": Holds("no results yet", nothing=True),
+    "pictures": Holds("no pictures yet: key P takes one", nothing=True),
+    "surface": Holds("1 440 × 1 080 points"),
+    "plan": Holds("9 fields of 61 frames"),
+    "recipe": Holds("the settings that were used"),
+    "calibration": Holds("lengths are calibrated"),
+    "warnings": Holds("no warnings"),
+}
+
+
 class FakePapers:
     """Pictures and reports go to a folder of a test."""
 
     def __init__(self, session: Any) -> None:
         self._session = session
-        self.folder = Path()
+        self.folder, self.pictures_kept = Path(), 0
         self.fails_with: Exception | None = None
 
     def contents(self) -> Future[Any]:
-        return done({part: f"what there is of {part}" for part in PARTS})
+        return done({**HELD, "results": self._results()})
+
+    def _results(self) -> Holds:
+        n = len(self._session.snapshot.findings)
+        return Holds(f"{n} results, 0 judged") if n else Holds("no results yet", nothing=True)
 
     def keep_picture(self, png: bytes) -> Future[Path]:
         path = self.folder / "coupon-07-picture-1.png"

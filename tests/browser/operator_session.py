@@ -66,12 +66,14 @@ def aligned(residual_um: float = 1.2) -> Snapshot:
     return released(a_released_job("W07", residual_um), SEEN)
 
 
-def a_verdict(die_um: float, pad_um: float, u_um: float = 0.14) -> WaferVerdict:
-    def height(value_um: float, u_um: float) -> Length:
-        noise = Contribution(name="noise and form of the faces", u_um=u_um / 2)
-        return Length.evaluated(value_um, (Contribution(name="z scale", u_um=2e-4 * value_um), noise))
+def height_of(value_um: float, u_um: float) -> Length:
+    """A height with a budget as a step has."""
+    noise = Contribution(name="noise and form of the faces", u_um=u_um / 2)
+    return Length.evaluated(value_um, (Contribution(name="z scale", u_um=2e-4 * value_um), noise))
 
-    items = (judge(DIE, height(die_um, u_um)), judge(PAD, height(pad_um, 0.06)))
+
+def a_verdict(die_um: float, pad_um: float, u_um: float = 0.14) -> WaferVerdict:
+    items = (judge(DIE, height_of(die_um, u_um)), judge(PAD, height_of(pad_um, 0.06)))
     return WaferVerdict(
         word=overall(items),
         next=what_next(items),

@@ -17,6 +17,7 @@ from tests.browser import operator_session as operator
 from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.measuring_session import MeasuringSession
+from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
@@ -195,7 +196,9 @@ SCREENS: dict[str, Screen] = {
     "levelled": measuring(*kept("x"), press("Shift+F"), read_from("Region")),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
+    "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),
     "report": Screen(noted, "report", seen=True),
+    "report-of-nothing": Screen(lambda: StitchedSession(3, 3), "report", seen=True),
 }
 
 

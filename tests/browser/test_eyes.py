@@ -11,6 +11,7 @@ from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser import fake_session as fake
+from tests.browser.reviewed_session import reviewed_session
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.gui.app import start
@@ -111,6 +112,28 @@ def test_results_are_reviewed_by_keyboard_alone(page: Page, session: StitchedSes
     eventually(lambda: note(session) == "", "the note is taken back")
 
 
+def test_features_of_a_verdict_are_reviewed_the_gravest_first(look_at: Callable[[str], Page]):
+    session = reviewed_session()
+    running = start(session)
+    page = look_at(running.address)
+    go_to(page, "Review")
+    title_is(page, re.compile("F2 · Die 2 over street"))
+    expect(page.locator("tr[data-pick=review]").nth(1)).to_contain_text("INCONCLUSIVE")
+    expect(page.locator(".wv-review-picture img")).to_have_attribute("src", re.compile("^data:image/jpeg"))
+    page.keyboard.press("n")
+    expect(page.locator("tr.sel")).to_contain_text("rejected")
+    page.keyboard.press("PageDown")
+    title_is(page, re.compile("F3 · Die 3 over street"))
+    press(page, "Undo")
+    expect(page.locator("[data-dock-region=left]")).to_contain_text("0 of 3 judged")
+    expect(page.get_by_role("button", name="Undo", exact=True)).to_be_disabled()
+    page.reload()
+    title_is(page, re.compile("F3 · Die 3 over street"))
+    page.goto("about:blank")
+    running.stop()
+    session.close()
+
+
 def note(session: StitchedSession) -> str:
     return session.snapshot.notebook.book.judgement("result 1").note
 
@@ -118,7 +141,9 @@ def note(session: StitchedSession) -> str:
 def test_a_report_is_ordered_written_and_opened(page: Page, session: StitchedSession, tmp_path: Path):
     go_to(page, "Report")
     title_is(page, "Report")
-    expect(page.locator(".wv-part").first).to_have_text("what there is of results")
+    expect(page.locator(".wv-part").first).to_have_text("2 results, 0 judged")
+    expect(page.get_by_label("Pictures")).to_be_disabled()
+    expect(page.get_by_label("Pictures")).not_to_be_checked()
     text_field(page, "Title").fill("Lot <7>")
     page.get_by_label("Recipe").click()
     expect(page.locator(".wv-part.off")).to_have_count(1)

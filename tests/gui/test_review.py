@@ -10,18 +10,26 @@ from tests.browser import fake_session as fake
 from tests.browser import operator_session as operator
 from wafer_viewer.gui.camera import Pose
 from wafer_viewer.gui.field_map import field_at
+from wafer_viewer.gui.header import done, possible
 from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
+from wafer_viewer.gui.review_words import numbers, review_list
 from wafer_viewer.gui.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.notebook import Judgement, Notebook
+from wafer_viewer.model.notebook import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.notebook_state import NotebookState
+from wafer_viewer.session.operating import Operating
+from wafer_viewer.session.state import Snapshot
 
 POSE = Pose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
 
 
-def judged(*judgements: Judgement):
-    return dataclasses.replace(fake.measured(), notebook=NotebookState(Notebook(judgements=judgements)))
+def noted(snapshot: Snapshot, *judgements: Judgement) -> Snapshot:
+    return dataclasses.replace(snapshot, notebook=NotebookState(Notebook(judgements=judgements)))
+
+
+def judged(*judgements: Judgement) -> Snapshot:
+    return noted(fake.measured(), *judgements)
 
 
 def test_results_are_items_with_their_place_numbers_and_judgement():
@@ -35,7 +43,7 @@ def test_results_are_items_with_their_place_numbers_and_judgement():
 def test_features_of_a_released_job_come_first_with_the_word_of_the_instrument():
     items = review_items(operator.judged(operator.FAIL))
     assert [item.sign for item in items[:2]] == ["F1", "F2"]
-    assert items[0].said.startswith("FAIL. ")
+    assert (items[0].word, items[0].said) == ("fail", "Over the upper limit.")
     assert {"Height", "Lower limit", "Upper limit"} <= {row[0] for row in items[0].rows}
     x0, y0, x1, y1 = items[0].box_um
     assert x0 < x1
@@ -49,13 +57,51 @@ def test_a_filter_lists_what_is_open_or_was_rejected():
 
 
 def test_going_on_runs_round_the_ends_and_starts_at_either():
-    items = review_items(fake.measured())
-    keys = [item.key for item in items]
-    assert neighbour(items, keys[-1], 1).key == keys[0]
-    assert neighbour(items, keys[0], -1).key == keys[-1]
-    assert neighbour(items, "gone", 1).key == keys[0]
-    assert neighbour((), None, 1) is None
-    assert chosen_item(fake.measured(), "gone").key == keys[0]
+    now = fake.measured()
+    first, last = (item.key for item in review_items(now))
+    assert neighbour(now, last, 1).key == first
+    assert neighbour(now, first, -1).key == last
+    assert neighbour(now, "gone", 1).key == first
+    assert neighbour(dataclasses.replace(now, findings=()), None, 1) is None
+    assert chosen_item(now, "gone").key == first
+
+
+def test_one_goes_on_to_what_is_open_and_back_to_what_was_before():
+    now = noted(operator.judged(operator.FAIL), Judgement(key="feature pad over die", verdict="accepted"))
+    assert neighbour(now, "feature die over street", 1).key == "result 1"
+    assert neighbour(now, "result 1", -1).key == "feature pad over die"
+    assert neighbour(now, "result 2", 1, "rejected") is None
+    everything = tuple(Judgement(key=item.key, verdict="accepted") for item in review_items(now))
+    assert neighbour(noted(now, *everything), "result 1", 1).key == "result 2"
+
+
+def test_a_feature_that_fails_stands_before_those_that_pass_and_says_so_beside_its_limits():
+    now = operator.judged(operator.a_verdict(30.03, 2.31))
+    first, second = (item for item in review_items(now) if item.word is not None)
+    assert (first.sign, first.title, first.word, second.word) == ("F2", "pad over die", "fail", "pass")
+    shown = review_list(now, View(step="review"))
+    assert shown.index("FAIL") < shown.index("PASS") < shown.index("Die to trench")
+    assert "<b>2.310</b> ± 0.060<small>1.8 … 2.2" in shown
+    assert 'aria-label="pad over die, FAIL, open"' in shown
+    assert "Over the upper limit." in numbers(first)
+
+
+def test_features_of_one_name_are_judged_apart():
+    one = operator.FAIL.items[0]
+    twins = replace(operator.FAIL, items=(one, one))
+    keys = keys_of_features(twins)
+    assert keys == ("feature die over street", "feature die over street (2)")
+    now = noted(operator.judged(twins), Judgement(key=keys[1], verdict="rejected", note="dust"))
+    assert [item.judgement.note for item in review_items(now)][:2] == ["", "dust"]
+
+
+def test_features_alone_are_reason_for_a_review_and_it_ends_when_they_are_judged():
+    now = dataclasses.replace(operator.judged(operator.PASS), findings=())
+    assert possible("review", now)
+    assert not done("review", now)
+    judgements = (Judgement(key=key, verdict="accepted") for key in keys_of_features(operator.PASS))
+    assert done("review", noted(now, *judgements))
+    assert not possible("review", dataclasses.replace(now, operating=Operating()))
 
 
 def test_a_view_is_kept_and_taken_up_again_as_it_was():

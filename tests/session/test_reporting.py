@@ -17,7 +17,7 @@ from wafer_viewer.measure.step import step_height
 from wafer_viewer.model.findings import Findings, Length
 from wafer_viewer.model.notebook import Judgement, Notebook
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.report import PARTS, Figure, Report, ReportOrder, Section
+from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
 from wafer_viewer.model.sample import Feature, Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
@@ -98,14 +98,18 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
     assert report.simulated
 
 
-def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
+def a_verdict() -> WaferVerdict:
     feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
     judged = Judged(feature=feature, height=Length(value_um=12.01), word="inconclusive", why="No uncertainty.")
-    verdict = WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
-    material = dataclasses.replace(gather(dataset, RESULT), verdict=verdict)
+    return WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
+
+
+def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
+    noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
+    material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
     rows = reporting._results(material).table.rows
     assert rows[0][:3] == ("F1", "die", "Feature, 11.00 … 13.00\u202fµm")
-    assert rows[0][-1] == "INCONCLUSIVE"
+    assert rows[0][-1] == "INCONCLUSIVE · accepted · measured by hand"
     assert ("Verdict", "INCONCLUSIVE, Coupon B") in reporting._facts(material)
     assert gather(dataset, RESULT).verdict is None
 
@@ -143,8 +147,20 @@ def test_pictures_at_print_size_go_in_where_there_are_some(dataset):
 def test_every_part_says_beforehand_what_it_would_hold(dataset):
     said = contents(dataset, RESULT)
     assert set(said) == set(PARTS)
-    assert said["results"] == "1 kept, 1 judged"
-    assert said["surface"] == "320 × 240 points"
+    assert said["results"] == Holds("1 result, 1 judged")
+    assert said["surface"] == Holds("320 × 240 points")
+    assert said["pictures"] == Holds("no pictures yet: key P takes one", nothing=True)
+
+
+def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dataset, monkeypatch):
+    material = dataclasses.replace(gather(dataset, RESULT), findings=(), info=None)
+    monkeypatch.setattr(reporting, "gather", lambda *_: material)
+    said = contents(dataset, RESULT)
+    assert {part for part, holds in said.items() if holds.nothing} == {"results", "pictures", "surface"}
+    assert (said["results"].words, said["surface"].words) == ("no results yet", "not stitched yet")
+    rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))
+    material = dataclasses.replace(material, verdict=a_verdict(), notebook=rejected)
+    assert contents(dataset, RESULT)["results"] == Holds("1 feature, 1 judged")
 
 
 def test_a_part_with_nothing_in_it_says_so():

@@ -40,6 +40,7 @@ from wafer_viewer.gui.status_strip import StatusStrip
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
+from wafer_viewer.gui.verdict_section import awaited
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.viewpoint import Viewpoint
 from wafer_viewer.gui.welcome import Welcome
@@ -92,8 +93,9 @@ class PossibleStep:
         self._page = page
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Go to Plan where the step shown has nothing to show."""
-        if not possible(view.step, snapshot):
+        """Go to Plan where the step shown has nothing to show; a review waits for the verdict that will come."""
+        waits = view.step == "review" and awaited(snapshot)
+        if not (possible(view.step, snapshot) or waits):
             self._page.change(step="plan")
 
 

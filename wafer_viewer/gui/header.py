@@ -12,7 +12,7 @@ from wafer_viewer.gui.html import icon, pick, safe
 from wafer_viewer.gui.kit import Cell, Gui, button, set_prop
 from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_STEP_PX, NARROW_WINDOW_PX, STEP_PX, by_id
 from wafer_viewer.gui.view import Step, View
-from wafer_viewer.model.notebook import key_of_result
+from wafer_viewer.model.notebook import keys_under_review
 from wafer_viewer.session.state import RigStatus, Snapshot
 
 STOP_PX, STOP_RIGHT_PX = 88, 330
@@ -57,7 +57,7 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
         case "measure" | "report":
             return snapshot.surface is not None
         case "review":
-            return snapshot.surface is not None and bool(snapshot.findings)
+            return snapshot.surface is not None and bool(_under_review(snapshot))
 
 
 def done(step: Step, snapshot: Snapshot) -> bool:
@@ -68,7 +68,7 @@ def done(step: Step, snapshot: Snapshot) -> bool:
         and {
             "plan": True,
             "acquire": data.finished and not snapshot.scanning,
-            "surface": bool(snapshot.findings),
+            "surface": bool(_under_review(snapshot)),
             "measure": bool(snapshot.notebook.book.judgements),
             "review": all_judged(snapshot),
             "report": False,
@@ -77,10 +77,13 @@ def done(step: Step, snapshot: Snapshot) -> bool:
 
 
 def all_judged(snapshot: Snapshot) -> bool:
-    """Whether every result was accepted or rejected."""
-    book = snapshot.notebook.book
-    verdicts = [book.judgement(key_of_result(f.number)).verdict for f in snapshot.findings]
-    return bool(verdicts) and "open" not in verdicts
+    """Whether every result, and every feature of a verdict, was accepted or rejected."""
+    keys = _under_review(snapshot)
+    return bool(keys) and snapshot.notebook.book.judged(keys) == len(keys)
+
+
+def _under_review(snapshot: Snapshot) -> tuple[str, ...]:
+    return keys_under_review(snapshot.operating.verdict, snapshot.findings)
 
 
 class Header:

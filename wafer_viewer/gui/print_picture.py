@@ -94,6 +94,7 @@ class PrintPicture:
             coarse = "" if whole else " Parts were still being drawn finer: press P again for a sharper one."
             page.say("Picture kept", f"{path}{coarse}")
             page.client.send_file_download(path.name, data)
+            page.redraw()
 
         page.ask("The picture was not kept", page.session.papers.keep_picture(data), kept)
 

@@ -10,11 +10,13 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, button, leading, set_prop
+from wafer_viewer.gui.kit import Cell, Field, button, leading, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.report import PART_TITLES, PARTS, Part, ReportOrder
+from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
 from wafer_viewer.session.state import Snapshot
+
+UNKNOWN = Holds("…")
 
 
 class ReportPanel:
@@ -22,7 +24,9 @@ class ReportPanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._contents: dict[Part, str] = {}
+        self._contents: Contents = {}
+        self._left_out: set[Part] = set()
+        """What a person does not want; that a part holds nothing now says nothing of what it may hold."""
         self._of: object = None
         self._written = ""
         self._writing: Future[Any] | None = None
@@ -35,15 +39,19 @@ class ReportPanel:
         set_prop(self._folder, "visible", view.step == "report")
         data = snapshot.dataset
         if view.step != "report" or data is None:
+            self._of = None
             return
         self._ask_contents(snapshot)
         self._title.show(html.title("Report", "One HTML file that stands alone and prints on A4."))
         self._notes.show(self._page.notes(snapshot))
+        chosen = self._chosen()
         for part, told in self._told.items():
-            told.show(_line(self._contents.get(part, "…"), self._chosen[part].value))
-        self._outcome.show(self._written)
-        busy = self._writing is not None and not self._writing.done()
-        set_prop(self._write, "disabled", busy or not any(box.value for box in self._chosen.values()))
+            holds = self._contents.get(part, UNKNOWN)
+            self._boxes[part].show(part in chosen)
+            self._boxes[part].enable(not holds.nothing)
+            told.show(_line(holds, part in chosen))
+        self._outcome.show(self._written if chosen else '<div class="wv-why">Not yet: nothing is ticked.</div>')
+        set_prop(self._write, "disabled", self._busy or not chosen)
 
     def commands(self) -> list[Command]:
         """The one verb."""
@@ -52,10 +60,10 @@ class ReportPanel:
     def write(self) -> None:
         """Write the report."""
         page = self._page
-        if page.session.snapshot.surface is None or (self._writing is not None and not self._writing.done()):
+        if page.session.snapshot.surface is None or self._busy or not self._chosen():
             return
-        parts: tuple[Part, ...] = tuple(part for part in PARTS if self._chosen[part].value)
-        self._writing = page.session.papers.write_report(ReportOrder(title=self._name.value, parts=parts))
+        order = ReportOrder(title=self._name.value, parts=self._chosen())
+        self._writing = page.session.papers.write_report(order)
         page.ask("The report was not written", self._writing, self._hand_out)
         page.redraw()
 
@@ -64,14 +72,13 @@ class ReportPanel:
         self._title, self._notes = Cell(gui), Cell(gui)
         self._name = gui.add_text("Title", "", hint="Stands over the report; without one the dataset's name does")
         Cell(gui, html.head("What goes in"))
-        self._chosen: dict[Part, Any] = {}
+        self._boxes: dict[Part, Field[bool]] = {}
         self._told: dict[Part, Cell] = {}
         for part in PARTS:
-            box = gui.add_checkbox(
-                PART_TITLES[part], True, hint=f"Whether the report has a section {PART_TITLES[part]}"
-            )
-            box.on_update(guarded(page, "The parts stay")(lambda _: page.redraw()))
-            self._chosen[part], self._told[part] = box, Cell(gui)
+            hint = f"Whether the report has a section {PART_TITLES[part]}"
+            box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
+            self._boxes[part] = Field(box, lambda event, p=part: self._tick(p, event.target.value), page, "It stays")
+            self._told[part] = Cell(gui)
         self._outcome = Cell(gui)
         self._write = button(
             gui,
@@ -81,19 +88,34 @@ class ReportPanel:
         )
         leading(gui, self._write)
 
+    @property
+    def _busy(self) -> bool:
+        return self._writing is not None and not self._writing.done()
+
+    def _chosen(self) -> tuple[Part, ...]:
+        """What goes in: all that holds something, without what a person left out."""
+        nothing = {part for part, holds in self._contents.items() if holds.nothing}
+        return tuple(part for part in PARTS if part not in self._left_out and part not in nothing)
+
+    def _tick(self, part: Part, wanted: bool) -> None:
+        (self._left_out.discard if wanted else self._left_out.add)(part)
+        self._page.redraw()
+
     def _ask_contents(self, snapshot: Snapshot) -> None:
         """Have what each part holds found out when something of it may have changed."""
         data, book = snapshot.dataset, snapshot.notebook.book
-        of = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, self._written)
+        papers, verdict = self._page.session.papers, snapshot.operating.verdict
+        of = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, verdict)
+        of = (*of, papers.pictures_kept, self._written)
         if of == self._of:
             return
         self._of = of
 
-        def found(contents: dict[Part, str]) -> None:
+        def found(contents: Contents) -> None:
             self._contents = contents
             self._page.redraw()
 
-        self._page.ask("What goes in is not known", self._page.session.papers.contents(), found)
+        self._page.ask("What goes in is not known", papers.contents(), found)
 
     def _hand_out(self, path: Any) -> None:
         words = f"<div><b>The report is written.</b><p>{html.safe(path)}</p></div>"
@@ -102,5 +124,6 @@ class ReportPanel:
         self._page.client.send_file_download(path.name, path.read_bytes())
 
 
-def _line(text: str, chosen: bool) -> str:
-    return f'<div class="wv-part{"" if chosen else " off"}">{html.safe(text)}</div>'
+def _line(holds: Holds, chosen: bool) -> str:
+    look = " none" if holds.nothing else "" if chosen else " off"
+    return f'<div class="wv-part{look}">{html.safe(html.micro(holds.words))}</div>'

@@ -1,4 +1,4 @@
-"""What is under review: results and, of a released job, its features, all as one kind of item.
+"""What is under review: the features of a job's verdict, the gravest first, and results, all as one kind of item.
 
 Another kind of thing to be judged, such as a defect, joins by a function in `SOURCES`.
 """
@@ -12,15 +12,16 @@ import viser
 
 from wafer_viewer.gui.kept_places import Box, bounds_of
 from wafer_viewer.gui.measure_words import letter, list_text, of_what, sign_colour, value_texts
+from wafer_viewer.gui.verdict_words import LOOKS, in_short
 from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import Judgement, key_of_feature, key_of_result
+from wafer_viewer.model.notebook import Judgement, key_of_result, keys_of_features
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.verdict import Judged
+from wafer_viewer.model.verdict import Judged, Word
 from wafer_viewer.session.state import Snapshot
 
 Row = tuple[str, str, str, str]
@@ -33,6 +34,8 @@ VERDICT_LOOKS = {
 }
 """Sign and colour of each judgement; its word stands beside them."""
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (("all", "All"), ("open", "Open"), ("rejected", "Rejected"))
+GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
+"""What a person has to look at first."""
 _QUANTITIES = {"pt": "Pt", "flt_t": "FLTt", "flt_q": "FLTq", "dz": "Δz"}
 
 
@@ -41,6 +44,7 @@ class ReviewItem:
     """One thing to be judged: its sign, where it is, its numbers, what the instrument says, what people say.
 
     value: what the list shows, HTML. show: the surface it was measured on; number: of the result it is, if it is one.
+    word: what the instrument says of it, and `said` why; None where it says nothing.
     """
 
     key: str
@@ -55,7 +59,14 @@ class ReviewItem:
     show: int = 0
     levelling: Levelling = Levelling()
     number: int | None = None
+    word: Word | None = None
     said: str = ""
+
+    @property
+    def told(self) -> str:
+        """What the instrument says and what people say of it, in words."""
+        people = VERDICTS[self.judgement.verdict]
+        return people if self.word is None else f"{LOOKS[self.word][0]}, {people}"
 
 
 def review_items(snapshot: Snapshot, only: ReviewFilter = "all") -> tuple[ReviewItem, ...]:
@@ -70,12 +81,17 @@ def chosen_item(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
     return next((item for item in items if item.key == key), items[0] if items else None)
 
 
-def neighbour(items: tuple[ReviewItem, ...], key: str | None, by: int) -> ReviewItem | None:
-    """The item `by` places on from the one of a key, round the ends of the list."""
-    if not items:
-        return None
+def neighbour(snapshot: Snapshot, key: str | None, by: int, only: ReviewFilter = "all") -> ReviewItem | None:
+    """Where one goes from the item of a key, round the ends of the list: on, to the next that is open, or back by one.
+
+    Where no other is open one goes on to the next of those listed, which are `only` some of all.
+    """
+    items, listed = review_items(snapshot), {item.key for item in review_items(snapshot, only)}
     at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
-    return items[(at + by) % len(items)]
+    round_trip = [items[(at + by * n) % len(items)] for n in range(1, len(items) + 1)]
+    ahead = [item for item in round_trip if item.key in listed]
+    still_open = [item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open"]
+    return next(iter(still_open or ahead), None)
 
 
 def _results(snapshot: Snapshot) -> Iterator[ReviewItem]:
@@ -101,20 +117,21 @@ def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
     verdict, data = snapshot.operating.verdict, snapshot.dataset
     if verdict is None or data is None:
         return
-    for k, judged in enumerate(verdict.items):
-        key = key_of_feature(judged.feature.name)
+    keyed = enumerate(zip(keys_of_features(verdict), verdict.items, strict=True), 1)
+    for n, (key, judged) in sorted(keyed, key=lambda of: GRAVEST.index(of[1][1].word)):
         places = [place for place in (judged.feature.upper, judged.feature.lower) if place is not None]
         yield ReviewItem(
             key=key,
-            sign=f"F{k + 1}",
+            sign=f"F{n}",
             colour="",
             title=judged.feature.name,
             below="Feature of the released job" if verdict.released else "Feature of the job",
-            value=f"<b>{judged.word.upper()}</b>",
+            value=in_short(judged),
             rows=_feature_rows(judged),
             judgement=snapshot.notebook.book.judgement(key),
             box_um=_box_on_stage(places, data.job.alignment),
-            said=f"{judged.word.upper()}. {judged.why}",
+            word=judged.word,
+            said=judged.why,
         )
 
 

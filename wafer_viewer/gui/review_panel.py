@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
@@ -17,6 +18,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.review_items import ReviewItem, chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers, picture, progress
 from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.gui.verdict_words import waiting
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.notebook import Verdict
 from wafer_viewer.session.paint_request import PaintRequest
@@ -38,6 +40,7 @@ class ReviewPanel:
         self._page, self._scene = page, scene
         self._pictures: dict[PaintRequest, Future[bytes]] = {}
         self._note_of = ""
+        self._waiting = Cell(page.gui)
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
@@ -48,8 +51,10 @@ class ReviewPanel:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
         there = view.step == "review" and not view.explains
-        set_prop(self._folder, "visible", there)
         item = chosen_item(snapshot, view.review) if there else None
+        set_prop(self._folder, "visible", item is not None)
+        waits = there and item is None
+        self._waiting.show(self._page.notes(snapshot) + waiting(snapshot.operating.judging) if waits else "")
         if item is None:
             return
         self._title.show(html.title(f"{item.sign} · {item.title}", item.below))
@@ -58,6 +63,8 @@ class ReviewPanel:
         self._numbers.show(numbers(item))
         self._judgement.show(item.judgement.verdict)
         self._done.show(progress(review_items(snapshot)))
+        set_prop(self._undo, "disabled", not snapshot.notebook.can_undo)
+        set_prop(self._redo, "disabled", not snapshot.notebook.can_redo)
         if not self._edits.under_way:
             self._note_of = item.key
             self._note.show(item.judgement.note)
@@ -73,13 +80,13 @@ class ReviewPanel:
         ]
 
     def step(self, by: int) -> None:
-        """Go on to the next item of those listed, or back."""
+        """Go on to the next open item of those listed, or back."""
         page, view = self._page, self._page.view
         if view.step != "review":
             return
         snapshot = page.session.snapshot
         now = chosen_item(snapshot, view.review)
-        item = neighbour(review_items(snapshot, view.review_filter), now.key if now else None, by)
+        item = neighbour(snapshot, now.key if now else None, by, view.review_filter)
         if item is not None:
             self._look_at(item)
 
@@ -100,19 +107,19 @@ class ReviewPanel:
         page, gui = self._page, self._page.gui
         self._title, self._notes, self._picture, self._numbers = (Cell(gui) for _ in range(4))
         Cell(gui, html.head("Judgement", "keys Y and N"))
-        self._judgement = Choice(gui, "It is", JUDGEMENTS, self.judge)
+        self._judgement = Choice(gui, "It is", JUDGEMENTS, guarded(page, "The judgement stays")(self.judge))
         note = gui.add_text("Note", "", hint="Kept with the judgement; it stands in the report")
         self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note stays")
-        undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, lambda _: self._take_back("undo"))
-        redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, lambda _: self._take_back("redo"))
-        in_a_row(gui, [undo, redo], 30)
+        self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
+        self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
+        in_a_row(gui, [self._undo, self._redo], 30)
         self._done = Cell(gui)
-        on = button(gui, "Next", viser.Icon.ARROW_RIGHT, lambda _: self.step(1))
+        on = button(gui, "Next", viser.Icon.ARROW_RIGHT, guarded(page, "This stays on show")(lambda _: self.step(1)))
         leading(gui, on)
 
-    def _take_back(self, verb: str) -> None:
-        page = self._page
-        page.ask(f"Nothing was {verb}ne", getattr(page.session.notebook, verb)())
+    def _taking_back(self, verb: Literal["undo", "redo"]) -> Callable[[Any], Any]:
+        page, failed = self._page, f"Nothing was {'undone' if verb == 'undo' else 'done again'}"
+        return guarded(page, failed)(lambda _: page.ask(failed, getattr(page.session.notebook, verb)()))
 
     def _look_at(self, item: ReviewItem) -> None:
         """Show the item as it was measured, and fly there."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.gui import html
+from wafer_viewer.gui import html, verdict_words
 from wafer_viewer.gui.review_items import FILTERS, VERDICT_LOOKS, VERDICTS, ReviewItem, chosen_item, review_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot
@@ -33,9 +33,11 @@ def picture(item: ReviewItem, url: str) -> str:
 def numbers(item: ReviewItem) -> str:
     """Every number of an item with its U; what the instrument says of it."""
     rows = [html.row([html.safe(cell) for cell in row], " nn") for row in item.rows]
-    said = f'<div class="wv-sub" style="margin-top:6px">{html.safe(html.micro(item.said))}</div>' if item.said else ""
+    word = f"{verdict_words.state(item.word)} · " if item.word is not None else ""
+    said = word + html.safe(html.micro(item.said))
+    below = f'<div class="wv-sub" style="margin-top:6px">{said}</div>' if said else ""
     table = html.table(["", "Value", "± U, k = 2", ""], rows, " nn") if rows else ""
-    return html.head("Numbers") + table + said
+    return html.head("Numbers") + table + below
 
 
 def progress(items: tuple[ReviewItem, ...]) -> str:
@@ -43,17 +45,18 @@ def progress(items: tuple[ReviewItem, ...]) -> str:
     left = sum(item.judgement.verdict == "open" for item in items)
     rejected = sum(item.judgement.verdict == "rejected" for item in items)
     said = f"{left} still open" if left else "Everything is judged"
-    return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · Page Down goes on</div>'
+    on = "Page Down goes to the next open one" if left else "Page Down goes on"
+    return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · {on}</div>'
 
 
 def _row(item: ReviewItem, chosen: bool) -> str:
-    word = VERDICTS[item.judgement.verdict]
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
+    state = f"<small>{verdict_words.state(item.word)}</small>" if item.word is not None else ""
     name = (
         f'<span class="wv-cut wv-short" title="{html.safe(item.title)}">{html.safe(item.title)}</span>'
-        f'<small style="color:var(--{colour})">{html.icon(sign, 14)} {word}</small>'
+        f"{state}<small style='color:var(--{colour})'>{html.icon(sign, 14)} {VERDICTS[item.judgement.verdict]}</small>"
     )
-    attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {word}")}"'
+    attributes = f'{html.pick("review", item.key)} aria-label="{html.safe(f"{item.title}, {item.told}")}"'
     return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
 
 

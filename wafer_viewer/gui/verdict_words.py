@@ -46,6 +46,32 @@ def features(verdict: WaferVerdict) -> str:
     )
 
 
+def in_short(item: Judged) -> str:
+    """A feature as a list shows it: its value ± U, and its limits below."""
+    return f"{value_and_its_u(item)}<small>{limits(item)}\u202fµm</small>"
+
+
+def state(word: Word) -> str:
+    """The instrument's word with its sign, in its colour."""
+    name, sign, tone = LOOKS[word]
+    return f'<b style="color:var(--{tone})">{html.icon(sign, 14)} {name}</b>'
+
+
+def limits(item: Judged) -> str:
+    """Between which heights a feature is good."""
+    return f"{_um(item.feature.lower_limit_um)} … {_um(item.feature.upper_limit_um)}"
+
+
+def value_and_its_u(item: Judged) -> str:
+    """What was measured of a feature, HTML."""
+    if item.height is None:
+        return "not measured"
+    if item.height.expanded_um is None:
+        return f"{number(item.height.value_um, 2)}<small>no U</small>"
+    value, u = value_and_u(item.height.value_um, item.height.expanded_um)
+    return f"<b>{value}</b> ± {u}"
+
+
 def waiting(judging: bool) -> str:
     """What stands there until there is a verdict."""
     doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
@@ -55,20 +81,10 @@ def waiting(judging: bool) -> str:
 def _row(item: Judged) -> str:
     feature, (word, sign, tone) = item.feature, LOOKS[item.word]
     why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
-    limits = f"{_um(feature.lower_limit_um)} … {_um(feature.upper_limit_um)}"
     told = (
         f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
     )
-    return html.row([f"{html.safe(feature.name)}{why}", _value(item), limits, told], " nn ")
-
-
-def _value(item: Judged) -> str:
-    if item.height is None:
-        return "not measured"
-    if item.height.expanded_um is None:
-        return f"{number(item.height.value_um, 2)}<small>no U</small>"
-    value, u = value_and_u(item.height.value_um, item.height.expanded_um)
-    return f"<b>{value}</b> ± {u}"
+    return html.row([f"{html.safe(feature.name)}{why}", value_and_its_u(item), limits(item), told], " nn ")
 
 
 def _um(value: float) -> str:

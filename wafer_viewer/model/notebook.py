@@ -1,12 +1,16 @@
-"""What people note down beside a surface: views to come back to, and what they think of its results."""
+"""What people note down beside a surface: views to come back to, and what they think of its results and features."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.spec import Positive, Spec
+from wafer_viewer.model.verdict import WaferVerdict
 
 Verdict = Literal["open", "accepted", "rejected"]
 Place = tuple[float, float, float]
@@ -35,7 +39,7 @@ class SavedView(Spec, frozen=True, kw_only=True):
 
 
 class Judgement(Spec, frozen=True, kw_only=True):
-    """What a person thinks of a thing under review; `key` names the thing, ``result 3``."""
+    """What a person thinks of a thing under review; `key` names the thing, ``result 3`` or ``feature pad``."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     key: str
@@ -48,9 +52,19 @@ def key_of_result(number: int) -> str:
     return f"result {number}"
 
 
-def key_of_feature(name: str) -> str:
-    """The key under which a feature of the job is judged."""
-    return f"feature {name}"
+def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
+    """The keys under which the features of a verdict are judged, in its order; those of one name are numbered."""
+    seen: Counter[str] = Counter()
+    keys: list[str] = []
+    for name in (item.feature.name for item in (verdict.items if verdict is not None else ())):
+        seen[name] += 1
+        keys.append(f"feature {name}" if seen[name] == 1 else f"feature {name} ({seen[name]})")
+    return tuple(keys)
+
+
+def keys_under_review(verdict: WaferVerdict | None, findings: Iterable[AnyFinding]) -> tuple[str, ...]:
+    """The keys of everything people can judge of a surface: the features of its verdict, and the results kept."""
+    return (*keys_of_features(verdict), *(key_of_result(finding.number) for finding in findings))
 
 
 class Notebook(Spec, frozen=True, kw_only=True):
@@ -67,3 +81,7 @@ class Notebook(Spec, frozen=True, kw_only=True):
     def judgement(self, key: str) -> Judgement:
         """What is thought of a thing; open as long as nobody said."""
         return next((j for j in self.judgements if j.key == key), Judgement(key=key))
+
+    def judged(self, keys: Iterable[str]) -> int:
+        """How many of some things were accepted or rejected."""
+        return sum(self.judgement(key).verdict != "open" for key in keys)

@@ -21,6 +21,17 @@ PART_TITLES: dict[Part, str] = {
 }
 
 
+@dataclass(frozen=True, slots=True)
+class Holds:
+    """What a part would hold, in a few words; `nothing`: it has nothing to show, and the words say why."""
+
+    words: str
+    nothing: bool = False
+
+
+Contents = dict[Part, Holds]
+
+
 class ReportOrder(Spec, frozen=True, kw_only=True):
     """What goes into a report; without a title the dataset's name stands over it."""
 

@@ -8,10 +8,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.report import ReportOrder
+from wafer_viewer.model.report import Contents, ReportOrder
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.library import Library
-from wafer_viewer.session.reporting import Contents, contents
+from wafer_viewer.session.reporting import contents
 
 PICTURE, REPORT = "picture", "report"
 
@@ -21,6 +21,8 @@ class Papers:
 
     def __init__(self, do: Callable[..., Future[Any]], library: Library, files: FileWork) -> None:
         self._do, self._library, self._files = do, library, files
+        self.pictures_kept = 0
+        """Since the start: it changes when a report may have more to hold."""
 
     def keep_picture(self, png: bytes) -> Future[Path]:
         """Keep a picture of the open dataset beside it, as ``NAME-picture-3.png``; done with its path."""
@@ -40,6 +42,7 @@ class Papers:
         path = free_path(self._library.shown.path, PICTURE, ".png")
         with replacing(path) as beside:
             beside.write_bytes(png)
+        self.pictures_kept += 1
         return path
 
 

@@ -10,7 +10,7 @@ from wafer_viewer.draw.numbers import duration, number, share, size, value_and_u
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.notebook import Notebook, key_of_feature, key_of_result
+from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
 from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
@@ -43,17 +43,17 @@ def quantity_text(quantity: Quantity) -> str:
 
 def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
     """Number, name, what it is, its value, where, and what was thought of it."""
-    thought = _thought(notebook, key_of_result(finding.number))
+    thought = _thought(notebook.judgement(key_of_result(finding.number)))
     kind = f"{spaced(type(finding).__name__)}{_terms(finding)}"
     return (f"{finding.number}", finding.name, kind, quantity_text(finding.main), where(finding), thought)
 
 
-def feature_row(n: int, judged: Judged, notebook: Notebook) -> tuple[str, ...]:
+def feature_row(n: int, judged: Judged, judgement: Judgement) -> tuple[str, ...]:
     """The same of a feature of the job, with its limits, the instrument's word and people's."""
     feature = judged.feature
     limits = f"Feature, {number(feature.lower_limit_um, 2)} … {number(feature.upper_limit_um, 2)}\u202fµm"
     value = quantity_text(judged.height.quantity) if judged.height is not None else "not measured"
-    thought = _thought(notebook, key_of_feature(feature.name), judged.word.upper())
+    thought = _thought(judgement, judged.word.upper())
     return (f"F{n}", feature.name, limits, value, "", thought)
 
 
@@ -62,8 +62,7 @@ def verdict_text(verdict: WaferVerdict) -> str:
     return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
 
 
-def _thought(notebook: Notebook, key: str, first: str = "") -> str:
-    judgement = notebook.judgement(key)
+def _thought(judgement: Judgement, first: str = "") -> str:
     return " · ".join(part for part in (first, VERDICTS[judgement.verdict], judgement.note) if part)
 
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.notebook import Notebook, key_of_result
-from wafer_viewer.model.report import PART_TITLES, Figure, Part, Report, ReportOrder, Section, Table
-from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.model.notebook import Notebook, keys_of_features, keys_under_review
+from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
+from wafer_viewer.model.verdict import Judged, WaferVerdict
 from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.report_words import (
     bounds_um,
@@ -38,10 +38,6 @@ MOST_PLACES = 24
 RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
 
 
-Contents = dict[Part, str]
-"""What a part of a report would hold, in a few words."""
-
-
 @dataclass(frozen=True, slots=True)
 class Material:
     """What the parts of a report are made from."""
@@ -62,6 +58,11 @@ class Material:
     def uncalibrated(self) -> str | None:
         """Why lengths are not calibrated, or None."""
         return self.dataset.calibration_problem(self.day)
+
+    @property
+    def features(self) -> tuple[Judged, ...]:
+        """The features of the verdict, if there is one."""
+        return self.verdict.items if self.verdict is not None else ()
 
 
 def report_of(folder: Path, result: str, order: ReportOrder) -> Report:
@@ -99,19 +100,34 @@ def gather(folder: Path, result_name: str) -> Material:
 def contents(folder: Path, result_name: str) -> Contents:
     """What each part would hold; nothing is drawn for it. Raises DatasetError when the folder is no dataset."""
     material = gather(folder, result_name)
-    info, plan, n = material.info, material.dataset.scan.plan, len(material.findings)
-    judged = sum(material.notebook.judgement(key_of_result(f.number)).verdict != "open" for f in material.findings)
-    points = f"{number(info.cols, 0)} × {number(info.rows, 0)} points" if info else "not stitched"
-    why = material.uncalibrated
+    info, plan, why = material.info, material.dataset.scan.plan, material.uncalibrated
+    pictures, warnings = len(_taken(material)), len(_warnings(material).sentences)
+    taken = _count(pictures, "picture") if pictures else "no pictures yet: key P takes one"
+    points = f"{number(info.cols, 0)} × {number(info.rows, 0)} points" if info is not None else "not stitched yet"
+    settled = info is not None and info.settled is not None
     return {
-        "results": f"{n} kept, {judged} judged" if n else "none kept",
-        "pictures": f"{len(_taken(material))} at print size" if _taken(material) else "none taken: key P takes one",
-        "surface": points,
-        "plan": f"{len(plan.fields)} fields of {plan.sweep.n_frames} frames",
-        "recipe": "as it was settled" if info and info.settled else "as it was asked for",
-        "calibration": "lengths are calibrated" if why is None else f"uncalibrated: {why}",
-        "warnings": f"{len(_warnings(material).sentences) or 'none'}",
+        "results": _results_held(material),
+        "pictures": Holds(taken, nothing=not pictures),
+        "surface": Holds(points, nothing=info is None),
+        "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
+        "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
+        "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
+        "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
     }
+
+
+def _results_held(material: Material) -> Holds:
+    """Counts of features and results, and how many of them people judged."""
+    counts = ((len(material.features), "feature"), (len(material.findings), "result"))
+    said = [_count(n, word) for n, word in counts if n]
+    if not said:
+        return Holds("no results yet", nothing=True)
+    judged = material.notebook.judged(keys_under_review(material.verdict, material.findings))
+    return Holds(", ".join([*said, f"{judged} judged"]))
+
+
+def _count(n: int, word: str) -> str:
+    return f"{number(n, 0)} {word}{'' if n == 1 else 's'}"
 
 
 def _below(material: Material, order: ReportOrder) -> str:
@@ -137,8 +153,8 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
 
 
 def _results(material: Material) -> Section:
-    features = material.verdict.items if material.verdict else ()
-    judged = [feature_row(k + 1, feature, material.notebook) for k, feature in enumerate(features)]
+    keyed = enumerate(zip(keys_of_features(material.verdict), material.features, strict=True), 1)
+    judged = [feature_row(n, feature, material.notebook.judgement(key)) for n, (key, feature) in keyed]
     rows = (*judged, *(result_row(finding, material.notebook) for finding in material.findings))
     figures = tuple(
         figure for finding in material.findings[:MOST_PLACES] if (figure := _place(material, finding)) is not None
