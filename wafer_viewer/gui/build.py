@@ -12,7 +12,6 @@ from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, add_commands, looking
 from wafer_viewer.gui.curves import Curves
-from wafer_viewer.gui.dialogs import stop_dialog
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
@@ -37,6 +36,7 @@ from wafer_viewer.gui.review_panel import ReviewPanel
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.status_strip import StatusStrip
+from wafer_viewer.gui.stopping import NOT_STOPPED, stop
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
@@ -108,8 +108,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         frame = Frame(page)
         page.add_picks()
         ear = BrowserEar(page)
-        stop = guarded(page, "The scan was not stopped")(lambda: stop_dialog(page))
-        header = Header(page.gui, lambda step: page.change(step=step, why=None), stop)
+        halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
+        header = Header(page.gui, lambda step: page.change(step=step, why=None), halt)
         strip, question = StatusStrip(page), Question(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
     hands, reopened = HandsOff(page), Reopened(page)

@@ -14,7 +14,7 @@ from concurrent.futures import CancelledError, Future
 from typing import Any, Protocol
 
 from wafer_viewer.gui.html import Tone
-from wafer_viewer.model.errors import HeldByAnother, WaferViewerError
+from wafer_viewer.model.errors import HeldByAnother, MotionStopped, WaferViewerError
 from wafer_viewer.session.state import Fault
 
 log = logging.getLogger("wafer_viewer.gui")
@@ -61,6 +61,9 @@ def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
         return
     if isinstance(fault, HeldByAnother):
         page.say(name, str(fault), "attention")
+        return
+    if isinstance(fault, MotionStopped):
+        page.say("Stopped", str(fault).replace(" -", " −"), "attention")
         return
     if isinstance(fault, WaferViewerError):
         page.tell(_note(*_headline(name, str(fault))))

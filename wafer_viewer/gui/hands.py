@@ -124,7 +124,7 @@ def hands_dialog(page: Page) -> None:
     """Who is there, who holds the controls, what this browser is called; and the way to the controls."""
     hands, key = page.session.snapshot.hands, page.browser.key
     holds = hands.holds(key)
-    dialog = Dialog(page, "Who is there", "One holds the controls, all may look, measure and stop a scan.")
+    dialog = Dialog(page, "Who is there", "One holds the controls, all may look, measure and stop what moves.")
     with dialog.modal:
         Cell(page.gui, _people(hands, key))
         name = page.gui.add_text("Your name", hands.name_of(key))
@@ -182,7 +182,7 @@ def _watching(hands: Hands, key: str) -> str:
         verb = "Ask for them" if hands.holder else "Take them"
         end = f'<span class="wv-link" {html.pick("hands-ask")}>{verb}</span>'
     sign = html.icon(viser.Icon.EYE, 18)
-    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop a scan.", end, sign)
+    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop what moves.", end, sign)
 
 
 def _question(hands: Hands) -> str:

@@ -10,6 +10,7 @@ import viser
 from wafer_viewer.draw.numbers import THIN, number
 from wafer_viewer.gui.html import icon, pick, safe
 from wafer_viewer.gui.kit import Cell, Gui, button, set_prop
+from wafer_viewer.gui.stopping import can_stop
 from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_STEP_PX, NARROW_WINDOW_PX, STEP_PX, by_id
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.notebook import keys_under_review
@@ -103,7 +104,7 @@ class Header:
         self._bar.show(f'<div class="wv-hd">{_mark(snapshot)}{_state(snapshot, view)}</div>')
         shown: list[Step] = [step for step in STEPS if possible(step, snapshot) or step not in SHOWN_AT_NEED]
         self._style.show(self._step_style(view.step, shown))
-        set_prop(self._stop, "disabled", not snapshot.scanning or snapshot.rig.state == "stopping")
+        set_prop(self._stop, "disabled", not can_stop(snapshot))
         for step, handle in self._steps.items():
             set_prop(handle, "disabled", not possible(step, snapshot))
             set_prop(handle, "visible", step in shown)

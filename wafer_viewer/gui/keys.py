@@ -12,12 +12,13 @@ import viser
 from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command
-from wafer_viewer.gui.dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog, stop_dialog
+from wafer_viewer.gui.dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
 from wafer_viewer.gui.header import TITLES, possible
 from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
+from wafer_viewer.gui.stopping import stop
 from wafer_viewer.gui.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tool_icons import ICONS, TOOL_KEYS
 from wafer_viewer.gui.view import Step
@@ -102,13 +103,9 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
 
 
 def _acquiring(page: Page, parts: Parts) -> list[Command]:
-    def stop() -> None:
-        if page.session.snapshot.scanning:
-            stop_dialog(page)
-
     go_on = _asking(page)("The scan did not go on", page.session.continue_scan)
     return [
-        Command("Stop the scan…", "escape", stop, ICON.PLAYER_STOP, "shift", "Acquire"),
+        Command("Stop what moves", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
         Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire"),
     ]
 
