@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 
@@ -14,7 +15,9 @@ from wafer_viewer.draw.colours import Rgb
 LINE_PX = 96
 """Height of a text picture."""
 _LETTER_PX = 62
-_PAD_PX = 26
+_PAD_PX, _MARGIN_PX = 26, 3
+_FINER = 3
+"""Tags are drawn so many times as large as they come out."""
 _SHEET_PX = 2048
 _SUBSTITUTES = str.maketrans({"\u202f": " ", "\u2212": "-", "–": "-", "×": "x", "\u03bc": "µ"})
 
@@ -53,15 +56,23 @@ def write(
             _tail(pen, x + face.getlength(spelled[:place]), baseline, face, fill, weight)
 
 
-def tag(text: str, colour: Rgb, pill: Rgb | None = None) -> NDArray[np.uint8]:
-    """One bold line of text, rgba [`LINE_PX`, any, 4], on nothing or on a rounded plate in the colour `pill`."""
-    face, pad = font(_LETTER_PX), _PAD_PX if pill else 4
-    image = Image.new("RGBA", (round(length_px(text, face)) + 2 * pad, LINE_PX), (*(pill or colour), 0))
-    pen = ImageDraw.Draw(image)
-    if pill:
-        pen.rounded_rectangle((0, 0, image.width - 1, LINE_PX - 1), _PAD_PX, fill=(*pill, 255))
-    write(pen, (pad, LINE_PX / 2), text, face, (*colour, 255), weight=0.8)
-    return np.asarray(image)
+def tag(text: str, colour: Rgb, pill: Rgb | None = None, high_px: int = LINE_PX) -> NDArray[np.uint8]:
+    """One bold line of text, rgba [high_px, any, 4], on nothing or on a rounded plate in the colour `pill`.
+
+    It is drawn several times as large and filtered down. Round it is a margin without alpha in the colour it borders
+    on, so that it has smooth edges wherever it is drawn smaller still.
+    """
+    scale = _FINER * high_px / LINE_PX
+    face, pad, margin = font(_LETTER_PX * scale), (_PAD_PX if pill else 4) * scale, _MARGIN_PX * scale
+    width_px = math.ceil((length_px(text, face) + 2 * pad) / _FINER)
+    letters, plate = (Image.new("L", (width_px * _FINER, high_px * _FINER)) for _ in range(2))
+    write(ImageDraw.Draw(letters), (pad, high_px * _FINER / 2), text, face, 255, weight=0.8 * scale)
+    box = (margin, margin, plate.width - 1 - margin, plate.height - 1 - margin)
+    ImageDraw.Draw(plate).rounded_rectangle(box, _PAD_PX * scale, fill=255)
+    ink, ground = (np.asarray(m.resize((width_px, high_px), Image.Resampling.LANCZOS)) for m in (letters, plate))
+    shown = np.broadcast_to(np.array(pill or colour, float), (*ink.shape, 3))
+    mixed = shown + (np.array(colour, float) - shown) * (ink[..., None] / 255)
+    return np.dstack([np.rint(mixed), ground if pill else ink]).astype(np.uint8)
 
 
 def sheet(tags: Sequence[NDArray[np.uint8]]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:

@@ -68,7 +68,7 @@ def fit(corners_mm: Vector, direction: Vector, fov_rad: float, width_px: int, he
     """
     focal_px = height_px / 2 / math.tan(fov_rad / 2)
     middle = (corners_mm.min(axis=0) + corners_mm.max(axis=0)) / 2
-    right, up = _screen_axes(direction)
+    right, up = screen_axes(direction)
     across, along, near = ((corners_mm - middle) @ axis for axis in (right, up, direction))
     left_px, right_px = _edges(width_px, clear.left, clear.right)
     foot_px, top_px = _edges(height_px, clear.bottom, clear.top)
@@ -110,7 +110,7 @@ class _Slack:
         return (self.low_mm - self.last * distance + self.high_mm - self.first * distance) / 2
 
 
-def _screen_axes(direction: Vector) -> tuple[Vector, Vector]:
+def screen_axes(direction: Vector) -> tuple[Vector, Vector]:
     """Right and up on the screen for a camera in this direction, the world's z being up."""
     right = np.cross([0.0, 0.0, 1.0], direction)
     right /= np.linalg.norm(right)

@@ -10,8 +10,9 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.lie_of_land import Land, Place
-from wafer_viewer.gui.shapes import lines, word
+from wafer_viewer.gui.shapes import lines
 
 Dragged = Callable[[str, np.ndarray, bool], None]
 """Called with a handle's name, the scene point under the pointer and whether it was let go there, in order."""
@@ -80,22 +81,6 @@ class CasedLine:
         self._line.remove()
 
 
-class Sign:
-    """A word on a plate, lying in the plane of the sample."""
-
-    def __init__(self, scene: viser.SceneApi, name: str, text: str, plate: Rgb) -> None:
-        self._node = word(scene, f"/tools/{name}", text, (0.0, 0.0, 0.0), 1.0, _WHITE, plate, (1.0, 0.5))
-
-    def place(self, at: tuple[float, float, float], height_mm: float) -> None:
-        """Its right end stands at this scene point."""
-        self._node.scale = height_mm
-        self._node.position = at
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        self._node.remove()
-
-
 class PlaceMark:
     """A point on the surface that stays where it is put."""
 
@@ -103,11 +88,11 @@ class PlaceMark:
         self.place: Place = (0.0, 0.0)
         self._knob = Knob(scene, "mark", colour, 5.0)
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Stand on the surface as it is drawn now, or in its hole."""
         x, y = (np.array([v]) for v in self.place)
-        z = land.on_show.scene_z(float(land.seen_um(x, y)[0])) + 2 * mm_per_pixel
-        self._knob.place(np.array([x[0] * 1e-3, y[0] * 1e-3, z], np.float32), mm_per_pixel, towards)
+        at = land.seen_points(x, y, 2 * gaze.mm_per_pixel)[0]
+        self._knob.place(at, gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
         """Take it out of the scene."""

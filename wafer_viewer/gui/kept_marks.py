@@ -10,13 +10,14 @@ import viser
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import Rgb, rgb
-from wafer_viewer.gui.handles import CasedLine, Sign
+from wafer_viewer.gui.gaze import Gaze
+from wafer_viewer.gui.handles import CasedLine
 from wafer_viewer.gui.kept_places import drawn_of
 from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.measure_words import letter, sign_colour
-from wafer_viewer.gui.place_handles import Towards
 from wafer_viewer.gui.place_shapes import outline_of
 from wafer_viewer.gui.scene_colours import colours
+from wafer_viewer.gui.signs import Sign, corner_on_screen
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.region import Region
@@ -24,6 +25,7 @@ from wafer_viewer.model.region import Region
 MOST_SIGNS = 60
 """Of more results only the newest are marked: signs on top of each other tell nothing."""
 _LINE_PX, _SIGN_PX, _RING_PX, _UP_PX = 1.8, 20, 6.0, 1.2
+_BESIDE_PX, _ABOVE_PX = 8, 16
 _ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 
 
@@ -55,15 +57,18 @@ class KeptMarks:
         self._kept = kept
         outlined = {one.colour for one in kept if not one.chosen}
         self._lines = {c: CasedLine(self._scene, f"kept/line/{k}", c, _LINE_PX) for k, c in enumerate(outlined)}
-        self._signs = [Sign(self._scene, f"kept/sign/{k}", one.sign, one.colour) for k, one in enumerate(kept)]
+        self._signs = [
+            Sign(self._scene, f"kept/sign/{k}", one.sign, one.colour, _SIGN_PX) for k, one in enumerate(kept)
+        ]
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
         for colour, line in self._lines.items():
             drawn = [p for one in self._kept if one.colour == colour and not one.chosen for p in one.places]
-            line.lay(np.concatenate([_outline(p, land, mm_per_pixel) for p in drawn]), None, 1.6 * mm_per_pixel)
+            pieces = np.concatenate([_outline(p, land, gaze.mm_per_pixel) for p in drawn])
+            line.lay(pieces, None, 1.6 * gaze.mm_per_pixel)
         for one, sign in zip(self._kept, self._signs, strict=True):
-            _place(sign, one.places[0], land, mm_per_pixel)
+            _place(sign, one.places[0], land, gaze)
 
     def remove(self) -> None:
         """Take them all out of the scene."""
@@ -92,11 +97,8 @@ def _outline(region: Region, land: Land, mm_per_pixel: float) -> NDArray[np.floa
     return land.laid_round(corners, lift)
 
 
-def _place(sign: Sign, region: Region, land: Land, mm_per_pixel: float) -> None:
-    """At the upper left corner of the place, over whatever is there."""
-    x0, _, _, y1 = region.bounds_um
-    if region.kind == "line":
-        x0, y1 = region.points[1].x_um, region.points[1].y_um
-    reach, up = 60e3 * mm_per_pixel, 26 if region.kind == "point" else 12
-    z = land.on_show.scene_z(land.highest_um(x0 - reach, y1 - reach / 4, x0, y1 + reach / 4)) + 3 * mm_per_pixel
-    sign.place((x0 * 1e-3 - 8 * mm_per_pixel, y1 * 1e-3 + up * mm_per_pixel, z), _SIGN_PX * mm_per_pixel)
+def _place(sign: Sign, region: Region, land: Land, gaze: Gaze) -> None:
+    """Beside the upper left corner of the place as it is on the screen, of a line beside its end."""
+    place = region if region.kind != "line" else Region.point(region.points[1].x_um, region.points[1].y_um)
+    corner, up_px = corner_on_screen(place, land, gaze, -1, 1), _ABOVE_PX if region.kind == "point" else _BESIDE_PX
+    sign.place(corner, land, gaze, -_BESIDE_PX, up_px)

@@ -114,6 +114,11 @@ class Land:
         z = self.z_um(x_um, y_um)
         return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
 
+    def seen_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """Scene z of what is seen at scene places: the surface, in its holes and beside it the ground."""
+        z_mm = (self.seen_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
+        return np.where(self._inside(x_mm, y_mm), z_mm, 0.0)
+
     def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
         """Places on the drawn surface as scene points, float32 [n, 3]."""
         z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
@@ -145,11 +150,6 @@ class Land:
         way = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
         points = self.laid(way[:, 0], way[:, 1], lift_mm)
         return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
-
-    def highest_um(self, x0: float, y0: float, x1: float, y1: float) -> float:
-        """Nearly the highest height within a rectangle, a spike aside."""
-        x, y = np.meshgrid(np.linspace(x0, x1, 24), np.linspace(y0, y1, 24))
-        return float(np.percentile(self.z_um(x.ravel(), y.ravel()), 97))
 
     def hit(self, origin: Floats, direction: Floats) -> Place | None:
         """Where a ray meets the surface first, or the ground through a hole in it; None when it passes by."""

@@ -6,18 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
 from wafer_viewer.gui.echoes import Echoes
-from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
+from wafer_viewer.gui.gaze import Gaze
+from wafer_viewer.gui.handles import CasedLine, Dragged, Knob
 from wafer_viewer.gui.landmarks import first_line
 from wafer_viewer.gui.lie_of_land import Land, Place
+from wafer_viewer.gui.signs import Sign
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.region import Region
 
 _CURSOR = rgb("15202B")
+_SIGN_PX, _BESIDE_PX = 26, 15
 Told = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
@@ -30,7 +32,7 @@ class LineTool:
         self.line = line
         self._line = CasedLine(scene, f"profile/{place}", colour, 3.4)
         self._knobs = [Knob(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
-        self._sign = Sign(scene, f"profile/{place}/sign", LETTERS[place], colour)
+        self._sign = Sign(scene, f"profile/{place}/sign", LETTERS[place], colour, _SIGN_PX)
 
     def drag(self, end: int, to: Place) -> None:
         """Move one end."""
@@ -38,16 +40,17 @@ class LineTool:
         places[end] = to
         self.line = Region.line(*places[0], *places[1], self.line.width_um)
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
+        mm_per_pixel = gaze.mm_per_pixel
         first, last = ((p.x_um, p.y_um) for p in self.line.points)
         points, measured = land.draped(first, last, 1.5 * mm_per_pixel)
         self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
         up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
         for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
-            knob.place(at + up, mm_per_pixel, towards)
-        x, y, z = (float(v) for v in points[0] + up)
-        self._sign.place((x - 15 * mm_per_pixel, y, z), 26 * mm_per_pixel)
+            knob.place(at + up, mm_per_pixel, gaze.towards)
+        outwards = -1 if float((points[-1] - points[0]) @ gaze.axes[:, 0]) >= 0 else 1
+        self._sign.place(np.asarray(points[0] + up, float), land, gaze, outwards * _BESIDE_PX)
 
     def remove(self) -> None:
         """Take it out of the scene."""
@@ -63,17 +66,17 @@ class Cursors:
         self._knobs: dict[int, Knob] = {}
         self.line, self.shares = 0, (0.0, 1.0)
 
-    def draw(self, line: Region, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+    def draw(self, line: Region, land: Land, gaze: Gaze) -> None:
         """Stand on the surface as it is drawn now."""
         first, last = ((p.x_um, p.y_um) for p in line.points)
-        points, _ = land.draped(first, last, 6.5 * mm_per_pixel)
+        points, _ = land.draped(first, last, 6.5 * gaze.mm_per_pixel)
         for number, share in enumerate(self.shares):
             if not 0 < share < 1:
                 self._take_away(number)
                 continue
             if number not in self._knobs:
                 self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, 5.0)
-            self._knobs[number].place(points[round(share * (len(points) - 1))], mm_per_pixel, towards)
+            self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
         """Take them out of the scene."""
@@ -114,12 +117,12 @@ class LineTools:
             self._tools[int(place)].drag(int(end), to)
             self._told(int(place))
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: NDArray[np.float64]) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now, all of them."""
         for tool in self._tools:
-            tool.draw(land, mm_per_pixel, towards)
+            tool.draw(land, gaze)
         if self._cursors.line < len(self._tools):
-            self._cursors.draw(self._tools[self._cursors.line].line, land, mm_per_pixel, towards)
+            self._cursors.draw(self._tools[self._cursors.line].line, land, gaze)
 
     def remove(self) -> None:
         """Take them all out of the scene."""

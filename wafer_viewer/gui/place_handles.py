@@ -6,18 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import Rgb
-from wafer_viewer.gui.handles import CasedLine, Dragged, Knob, Sign
+from wafer_viewer.gui.gaze import Gaze
+from wafer_viewer.gui.handles import CasedLine, Dragged, Knob
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.place_shapes import SHAPES, WHOLE
+from wafer_viewer.gui.signs import Sign, corner_on_screen
 from wafer_viewer.model.region import Region
 
-Towards = NDArray[np.float64]
-"""Unit vector from the sample towards the camera."""
 _WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
-_SIGN_PX, _BESIDE_PX, _WORD_PX = 26, 12, 90
+_SIGN_PX, _BESIDE_PX = 26, 12
 _ROOMY_PX, _LEAST_KNOB = 60, 0.4
 """A region of so many pixels on the screen has knobs of full size; they never get smaller than that share of it."""
 _ENDS_OF_A_WAY = ("point", "point")
@@ -39,21 +38,22 @@ class PlaceHandle:
             hold: Knob(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
             for hold in self._shape.holds(region)
         }
-        self._sign = Sign(scene, f"{name}/sign", title, colour)
+        self._sign = Sign(scene, f"{name}/sign", title, colour, _SIGN_PX)
 
     def pull(self, hold: str, to: Place, land: Land) -> None:
         """One of its handles was moved."""
         self.region = self._shape.pulled(self.region, hold, to, land)
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
+        mm_per_pixel = gaze.mm_per_pixel
         if self._outline is not None:
             pieces = land.laid_round(self._shape.outline(self.region), 2 * mm_per_pixel)
             self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
         for hold, (x, y) in self._shape.holds(self.region).items():
             at = land.seen_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
-            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), towards)
-        self._place_sign(land, mm_per_pixel)
+            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), gaze.towards)
+        self._place_sign(land, gaze)
 
     def remove(self) -> None:
         """Take it out of the scene."""
@@ -67,12 +67,10 @@ class PlaceHandle:
         side_px = min(x1 - x0, y1 - y0) * 1e-3 / max(mm_per_pixel, 1e-12)
         return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
-    def _place_sign(self, land: Land, mm_per_pixel: float) -> None:
-        """The sign lies beside the place: over whatever is there, or a wall would hide it."""
-        x0, y0, _, y1 = self.region.bounds_um
-        left, reach = x0 - _BESIDE_PX * 1e3 * mm_per_pixel, _WORD_PX * 1e3 * mm_per_pixel
-        z = land.on_show.scene_z(land.highest_um(left - reach, y0, x0, y1)) + 4 * mm_per_pixel
-        self._sign.place((left * 1e-3, (y0 + y1) / 2e3, z), _SIGN_PX * mm_per_pixel)
+    def _place_sign(self, land: Land, gaze: Gaze) -> None:
+        """The sign stands beside the place, left of it on the screen."""
+        left = corner_on_screen(self.region, land, gaze, -1, 0)
+        self._sign.place(left, land, gaze, -_BESIDE_PX)
 
 
 class Places:
@@ -117,14 +115,14 @@ class Places:
         if int(number) < len(self._handles):
             self._handles[int(number)].pull(hold, to, land)
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
         for handle in self._handles:
-            handle.draw(land, mm_per_pixel, towards)
+            handle.draw(land, gaze)
         if self._way is not None:
             start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
-            points, measured = land.draped(start, end, 1.5 * mm_per_pixel)
-            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * mm_per_pixel)
+            points, measured = land.draped(start, end, 1.5 * gaze.mm_per_pixel)
+            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
 
     def remove(self) -> None:
         """Take them out of the scene."""

@@ -8,9 +8,10 @@ import viser
 
 from wafer_viewer.gui.echoes import Echoes
 from wafer_viewer.gui.first_places import FIRST
+from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import Dragged
 from wafer_viewer.gui.lie_of_land import Land, Place
-from wafer_viewer.gui.place_handles import Places, Towards
+from wafer_viewer.gui.place_handles import Places
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import Tool, View
 from wafer_viewer.model.levelling import Levelling
@@ -58,9 +59,9 @@ class PlaceTools:
             self._places.move((Region.point(*to),))
             self._told()
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
-        self._places.draw(land, mm_per_pixel, towards)
+        self._places.draw(land, gaze)
 
     def remove(self) -> None:
         """Take them out of the scene."""
@@ -98,9 +99,9 @@ class LevelTools:
         if last:
             self._tell(self._echoes.tell(replace(self._levelling, places=self._places.regions)))
 
-    def draw(self, land: Land, mm_per_pixel: float, towards: Towards) -> None:
+    def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now."""
-        self._places.draw(land, mm_per_pixel, towards)
+        self._places.draw(land, gaze)
 
     def remove(self) -> None:
         """Take them out of the scene."""

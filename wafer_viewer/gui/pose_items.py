@@ -116,7 +116,7 @@ class _Pen:
         wide_um = np.array([high_um * t.shape[1] / t.shape[0] for t in tags])
         x, y = at_um[:, 0] - anchor[0] * wide_um, at_um[:, 1] - anchor[1] * high_um
         boxes = np.stack([x, y, x + wide_um, y + high_um], axis=1)
-        data = painted(mesh.plates(boxes * 1e-3, self._drape.highest_mm(boxes), uv), picture)
+        data = painted(mesh.plates(boxes * 1e-3, self._drape.highest_mm(boxes), uv), picture, blend=True)
         node = self._scene.add_glb(f"{self._name}/{kind}", data, cast_shadow=False, receive_shadow=False)
         self.layers.append(Layer(node, layer * _LAYER_PX + 2.0, high_um * 1e-3, LEAST_WORD_PX))
 

@@ -12,6 +12,7 @@ from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.first_places import first_levelling
+from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import PlaceMark
 from wafer_viewer.gui.kept_marks import KeptMarks
 from wafer_viewer.gui.latest import Latest
@@ -115,11 +116,11 @@ class Tools:
         with self._lock:
             if self._land is None:
                 return
-            pixel_mm, towards = self._eye.um_per_pixel() * 1e-3, self._eye.pose.direction
+            gaze = Gaze.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
                 for tool in (self._lines, self._places, self._level, self._kept, self._mark):
                     if tool is not None:
-                        tool.draw(self._land, pixel_mm, towards)
+                        tool.draw(self._land, gaze)
 
     # ---------------------------------------------------------------- what the operator does
 
