@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import BrowserContext, Page, TimeoutError, sync_playwright
+from playwright.sync_api import BrowserContext, Error, Page, TimeoutError, sync_playwright
 
 from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
 from wafer_viewer.session.painter import NICENESS
@@ -145,7 +145,8 @@ class Watch:
         self._channel.send("Page.startScreencast", {"format": "jpeg", "quality": 70, **size})
 
     def _frame(self, event: dict[str, Any]) -> None:
-        self._channel.send("Page.screencastFrameAck", {"sessionId": event["sessionId"]})
+        with suppress(Error):  # the page closes while its last frame is on the way
+            self._channel.send("Page.screencastFrameAck", {"sessionId": event["sessionId"]})
         picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(event["data"]))).convert("RGB"), np.int16)
         rows, cols = picture.shape[:2]
         # Between the panels on both sides, and clear of what lies on glass over the scene.
