@@ -196,8 +196,9 @@ def test_a_watcher_is_refused_what_changes_anything_and_may_look_and_stop(contro
     assert told.asked == []
     watcher.profile(None)
     watcher.stop_scan()
+    watcher.stop()
     holder.start_scan()
-    assert told.asked == ["profile", "stop_scan", "start_scan"]
+    assert told.asked == ["profile", "stop_scan", "stop", "start_scan"]
 
 
 def test_one_who_has_not_come_in_yet_may_look_only(control, desk, hands):
