@@ -9,6 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser import fake_session as fake
 from tests.browser.steps import eventually, go_to, press, text_field, title_is, type_into
+from wafer_viewer.model.notebook import SavedView
 
 pytestmark = [
     pytest.mark.browser,
@@ -60,6 +61,24 @@ def test_enter_answers_a_dialog_escape_leaves_it_and_no_key_reaches_behind_it(se
     text_field(page, "Path").press("Enter")
     expect(page.get_by_role("dialog")).to_have_count(0)
     eventually(lambda: "open_dataset" in verbs(session), "the dataset was opened")
+
+
+def test_the_palette_lists_the_views_there_are_and_says_why_a_verb_is_not_possible(serve: Serve):
+    session = fake.FakeSession(fake.measured())
+    session.notebook.save_view(SavedView(name="The edge", position_mm=(0.1, -0.9, 0.8), look_at_mm=(0, 0, 0)))
+    page = serve(session)
+    page.keyboard.press("Control+k")
+    asked = page.get_by_placeholder("Search commands...")
+    asked.fill("view:")
+    expect(page.get_by_role("button", name="Go to view: The edge")).to_be_visible()
+    asked.fill("hillshade")
+    page.keyboard.press("Enter")
+    told = page.locator(".mantine-Notification-root", has_text="Hillshade")
+    expect(told).to_contain_text("Not now: the surface is not on show: go to Surface first.")
+    page.keyboard.press("Control+k")
+    asked.fill("the edge")
+    page.keyboard.press("Enter")
+    title_is(page, "Surface")
 
 
 def test_the_palette_has_a_verb_without_a_key_and_the_sheet_lists_the_keys(serve: Serve):

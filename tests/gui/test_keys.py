@@ -3,28 +3,48 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import pytest
+
+from tests.browser import fake_session as fake
 from wafer_viewer.gui.commands import Command, looking, spoken
 from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import sheet_html
+from wafer_viewer.gui.palette import Palette
 from wafer_viewer.gui.print_picture import PrintPicture
 from wafer_viewer.gui.report_panel import ReportPanel
 from wafer_viewer.gui.review_panel import ReviewPanel
 from wafer_viewer.gui.saved_views import SavedViews
+from wafer_viewer.gui.view import View
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.notebook import Notebook, SavedView
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.notebook_state import NotebookState
+from wafer_viewer.session.state import Snapshot
 
 CAMERA = set("WASDQE")
+LINE = Region.line(0, 0, 10, 0, 1.0)
+EMPTY, PLANNED, MEASURED = fake.empty(), fake.planned(), fake.measured()
+
+
+def with_views(snapshot: Snapshot, n: int = 12, name: str = "The edge") -> Snapshot:
+    """As many saved views, of which the first nine have keys."""
+    views = tuple(
+        SavedView(number=k, name=f"{name} {k}", position_mm=(0, -1, 1), look_at_mm=(0, 0, 0)) for k in range(1, n + 1)
+    )
+    return replace(snapshot, notebook=NotebookState(Notebook(views=views)))
 
 
 def all_commands() -> list[Command]:
     page = SimpleNamespace(session=MagicMock(), change=MagicMock(), on_pick=MagicMock(), on_close=MagicMock())
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
-    looks = [*looking(MagicMock()), *views.commands(), *picture.commands()]
+    looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
     panels = (ReviewPanel, ReportPanel, CompareSection, Welcome)
     of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
     return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
@@ -55,3 +75,103 @@ def test_the_sheet_lists_every_key_and_says_it_as_people_do():
     assert all(c.spoken_key in text for c in commands if c.key and c.listed)
     assert spoken("Z", "cmd/ctrl+shift") == "Ctrl + Shift + Z"
     assert spoken("pagedown") == "Page Down"
+
+
+class Listed:
+    """A browser's palette: what it lists, and what a person is told."""
+
+    def __init__(self, commands: list[Command], more=lambda _: ()):
+        self.names: dict[str, object] = {}
+        self.said: list[tuple[str, str]] = []
+        self.gui, self.session, self.view = self, SimpleNamespace(snapshot=EMPTY), View()
+        self._palette = Palette(self, commands, more)
+
+    def add_command(self, label: str, **_: object) -> SimpleNamespace:
+        assert label not in self.names
+        return SimpleNamespace(
+            on_trigger=lambda act: self.names.__setitem__(label, act), remove=lambda: self.names.pop(label)
+        )
+
+    def look(self, snapshot: Snapshot, view: View) -> None:
+        self.session.snapshot, self.view = snapshot, view
+        self._palette.show(snapshot, view)
+
+    def choose(self, name: str) -> None:
+        self.names[name](None)
+
+    def say(self, title: str, text: str, tone: str) -> None:
+        self.said.append((title, text))
+
+
+def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
+    views = SavedViews(SimpleNamespace(on_pick=MagicMock()), MagicMock())
+    page = Listed([], views.going)
+    page.look(MEASURED, View())
+    assert page.names == {}
+    page.look(with_views(MEASURED, 2), View())
+    assert list(page.names) == ["Go to view: The edge 1", "Go to view: The edge 2"]
+    page.look(with_views(MEASURED, 1, "Gel drop"), View())
+    assert list(page.names) == ["Go to view: Gel drop 1"]
+    keys = [(c.key, c.modifier) for c in views.going(with_views(MEASURED))]
+    assert keys == [*((f"{n}", "shift") for n in range(1, 10)), *[(None, None)] * 3]
+
+
+@pytest.mark.parametrize(
+    ("snapshot", "view", "name", "why"),
+    [
+        (EMPTY, View(), "Surface", "no dataset is open"),
+        (EMPTY, View(), "Step height", "no dataset is open"),
+        (EMPTY, View(), "Colour by slope", "no dataset is open"),
+        (EMPTY, View(), "Close the dataset", "no dataset is open"),
+        (EMPTY, View(), "Picture at print size", "no dataset is open"),
+        (EMPTY, View(), "Undo", "nothing was changed in Plan"),
+        (PLANNED, View(), "Acquire", "no scan runs"),
+        (PLANNED, View(), "Accept", "no result is kept"),
+        (MEASURED, View(), "Hillshade", "go to Surface first"),
+        (MEASURED, View(step="surface"), "Accept", "go to Review first"),
+        (MEASURED, View(step="surface"), "Close the comparison", "no comparison is on show"),
+        (MEASURED, View(step="surface"), "Delete the result", "go to Measure first"),
+        (MEASURED, View(step="measure"), "Rename the result…", "no result is chosen"),
+        (MEASURED, View(step="measure"), "Add a profile line", "key L lays a line"),
+        (MEASURED, View(step="measure", tool="profile", lines=(LINE,)), "Next profile line", "no other line"),
+        (MEASURED, View(step="measure", tool="profile", lines=(LINE,) * 4), "Add a profile line", "4 lines already"),
+    ],
+)
+def test_a_command_that_is_not_possible_says_why_and_does_nothing(snapshot, view, name, why):
+    done = MagicMock()
+    page = Listed([replace(command, act=done) for command in all_commands() if command.name == name])
+    page.look(snapshot, view)
+    page.choose(name)
+    ((title, text),) = page.said
+    assert title == name.removesuffix("…")
+    assert text.startswith("Not now: ")
+    assert why in text
+    done.assert_not_called()
+
+
+@pytest.mark.parametrize(
+    ("view", "name"),
+    [
+        (View(step="surface"), "Hillshade"),
+        (View(step="surface"), "Step height"),
+        (View(step="surface"), "Review"),
+        (View(step="review"), "Next under review"),
+        (View(step="measure", selected=1), "Delete the result"),
+        (View(step="measure", tool="profile", lines=(LINE, LINE)), "Next profile line"),
+    ],
+)
+def test_a_command_that_is_possible_is_carried_out(view, name):
+    done = MagicMock()
+    page = Listed([replace(command, act=done) for command in all_commands() if command.name == name])
+    page.look(MEASURED, view)
+    page.choose(name)
+    done.assert_called_once()
+    assert page.said == []
+
+
+def test_escape_is_the_pages_only_where_there_is_something_to_leave():
+    page = Listed([command for command in all_commands() if command.name == "Leave the tool"])
+    page.look(MEASURED, View(step="measure"))
+    assert page.names == {}
+    page.look(MEASURED, View(step="measure", tool="step"))
+    assert list(page.names) == ["Leave the tool"]

@@ -10,7 +10,7 @@ from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
-from wafer_viewer.gui.commands import Command, add_commands, looking
+from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
@@ -24,7 +24,8 @@ from wafer_viewer.gui.left import LeftPanel
 from wafer_viewer.gui.map_clicks import MapClicks
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar
-from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.page import Page, Part
+from wafer_viewer.gui.palette import Palette
 from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_legend import PoseLegend
@@ -125,7 +126,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     why = WhyPanel(page)
     ear.left = left.panel
     read_out, welcome = ReadOutBox(page), Welcome(page)
-    parts = [
+    parts: list[Part] = [
         *(
             PossibleStep(page),
             frame,
@@ -163,20 +164,22 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
     of_parts = [*welcome.commands(), *review.commands(), *report.commands(), *left.compare.commands()]
-    _add_verbs(page, scene, [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))])
+    verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    parts.insert(1, _palette(page, scene, verbs))
     page.on_close(measure.close)
     page.on_close(scene.close)
     page.begin(parts)
     return page
 
 
-def _add_verbs(page: Page, scene: SceneView, of_parts: list[Command]) -> None:
+def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     """Keys, palette, the sheet of keys, and what fields and buttons say of themselves."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts]
-    add_commands(page, [*commands, add_keys_sheet(page, commands)])
+    palette = Palette(page, [*commands, add_keys_sheet(page, commands)], views.going)
     add_titles(page, commands)
     add_hints(page.gui)
+    return palette
 
 
 def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import viser
 
-from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.session.state import Snapshot
 
 Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Review", "Report", "Page"]
+Obstacle = Callable[[Snapshot, View], str | None]
+"""Says why something is not possible now, in words that follow "Not now:"; None where it is (see obstacles.py)."""
 _SPOKEN = {"escape": "Esc", "pageup": "Page Up", "pagedown": "Page Down", "home": "Home", "enter": "Enter"}
 _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 
@@ -20,7 +22,8 @@ _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 class Command:
     """One thing to do, its key, what it is called in the palette, and under which head it stands there.
 
-    listed: whether the sheet of keys has a line for it.
+    listed: whether the sheet of keys has a line for it. why_not: says why it is not possible now, when it is chosen all
+    the same. here: whether there is such a thing to do at all; as long as not, palette and keys do not know it.
     """
 
     name: str
@@ -30,6 +33,8 @@ class Command:
     modifier: Any = None
     group: Group = "Page"
     listed: bool = True
+    why_not: Obstacle | None = None
+    here: Callable[[Snapshot, View], bool] | None = None
 
     @property
     def spoken_key(self) -> str:
@@ -43,17 +48,9 @@ def spoken(key: str, modifier: str | None = None) -> str:
     return " + ".join([*held, _SPOKEN.get(key, key.upper())])
 
 
-def add_commands(page: Page, commands: Sequence[Command]) -> None:
-    """Make commands known to the browser."""
-    for command in commands:
-        handle = page.gui.add_command(
-            command.name,
-            description=command.group,
-            hotkey=command.key,
-            modifier=command.modifier,
-            icon=command.icon,
-        )
-        handle.on_trigger(guarded(page, f"{command.name} came to nothing")(lambda _, c=command: c.act()))
+def unless(why_not: Obstacle, *commands: Command) -> list[Command]:
+    """Commands that the same thing stands in the way of."""
+    return [replace(command, why_not=command.why_not or why_not) for command in commands]
 
 
 def looking(look: Callable[[str], None]) -> list[Command]:

@@ -9,10 +9,11 @@ import viser
 
 from wafer_viewer.gui import compare_words as words
 from wafer_viewer.gui import html
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Choice, button, in_a_row, set_prop
 from wafer_viewer.gui.latest import Latest
+from wafer_viewer.gui.obstacles import no_comparison, no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
@@ -58,9 +59,12 @@ class CompareSection:
     def commands(self) -> list[Command]:
         """The verbs of comparing with their keys."""
         return [
-            Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface"),
-            Command("First or second surface", "B", self.blink, ICON.SWITCH_HORIZONTAL, "shift", "Surface"),
-            Command("Close the comparison", None, self.close, ICON.X, group="Surface"),
+            *unless(no_surface, Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface")),
+            *unless(
+                no_comparison,
+                Command("First or second surface", "B", self.blink, ICON.SWITCH_HORIZONTAL, "shift", "Surface"),
+                Command("Close the comparison", None, self.close, ICON.X, group="Surface"),
+            ),
         ]
 
     def unfold(self) -> None:

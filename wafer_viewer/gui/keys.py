@@ -11,19 +11,32 @@ import viser
 
 from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.gui.acquire_panel import AcquirePanel
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
-from wafer_viewer.gui.header import TITLES, possible
+from wafer_viewer.gui.header import TITLES
 from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.measure_panel import MeasurePanel
+from wafer_viewer.gui.obstacles import (
+    no_dataset,
+    no_other_line,
+    no_result,
+    no_room_for_lines,
+    no_surface,
+    no_way_to,
+    nothing_to_redo,
+    nothing_to_undo,
+    off_surface,
+    out_of_sight,
+)
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_panel import PlanPanel
 from wafer_viewer.gui.stopping import stop
 from wafer_viewer.gui.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tool_icons import ICONS, TOOL_KEYS
-from wafer_viewer.gui.view import Step
+from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.why_panel import WhyPanel
 from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.session.state import Snapshot
 
 ICON = viser.Icon
 STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M", "review": "R", "report": "O"}
@@ -56,11 +69,10 @@ def commands_of(page: Page, parts: Parts) -> list[Command]:
 
 def _going(page: Page) -> list[Command]:
     def go(step: Step) -> None:
-        if possible(step, page.session.snapshot):
-            page.change(step=step, why=None)
+        page.change(step=step, why=None)
 
     return [
-        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to")
+        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to", why_not=no_way_to(step))
         for step, key in STEP_KEYS.items()
     ]
 
@@ -72,11 +84,15 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
     def scan_or_pause() -> None:
         if session.snapshot.scanning:
             parts.acquire.pause_or_resume()
-        elif parts.plan.why_not(session.snapshot) is None:
+        else:
             parts.plan.start()
 
+    def why_not(snapshot: Snapshot, _: View) -> str | None:
+        return None if snapshot.scanning else parts.plan.why_not(snapshot)
+
+    close = ask("The dataset stays open", session.close_dataset)
     return [
-        Command("Scan, pause, go on", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan"),
+        Command("Scan, pause, go on", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan", why_not=why_not),
         Command(
             "Cover the sample", "C", ask("The grid stays", session.cover_sample), ICON.ARROWS_MAXIMIZE, "shift", "Plan"
         ),
@@ -98,7 +114,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
         Command("Load plan…", None, lambda: load_plan_dialog(page), ICON.FOLDER_OPEN, group="Plan"),
         Command("Open a dataset…", "O", lambda: open_dialog(page), ICON.FOLDER_OPEN, "cmd/ctrl", "Plan"),
         Command("Import images…", "I", lambda: import_dialog(page), ICON.PHOTO_PLUS, "shift", "Plan"),
-        Command("Close the dataset", None, ask("The dataset stays open", session.close_dataset), ICON.X, group="Plan"),
+        Command("Close the dataset", None, close, ICON.X, group="Plan", why_not=no_dataset),
     ]
 
 
@@ -106,7 +122,7 @@ def _acquiring(page: Page, parts: Parts) -> list[Command]:
     go_on = _asking(page)("The scan did not go on", page.session.continue_scan)
     return [
         Command("Stop what moves", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
-        Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire"),
+        Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire", why_not=no_dataset),
     ]
 
 
@@ -119,17 +135,21 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
     def set_to(**choices: Any) -> Callable[[], None]:
         return lambda: page.change(**choices)
 
-    return [
+    def export() -> None:
+        export_dialog(page)
+
+    return unless(
+        out_of_sight,
         Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
         Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
         Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
-        Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface"),
+        *unless(off_surface, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")),
         Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
         Command(
             "Lower z", "pagedown", lambda: exaggerate(-EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"
         ),
         Command("Colours from 0.5 to 99.5 %", "J", set_to(range_um=None), ICON.CHART_HISTOGRAM, group="Surface"),
-        Command("Export the surface…", "E", lambda: export_dialog(page), ICON.DOWNLOAD, "shift", "Surface"),
+        Command("Export the surface…", "E", export, ICON.DOWNLOAD, "shift", "Surface", why_not=no_surface),
         *(
             Command(f"Draw as {name.lower()}", None, set_to(look=look), ICON.CUBE, group="Surface")
             for look, name in LOOKS
@@ -144,7 +164,7 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
             Command(f"Colours {name}", None, set_to(colours=key), ICON.PALETTE, group="Surface")
             for key, name in COLOUR_MAPS.items()
         ),
-    ]
+    )
 
 
 def _measuring(page: Page, parts: Parts) -> list[Command]:
@@ -167,16 +187,26 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
         for tool, (key, held) in TOOL_KEYS.items()
     ]
     lines = LineVerbs(page)
+    keep = Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure")
     return [
-        *tools,
-        Command("Horizontal cut", "H", lambda: lines.cut("row"), ICON.ARROWS_HORIZONTAL, "shift", "Measure"),
-        Command("Vertical cut", "V", lambda: lines.cut("column"), ICON.ARROWS_VERTICAL, "shift", "Measure"),
-        Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure"),
-        Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
-        Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
-        Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure"),
-        Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
-        Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
+        *unless(
+            no_surface,
+            *tools,
+            Command("Horizontal cut", "H", lambda: lines.cut("row"), ICON.ARROWS_HORIZONTAL, "shift", "Measure"),
+            Command("Vertical cut", "V", lambda: lines.cut("column"), ICON.ARROWS_VERTICAL, "shift", "Measure"),
+        ),
+        *unless(no_room_for_lines, Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure")),
+        *unless(
+            no_other_line,
+            Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
+            Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
+        ),
+        *unless(parts.measure.why_not_keep, keep),
+        *unless(
+            no_result,
+            Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
+            Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
+        ),
     ]
 
 
@@ -198,10 +228,14 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         else:
             page.change(tool="none", selected=None)
 
+    def in_use(_: Snapshot, view: View) -> bool:
+        """Escape is pressed for many things: where there is nothing to leave it is not ours."""
+        return view.explains or view.tool != "none" or view.selected is not None
+
     return [
-        Command("Leave the tool", "escape", leave, ICON.X, group="Page"),
-        Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page"),
-        Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page"),
+        Command("Leave the tool", "escape", leave, ICON.X, group="Page", here=in_use),
+        *unless(nothing_to_undo, Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page")),
+        *unless(nothing_to_redo, Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page")),
         Command("Light or dark page", "D", lambda: page.change(dark=not page.view.dark), ICON.MOON, "shift", "Page"),
     ]
 

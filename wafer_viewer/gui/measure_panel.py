@@ -14,6 +14,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, set_prop
 from wafer_viewer.gui.levelling_section import LevellingSection
 from wafer_viewer.gui.measure_source import source
+from wafer_viewer.gui.obstacles import elsewhere
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.gui.profile_section import ProfileSection
@@ -115,6 +116,17 @@ class MeasurePanel:
         """Keep the result at hand, as the button does."""
         if self._page.view.step == "measure" and self._keep.visible and not self._keep.disabled:
             self._keep_it(None)
+
+    def why_not_keep(self, snapshot: Snapshot, view: View) -> str | None:
+        """Why there is nothing to keep now, or None."""
+        data = snapshot.dataset
+        if (missing := elsewhere("measure")(snapshot, view)) is not None:
+            return missing
+        if view.tool == "none" or view.selected is not None:
+            return "no tool measures anything now: choose one first."
+        if data is not None and data.read_only is not None:
+            return data.read_only
+        return None if self.answer.finding is not None else self.answer.problem or WAITS
 
     def _keep_it(self, _: Any) -> None:
         page, finding = self._page, self.answer.finding

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.look import QUANTITIES
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui.colour_legend import SIGNED
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.latest import Latest
+from wafer_viewer.gui.obstacles import off_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import View
@@ -42,7 +43,7 @@ class PrintPicture:
 
     def commands(self) -> list[Command]:
         """The one key."""
-        return [Command("Picture at print size", "P", self.take, viser.Icon.CAMERA, group="Look")]
+        return unless(off_surface, Command("Picture at print size", "P", self.take, viser.Icon.CAMERA, group="Look"))
 
     def take(self) -> None:
         """Take the picture, unless one is being taken."""

@@ -8,9 +8,10 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, leading, set_prop
+from wafer_viewer.gui.obstacles import no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
@@ -55,12 +56,20 @@ class ReportPanel:
 
     def commands(self) -> list[Command]:
         """The one verb."""
-        return [Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")]
+        write = Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")
+        return unless(self._why_not, write)
+
+    def _why_not(self, snapshot: Snapshot, view: View) -> str | None:
+        if (missing := no_surface(snapshot, view)) is not None:
+            return missing
+        if self._busy:
+            return "a report is being written."
+        return None if self._chosen() else "nothing is ticked of what goes in."
 
     def write(self) -> None:
         """Write the report."""
         page = self._page
-        if page.session.snapshot.surface is None or self._busy or not self._chosen():
+        if self._why_not(page.session.snapshot, page.view) is not None:
             return
         order = ReportOrder(title=self._name.value, parts=self._chosen())
         self._writing = page.session.papers.write_report(order)

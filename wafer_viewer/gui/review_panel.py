@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.obstacles import elsewhere
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.review_items import ReviewItem, chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers, picture, progress
@@ -72,12 +73,13 @@ class ReviewPanel:
     def commands(self) -> list[Command]:
         """By keyboard alone: on, back, accept, reject."""
         icon = viser.Icon
-        return [
+        return unless(
+            elsewhere("review"),
             Command("Next under review", "pagedown", lambda: self.step(1), icon.ARROW_RIGHT, group="Review"),
             Command("Previous under review", "pageup", lambda: self.step(-1), icon.ARROW_LEFT, group="Review"),
             Command("Accept", "Y", lambda: self.judge("accepted"), icon.CHECK, group="Review"),
             Command("Reject", "N", lambda: self.judge("rejected"), icon.X, group="Review"),
-        ]
+        )
 
     def step(self, by: int) -> None:
         """Go on to the next open item of those listed, or back."""

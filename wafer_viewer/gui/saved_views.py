@@ -10,8 +10,9 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.camera import Pose
-from wafer_viewer.gui.commands import Command, spoken
+from wafer_viewer.gui.commands import Command, spoken, unless
 from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.obstacles import off_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
@@ -39,12 +40,18 @@ class SavedViews:
         page.on_pick("view-undo", lambda _: page.ask("Nothing was undone", page.session.notebook.undo()))
 
     def commands(self) -> list[Command]:
-        """Save a view, and the first views by their number."""
-        going = [
-            Command(f"Saved view {n}", f"{n}", lambda n=n: self.go_to(n), viser.Icon.BOOKMARK, "shift", "Look", False)
-            for n in range(1, WITH_KEYS + 1)
-        ]
-        return [Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look"), *going]
+        """Save a view."""
+        save = Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look")
+        return unless(off_surface, save)
+
+    def going(self, snapshot: Snapshot) -> list[Command]:
+        """To the views there are, by their names; the first ones have their numbers as keys."""
+        return [self._going_to(kept) for kept in snapshot.notebook.book.views] if snapshot.dataset is not None else []
+
+    def _going_to(self, kept: SavedView) -> Command:
+        key, held = (f"{kept.number}", "shift") if kept.number <= WITH_KEYS else (None, None)
+        name = f"Go to view: {kept.name}"
+        return Command(name, key, lambda: self.go_to(kept.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
 
     def ask_name(self) -> None:
         """Save where the camera stands and how the surface is drawn, under a name."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.commands import Command
+from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, outlined, set_prop
@@ -53,12 +53,11 @@ class Welcome:
         icon = viser.Icon
         return [
             Command("Plan a scan", None, self._plan, icon.LAYOUT_GRID, group="Plan"),
-            Command("Take the tour on the virtual rig", None, self._tour_if_simulated, icon.PLAYER_PLAY, group="Plan"),
+            *unless(
+                lambda now, _: None if now.rig.simulated else "the tour is for the virtual rig, this one is real.",
+                Command("Take the tour on the virtual rig", None, self._take_tour, icon.PLAYER_PLAY, group="Plan"),
+            ),
         ]
-
-    def _tour_if_simulated(self) -> None:
-        if self._page.session.snapshot.rig.simulated:
-            self._take_tour()
 
     def _plan(self) -> None:
         """Cover the sample that the rig has a picture of; without one, clear the way to the form."""
