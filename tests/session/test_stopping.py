@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import threading
 import time
+from concurrent.futures import Future
 from multiprocessing import Pipe
 
 import numpy as np
 import pytest
 
+from wafer_viewer.model.devices import Position
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.rigs.virtual.rig import VirtualRig
+from wafer_viewer.session import instrument as instrument_module
+from wafer_viewer.session.desk import Desk as SessionDesk
 from wafer_viewer.session.drafting import plan_of
+from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.link import Answer, Ask, ChildEnd
 from wafer_viewer.session.messages import At, Move, Scan, ScanEnded, Stop
+from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.rig_process import Operator
 from wafer_viewer.session.session import Session
+from wafer_viewer.session.state import RigStatus, Snapshot
 
 FAR_UM = 150_000.0
 """The stage needs a second and a half for it."""
@@ -29,7 +36,7 @@ class Grey:
         return np.full((540, 720), 99, np.uint8)
 
 
-class Desk:
+class NearEnd:
     """The near end of an operator's pipe: asks, and sorts what comes up."""
 
     def __init__(self, pipe):
@@ -64,7 +71,7 @@ def desk(rig):
     ours, theirs = Pipe()
     work = threading.Thread(target=Operator(rig, ChildEnd(theirs)).work)
     work.start()
-    made = Desk(ours)
+    made = NearEnd(ours)
     made.work = work
     yield made
     ours.close()
@@ -120,6 +127,65 @@ def test_a_scan_that_waited_behind_a_move_ends_with_it(rig, desk, job, tmp_path)
     (ended,) = (event for event in desk.events if isinstance(event, ScanEnded))
     assert (ended.stopped, ended.error) == (True, None)
     assert rig.stage.position().x_um < FAR_UM
+
+
+def test_a_search_for_the_reference_that_was_broken_off_leaves_it_not_homed(rig, desk, monkeypatch):
+    monkeypatch.setattr(rig.stage, "homed", lambda: False)
+    desk.ask((1, Move(x_um=FAR_UM)))
+    on_its_way(rig)
+    desk.ask((2, Stop()))
+    assert desk.answer(2).value
+    assert [event.homed for event in desk.events if isinstance(event, At)] == [False]
+
+
+class StandingLink:
+    """Stands for the way to the rig's process: keeps what was asked, and its test answers and tells."""
+
+    alive = True
+
+    def __init__(self, name, target, args, on_event, on_gone):
+        self.tell, self.asked = on_event, []
+
+    def ask(self, verb):
+        self.asked.append((verb, Future()))
+        return self.asked[-1][1]
+
+
+@pytest.fixture
+def instrument(monkeypatch):
+    """An instrument whose rig is ready and stands still, and its session's desk."""
+    monkeypatch.setattr(instrument_module, "Link", StandingLink)
+    desk = SessionDesk(Snapshot(rig=RigStatus(state="ready", homed=True)))
+    nobody = Reports(*[lambda _: None] * 5)
+    made = Instrument(desk, Notices(desk), RigConfig(), nobody)
+    link = desk.do(made.start).result()
+    desk.do(desk.change, rig=RigStatus(state="ready", homed=True)).result()
+    yield made, desk, link
+    desk.close()
+
+
+def test_it_moves_from_the_first_of_several_moves_to_the_end_of_the_last(instrument):
+    rig, desk, link = instrument
+    moves = [desk.do(rig.move_to, Move(x_um=x_um)) for x_um in (1.0, 2.0)]
+    desk.wait_until(lambda s: s.rig.state == "moving", 60.0)
+    desk.do(lambda: None).result()
+    link.tell(At(Position(1.0, 0.0, 0.0), homed=True))
+    link.asked[0][1].set_result(None)
+    moves[0].result(60.0)
+    assert (desk.snapshot.rig.state, desk.snapshot.rig.x_um) == ("moving", 1.0)
+    link.tell(At(Position(1.5, 0.0, 0.0), homed=False))
+    link.asked[1][1].set_exception(MotionStopped.at(1.5, 0.0, 0.0))
+    with pytest.raises(MotionStopped):
+        moves[1].result(60.0)
+    stood = desk.snapshot.rig
+    assert (stood.state, stood.x_um, stood.homed) == ("ready", 1.5, False)
+
+
+def test_without_a_process_nothing_moves(instrument, monkeypatch):
+    rig, _, link = instrument
+    monkeypatch.setattr(StandingLink, "alive", False)
+    assert rig.break_off().result(0) is False
+    assert link.asked == []
 
 
 @pytest.mark.slow

@@ -119,7 +119,10 @@ class Stage(Protocol):
         ...
 
     def homed(self) -> bool:
-        """Whether every axis knows where it is; one that does not has to look for its reference before a move."""
+        """Whether every axis knows where it is; one that does not has to look for its reference before a move.
+
+        A search that was broken off leaves it not homed.
+        """
         ...
 
     def moving(self) -> bool:

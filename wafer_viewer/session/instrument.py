@@ -150,8 +150,9 @@ class Instrument:
         self._show(state="absent", message=event.why)
 
     def _at(self, event: At) -> None:
-        p = event.position
-        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um)
+        p, homed = event.position, event.homed
+        known = self._desk.now.rig.homed if homed is None else homed
+        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=known)
 
     def _move_over(self) -> None:
         self._moves -= 1

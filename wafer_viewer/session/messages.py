@@ -81,9 +81,10 @@ class RigAbsent:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """Where the stage stands, after a motion."""
+    """Where the stage stands, and whether it still knows so by itself; None: as it was before."""
 
     position: Position
+    homed: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

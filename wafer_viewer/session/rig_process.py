@@ -119,7 +119,7 @@ class Operator:
                 x_um=move.x_um, y_um=move.y_um, z_um=move.z_um, should_stop=lambda: self._stopped_since(order)
             )
         finally:
-            self._end.tell(At(stage.position()))
+            self._tell_where()
         self._end.answer(order.ask)
 
     def _scan(self, order: Order, scan: Scan) -> None:
@@ -132,5 +132,10 @@ class Operator:
         if ended.stopped:
             self._heeded = self._n_stops
         self._rig.stage.wait()
-        self._end.tell(At(self._rig.stage.position()))
+        self._tell_where()
         self._end.tell(ended)
+
+    def _tell_where(self) -> None:
+        """Also whether it is homed: a search for the reference that was broken off leaves it not so."""
+        stage = self._rig.stage
+        self._end.tell(At(stage.position(), stage.homed()))
