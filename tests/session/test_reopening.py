@@ -244,6 +244,15 @@ def test_a_program_that_was_killed_holds_nothing(program):
     assert program.start().faults == ()
 
 
+def test_a_lock_of_another_machine_is_believed_and_the_way_out_is_said(program):
+    held = program.folder / KEPT_IN
+    held.mkdir()
+    (held / "lock").write_text('{"pid": 7, "host": "elsewhere", "since": "2026-01-01T00:00:00+00:00"}')
+    (fault,) = program.start().faults
+    assert f"process 7 on elsewhere, since 2026-01-01T00:00:00+00:00) works in {program.folder}" in fault.text
+    assert f"delete {held / 'lock'}" in fault.text
+
+
 def test_a_folder_that_nobody_may_write_to_costs_the_memory_and_not_the_start(program, monkeypatch):
     monkeypatch.setattr(Lock, "take", held_elsewhere)
     assert program.start().faults == ()

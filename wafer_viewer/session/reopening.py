@@ -8,6 +8,7 @@ the same folder begins with nothing open and leaves the first one's memory alone
 from __future__ import annotations
 
 import logging
+import socket
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.state import Snapshot, Typed
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.lock import Lock
+    from wafer_viewer.store.lock import Holder, Lock
 
 KEPT_IN, NAME = ".wafer-viewer", "session.json"
 VERSION = 1
@@ -90,11 +91,7 @@ class Reopening:
             self._held = Lock.take(folder)
         except DatasetError as fault:
             if (holder := holder_of(folder)) is not None:
-                return (
-                    f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers its own plan there. This "
-                    "one began with nothing open, and after a restart it will do so again. To have it remembered, "
-                    f"end the other one first; if that is gone already, delete {folder / 'lock'}. Nothing else to do."
-                )
+                return _taken(folder, holder)
             log.warning("What is open will not be remembered: %s", fault)
         return None
 
@@ -155,6 +152,15 @@ class Reopening:
         if self._held is not None:
             self._held.release()
             self._held = None
+
+
+def _taken(folder: Path, holder: Holder) -> str:
+    """Why the memory of a data folder is another program's; a lock of another machine may be one of a dead program."""
+    dead = "" if holder.host == socket.gethostname() else f" If that one is gone, delete {folder / 'lock'}."
+    return (
+        f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers there what it has open. "
+        f"This one began with nothing open, and will do so again as long as the other one runs.{dead} Nothing to do."
+    )
 
 
 def _small(path: Path) -> bytes:
