@@ -129,6 +129,7 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (PLANNED, View(), "Accept", "no result is kept"),
         (MEASURED, View(), "Hillshade", "go to Surface first"),
         (MEASURED, View(step="surface"), "Accept", "go to Review first"),
+        (MEASURED, View(step="surface", show=2), "Fields and overlaps", "over the stitched surface"),
         (MEASURED, View(step="surface"), "Close the comparison", "no comparison is on show"),
         (MEASURED, View(step="surface"), "Delete the result", "go to Measure first"),
         (MEASURED, View(step="measure"), "Rename the result…", "no result is chosen"),

@@ -18,6 +18,7 @@ from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.measure_panel import MeasurePanel
 from wafer_viewer.gui.obstacles import (
     no_dataset,
+    no_fields_to_show,
     no_other_line,
     no_result,
     no_room_for_lines,
@@ -142,7 +143,10 @@ def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
         out_of_sight,
         Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
         Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
-        Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
+        *unless(
+            no_fields_to_show,
+            Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
+        ),
         *unless(off_surface, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")),
         Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
         Command(

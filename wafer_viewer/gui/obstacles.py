@@ -33,6 +33,13 @@ def out_of_sight(snapshot: Snapshot, view: View) -> str | None:
     return "the surface is not on show: go to Surface first." if view.step == "plan" else None
 
 
+def no_fields_to_show(snapshot: Snapshot, view: View) -> str | None:
+    """For fields and overlaps, which are drawn over the stitched surface."""
+    if (missing := elsewhere("surface")(snapshot, view)) is not None:
+        return missing
+    return None if view.show == 0 else "they are drawn over the stitched surface: show that first."
+
+
 def off_surface(snapshot: Snapshot, view: View) -> str | None:
     """For what is done to the surface that is looked at."""
     missing = no_dataset(snapshot, view)

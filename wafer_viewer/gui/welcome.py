@@ -52,12 +52,16 @@ class Welcome:
         """What the card offers, by name."""
         icon = viser.Icon
         return [
-            Command("Plan a scan", None, self._plan, icon.LAYOUT_GRID, group="Plan"),
+            Command("Plan a scan", None, self._go_and_plan, icon.LAYOUT_GRID, group="Plan"),
             *unless(
                 lambda now, _: None if now.rig.simulated else "the tour is for the virtual rig, this one is real.",
                 Command("Take the tour on the virtual rig", None, self._take_tour, icon.PLAYER_PLAY, group="Plan"),
             ),
         ]
+
+    def _go_and_plan(self) -> None:
+        self._page.change(step="plan", why=None)
+        self._plan()
 
     def _plan(self) -> None:
         """Cover the sample that the rig has a picture of; without one, clear the way to the form."""
