@@ -5,6 +5,7 @@ viser never reads a layout back: widths are watched by a line of script and put 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -23,17 +24,30 @@ EDGE_PX = 4
 LEAST_PX, MOST_PX = 200, 720
 """Widths outside of these are no panel's: a panel folded away, or on its way to be."""
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
+_SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
+"""In the name of what draws without a graphics card."""
 _EVERY_MS = 600
 _SCRIPT = f"""
 clearInterval(window.wvTelling);
 let told = '';
+const still = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
+const drawnBy = () => {{
+  const gl = document.createElement('canvas').getContext('webgl2');
+  const named = gl && gl.getExtension('WEBGL_debug_renderer_info');
+  const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : '';
+  if (gl) gl.getExtension('WEBGL_lose_context')?.loseContext();
+  return name;
+}};
+const renderer = drawnBy();
 const side = edge => {{
   const region = document.querySelector(`[data-dock-region=${{edge}}]`);
   const folded = region && !!region.querySelector('[data-dock-minimize-all]');
   return region && [Math.round(region.getBoundingClientRect().width), folded];
 }};
 window.wvTelling = setInterval(() => {{
-  const now = JSON.stringify({{system: navigator.platform, left: side('left'), right: side('right')}});
+  const now = JSON.stringify({{
+    system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'),
+  }});
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   if (now === told || !field) return;
   told = now;
@@ -44,11 +58,16 @@ window.wvTelling = setInterval(() => {{
 
 
 class Told(msgspec.Struct, frozen=True):
-    """A browser's report: of each side panel its width in pixels, and whether it is folded away."""
+    """A browser's report: of each side panel its width in pixels, and whether it is folded away.
+
+    renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
+    """
 
     system: str = ""
     left: tuple[int, bool] | None = None
     right: tuple[int, bool] | None = None
+    renderer: str = ""
+    still: bool = False
 
 
 class BrowserEar:
@@ -62,10 +81,17 @@ class BrowserEar:
         self._system: str | None = None
         self._restored = False
         self.left: Any = None
+        self._can_fly = False
+        self._let_fly: Callable[[bool], None] = lambda able: None
         page.gui.add_html('<div class="wv-tells"></div>')
         failed = "The layout is not remembered"
         page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
         page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
+
+    def on_motion(self, callback: Callable[[bool], None]) -> None:
+        """Call back with whether the camera may fly in this browser, now and when that changes."""
+        self._let_fly = callback
+        callback(self._can_fly)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Put the panels to where this browser had them, once."""
@@ -80,6 +106,8 @@ class BrowserEar:
     def _hear(self, text: str) -> None:
         page, told = self._page, msgspec.json.decode(text, type=Told)
         self._system = system_name(told.system)
+        self._can_fly = may_fly(told)
+        self._let_fly(self._can_fly)
         layout = layout_of(told, page.browser.layout)
         if self._restored and layout != page.browser.layout:
             page.remember(replace(page.browser, layout=layout))
@@ -101,6 +129,12 @@ def layout_of(told: Told, before: Layout) -> Layout:
     left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
     right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
     return Layout(left_px, right_px, left_folded, right_folded)
+
+
+def may_fly(told: Told) -> bool:
+    """Whether a browser draws on a graphics card and its user does not want less motion."""
+    renderer = told.renderer.lower()
+    return not told.still and not any(name in renderer for name in _SOFTWARE)
 
 
 def system_name(platform: str) -> str:

@@ -117,6 +117,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
+    ear.on_motion(scene.let_fly)
     viewpoint, drawing = Viewpoint(page, scene), Drawing(scene)
     page.show_first([frame, viewpoint, drawing])
     curves = Curves(page)

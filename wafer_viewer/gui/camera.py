@@ -1,4 +1,4 @@
-"""Where the camera stands: the four presets, fitted to what is drawn and clear of the glass panels over it."""
+"""Where a camera stands: the presets, fitted to what is drawn and clear of the glass panels over it. Pure."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import viser
 from numpy.typing import NDArray
-
-from wafer_viewer.gui.sight import Sight
 
 Preset = Literal["top", "front", "iso", "all"]
 Vector = NDArray[np.float64]
@@ -117,95 +114,6 @@ def screen_axes(direction: Vector) -> tuple[Vector, Vector]:
     return right, np.cross(direction, right)
 
 
-def _near_mm(pose: Pose) -> float:
+def near_mm(pose: Pose) -> float:
+    """Nothing nearer to a camera than this is drawn."""
     return max(NEAR_MM, NEAR_SHARE * float(np.linalg.norm(pose.position - pose.look_at)))
-
-
-class Eye:
-    """The camera of one browser."""
-
-    def __init__(self, client: viser.ClientHandle) -> None:
-        self._client = client
-        self._preset: str = "iso"
-        self._corners: Vector | None = None
-        self._clear = Clear()
-        self._set: Pose | None = None
-        self._size_px = (0, 0)
-
-    @property
-    def pose(self) -> Pose:
-        """Where the camera is now."""
-        camera = self._client.camera
-        return Pose(np.asarray(camera.position, float), np.asarray(camera.look_at, float))
-
-    def sight(self) -> Sight:
-        """What it sees."""
-        camera, pose = self._client.camera, self.pose
-        eye, look_at, up = (
-            (float(v[0]), float(v[1]), float(v[2])) for v in (pose.position, pose.look_at, camera.up_direction)
-        )
-        return Sight.of(eye, look_at, up, camera.fov, camera.image_width, camera.image_height)
-
-    def um_per_pixel(self) -> float:
-        """How long a pixel is at the point looked at."""
-        camera = self._client.camera
-        distance = float(np.linalg.norm(camera.position - camera.look_at))
-        return 2e3 * distance * math.tan(camera.fov / 2) / max(1, camera.image_height)
-
-    def frame(self, corners_mm: Vector, preset: str, clear: Clear) -> None:
-        """Look at these points from a preset, ``all`` from where the camera is now."""
-        self._corners, self._preset, self._clear = corners_mm, preset, clear
-        self._apply(self.pose.direction if preset == "all" else direction_of(preset))
-
-    def fly(self, corners_mm: Vector) -> None:
-        """Look at these points from where the camera is now; what is drawn stays what `follow` takes in."""
-        self._stand(fit(corners_mm, self.pose.direction, FOV_RAD, *self._canvas_px, self._clear))
-
-    def go(self, pose: Pose) -> None:
-        """Stand somewhere, as the operator would; from now on the camera stays there."""
-        self._set = None
-        self._stand(pose)
-
-    def follow(self, corners_mm: Vector, clear: Clear) -> None:
-        """What is drawn has grown or shrunk: take it in again, unless the operator has moved the camera."""
-        if self._corners is not None and np.allclose(corners_mm, self._corners, atol=1e-4) and clear == self._clear:
-            return
-        self._corners, self._clear = corners_mm, clear
-        if self._set is not None and self.pose.is_near(self._set):
-            self._apply(self._set.direction)
-
-    def come_near(self) -> None:
-        """After a move: let nothing near be cut off, and keep thin layers of what is far apart."""
-        camera, pose = self._client.camera, self.pose
-        near = _near_mm(pose)
-        if not 0.5 < near / camera.near < 2:
-            camera.near = near
-
-    def refit(self) -> None:
-        """After the canvas changed its size: fit again, unless the operator has moved the camera since."""
-        size_px = (self._client.camera.image_width, self._client.camera.image_height)
-        if size_px == self._size_px or self._corners is None:
-            return
-        if self.pose.is_near(self._set):
-            self._apply(self._set.direction if self._set else direction_of(self._preset))
-
-    @property
-    def _canvas_px(self) -> tuple[int, int]:
-        return self._client.camera.image_width, self._client.camera.image_height
-
-    def _apply(self, direction: Vector) -> None:
-        if self._corners is None:
-            return
-        self._size_px = self._canvas_px
-        self._set = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
-        self._stand(self._set)
-
-    def _stand(self, pose: Pose) -> None:
-        camera = self._client.camera
-        with self._client.atomic():
-            camera.up_direction = (0.0, 0.0, 1.0)
-            camera.fov = FOV_RAD
-            camera.near = _near_mm(pose)
-            camera.position = pose.position
-            camera.look_at = pose.look_at
-        self._client.flush()

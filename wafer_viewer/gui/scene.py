@@ -11,8 +11,9 @@ import viser
 
 from wafer_viewer.gui.acquire_scene import acquire_contents
 from wafer_viewer.gui.book import Book
-from wafer_viewer.gui.camera import Eye, Pose
+from wafer_viewer.gui.camera import Pose
 from wafer_viewer.gui.contents import Contents, OnShow, corners_over
+from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.gate import Gate
 from wafer_viewer.gui.in_view import Range, range_in_view
 from wafer_viewer.gui.latest import Latest
@@ -91,7 +92,7 @@ class SceneView:
 
     def look_from(self, preset: str) -> None:
         """Go to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and shows everything."""
-        self._send(lambda shown: self._eye.frame(shown.corners_mm, preset, shown.clear))
+        self._send(lambda shown: self._eye.frame(shown.corners_mm, preset, shown.clear, flying=True))
 
     def fly_to(self, bounds_um: Box) -> None:
         """Show a rectangle of the surface, (x low, y low, x high, y high) in stage um, from where the camera stands."""
@@ -99,12 +100,16 @@ class SceneView:
 
     @property
     def pose(self) -> Pose | None:
-        """Where the camera stands; None before there is one."""
-        return self._eye.pose if self._place is not None else None
+        """Where the camera stands, or is flying to; None before there is one."""
+        return self._eye.goal if self._place is not None else None
 
     def go_to(self, pose: Pose) -> None:
         """Have the camera stand somewhere, when what is wanted by now is drawn."""
-        self._send(lambda _: self._eye.go(pose))
+        self._send(lambda _: self._eye.go(pose, flying=True))
+
+    def let_fly(self, able: bool) -> None:
+        """Whether the camera may fly; else it jumps."""
+        self._eye.let_fly(able)
 
     def reopen(self, pose: Pose) -> None:
         """Where the camera is to stand at first, instead of where it shows everything."""
@@ -117,7 +122,7 @@ class SceneView:
 
     def seen_um(self) -> tuple[tuple[float, float], ...] | None:
         """The part of the ground that is in view, as its corners in stage um; None where it reaches the horizon."""
-        return self._eye.sight().ground_um(float(self._eye.pose.look_at[2])) if self._place is not None else None
+        return self._eye.sight().ground_um(float(self._eye.goal.look_at[2])) if self._place is not None else None
 
     def settle(self, width_px: int | None, timeout_s: float) -> bool:
         """Draw as much as a picture so many pixels wide shows; whether that came about in time. None: as the screen."""
@@ -173,11 +178,8 @@ class SceneView:
         with self._due:
             self._closed = True
             self._due.notify_all()
-        self._gate.close()
-        self._book.close()
-        self._tools.close()
-        self._moves.close()
-        self._poses.close()
+        for part in (self._gate, self._book, self._tools, self._moves, self._poses, self._eye):
+            part.close()
 
     # ---------------------------------------------------------------- the scene's thread
 

@@ -9,8 +9,8 @@ import numpy as np
 import viser
 
 from wafer_viewer.gui.book import Book
-from wafer_viewer.gui.camera import Eye
 from wafer_viewer.gui.contents import OnShow
+from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.first_places import first_levelling
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import PlaceMark
