@@ -101,6 +101,8 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             page.get_by_role("button", name="Keep result").click()
             page.keyboard.press("Shift+R")
             take(page, folder / "8-review.png", 4 * REST_S)
+            page.keyboard.press("Shift+O")
+            take(page, folder / "8-report.png", 2 * REST_S)
             page.keyboard.press("Shift+M")
             ask_why(page)
             take(page, folder / "9-why.png", 4 * REST_S)
