@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from wafer_viewer.gui.camera import Pose, Vector, screen_axes
 from wafer_viewer.gui.lie_of_land import Land
 
-_STEPS = 48
-_ACROSS, _DOWN = np.linspace(0, 1, 7), np.linspace(0, 1, 3)
+_STEPS = 40
+_ACROSS, _DOWN = np.linspace(0, 1, 5), np.linspace(0, 1, 2)
 _NEAREST = 0.1
 """What stands before everything is never nearer to the camera than this share of its distance."""
 
