@@ -99,6 +99,7 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             page.keyboard.press("k")
             take(page, folder / "7-step.png", 4 * REST_S)
             page.get_by_role("button", name="Keep result").click()
+            session.wait_until(lambda now: bool(now.findings), 60)
             page.keyboard.press("Shift+R")
             take(page, folder / "8-review.png", 4 * REST_S)
             page.keyboard.press("Shift+O")
