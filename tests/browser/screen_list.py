@@ -151,6 +151,11 @@ def read_from(zero: str) -> Act:
     return act
 
 
+def moving() -> Any:
+    """The stage is on its way."""
+    return dataclasses.replace(fake.planned(), rig=dataclasses.replace(fake.RIG, state="moving"))
+
+
 UNCALIBRATED = "no calibration was given"
 SCREENS: dict[str, Screen] = {
     "start": still(fake.empty, "plan"),
@@ -160,6 +165,7 @@ SCREENS: dict[str, Screen] = {
     "uncalibrated": still(lambda: fake.measured(UNCALIBRATED), "surface"),
     "fault": still(fake.at_fault, "plan"),
     "stop": still(fake.scanning, "acquire", press("Shift+Escape")),
+    "moving": still(moving, "plan"),
     "import": still(fake.planned, "plan", press("Shift+I")),
     "keys": still(fake.measured, "surface", press("F1")),
     "palette": still(fake.measured, "surface", press("Control+k")),
