@@ -210,3 +210,14 @@ def test_a_session_stops_any_motion_and_goes_on(tmp_path, patience_s):
         assert (there.state, there.x_um - stood.x_um, there.z_um) == ("ready", pytest.approx(250.0), 40.0)
     finally:
         session.close()
+
+
+@pytest.mark.slow
+def test_a_session_stops_a_scan_by_the_same_verb(session, job, patience_s):
+    session.edit_job(job(cols=2, rows=2, n_frames=60, z_step_um=0.8)).result()
+    session.start_scan("stopped").result(patience_s)
+    session.wait_until(lambda s: s.scan is not None and s.scan.frames_done > 5, patience_s)
+    assert session.stop().result(patience_s) is True
+    stopped = session.snapshot
+    assert (stopped.rig.state, stopped.dataset.finished) == ("ready", False)
+    assert session.stop().result(patience_s) is False
