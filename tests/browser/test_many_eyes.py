@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
+import weakref
 from collections.abc import Callable
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -12,6 +15,7 @@ from playwright.sync_api import Page, expect
 from tests.browser import fake_session as fake
 from tests.browser.fake_session import FakeSession
 from tests.browser.steps import eventually, go_to, press, put, text_field, title_is, type_into
+from wafer_viewer.gui import app
 from wafer_viewer.gui.app import start
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.session import Session
@@ -175,3 +179,25 @@ def test_what_needs_a_person_is_told_again_after_a_reload_until_it_is_dealt_with
     page.reload()
     expect(page.locator(".wv-note.fault", has_text="Import stopped")).to_be_visible()
     expect(page.locator(".wv-note.fault", has_text="The folder is full")).to_have_count(0)
+
+
+def test_a_page_that_is_closed_leaves_nothing_behind(serve: Serve, monkeypatch: pytest.MonkeyPatch):
+    made: list[weakref.ref[object]] = []
+    build = app.build_page
+
+    def build_and_note(client: Any, session: Any) -> Any:
+        page = build(client, session)
+        made.append(weakref.ref(page))
+        return page
+
+    monkeypatch.setattr(app, "build_page", build_and_note)
+    gc.disable()  # what goes is what the viewer frees itself
+    try:
+        page = serve(FakeSession(fake.measured()))
+        holder(page)
+        (found,) = made
+        assert found() is not None
+        page.close()
+        eventually(lambda: found() is None, "the page is freed")
+    finally:
+        gc.enable()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import functools
+import gc
 import io
 import logging
 import logging.handlers
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
 
 LOG_BYTES = 1_000_000
+SWEPT_AFTER_S = 2.0
+"""So long after a page has gone nothing of viser's holds it any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +102,7 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
         page = pages.pop(client.client_id, None)
         if page is not None:
             page.close()
+            sweep_up()
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
@@ -115,6 +119,13 @@ def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
             server.stop()
 
     return Running(guard.address, stop)
+
+
+def sweep_up() -> None:
+    """Free a page that has gone: its parts know each other, and Python would look for such as these in hours only."""
+    sweeper = threading.Timer(SWEPT_AFTER_S, gc.collect)
+    sweeper.daemon = True
+    sweeper.start()
 
 
 def keep_log() -> None:
