@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import viser
 
@@ -36,14 +36,27 @@ class Cell:
         return f'<div class="wv">{content}</div>' if self._padded and content else content
 
 
-class Field(Generic[T]):
-    """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in."""
+class Drawn(Teller, Protocol):
+    """A page that is being drawn."""
 
-    def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Teller, failed: str) -> None:
+    @property
+    def as_of_s(self) -> float:
+        """Of when what is drawn is, by the monotonic clock."""
+        ...
+
+
+class Field(Generic[T]):
+    """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in.
+
+    What is older than the last thing put in is not shown, however long the drawing of it took.
+    """
+
+    def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Drawn, failed: str) -> None:
         self.handle = handle
         self.edited = False
         """Whether a person put something in that `show` has not come upon since."""
-        self._touched_at = 0.0
+        self._page = page
+        self._touched_at = -QUIET_S
         self._on_change = guarded(page, failed)(on_change)
         handle.on_update(self._update)
 
@@ -53,8 +66,8 @@ class Field(Generic[T]):
         return self.handle.value
 
     def show(self, value: T) -> None:
-        """Show a value, unless a person is just moving the widget."""
-        if time.monotonic() - self._touched_at <= QUIET_S:
+        """Show a value, unless a person is just moving the widget, or has moved it since the value was read."""
+        if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
             return
         self.edited = False
         if not _alike(value, self.handle.value):
@@ -68,6 +81,7 @@ class Field(Generic[T]):
         if event.client is not None:
             self._touched_at, self.edited = time.monotonic(), True
             self._on_change(event)
+            self._touched_at = time.monotonic()  # what was read meanwhile may be of before or after
 
 
 def set_prop(handle: Any, name: str, value: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -56,6 +57,7 @@ class Page:
         self._asked = asking.submit(memory.recall, client)  # the browser answers while the parts are made
         asking.shutdown(wait=False)
         self.notices: tuple[Fault, ...] = ()
+        self.as_of_s = 0.0
         self.scale: Scale | None = None
         self.has_overlaps = False
         self._parts: Sequence[Part] = ()
@@ -76,6 +78,7 @@ class Page:
         The other parts are made meanwhile: `begin` draws them.
         """
         self._recall()
+        self.as_of_s = time.monotonic()
         snapshot = self.session.snapshot
         if not snapshot.reopening:
             self._restore(snapshot)
@@ -220,6 +223,7 @@ class Page:
         return not self._closed
 
     def _draw(self) -> None:
+        self.as_of_s = time.monotonic()
         snapshot = self.session.snapshot
         if self._closed or snapshot.reopening:
             return

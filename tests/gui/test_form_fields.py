@@ -1,0 +1,85 @@
+"""A widget of a form: what a person puts in is not taken back by what was read before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from wafer_viewer.gui import kit
+from wafer_viewer.gui.kit import QUIET_S, Field
+
+
+@dataclass
+class Handle:
+    """A widget of viser's, as far as a field knows it."""
+
+    value: float = 1.0
+    heard: list[Callable[[Any], None]] = field(default_factory=list)
+
+    def on_update(self, hear: Callable[[Any], None]) -> None:
+        self.heard.append(hear)
+
+    def put_in(self, value: float) -> None:
+        self.value = value
+        for hear in self.heard:
+            hear(SimpleNamespace(client=object(), target=self))
+
+
+@dataclass
+class Page:
+    """A page that is drawn when the test says so."""
+
+    as_of_s: float = 0.0
+    told: list[Any] = field(default_factory=list)
+
+    def tell(self, fault: Any) -> None:
+        self.told.append(fault)
+
+    def say(self, title: str, text: str, tone: Any = "good") -> None:
+        self.told.append(title)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    now = SimpleNamespace(s=100.0)
+    monkeypatch.setattr(kit.time, "monotonic", lambda: now.s)
+    return now
+
+
+def a_field(page: Page) -> tuple[Field[float], Handle]:
+    handle = Handle()
+    return Field(handle, lambda event: None, page, "It stays"), handle
+
+
+def test_it_shows_what_the_session_has(clock: SimpleNamespace):
+    page = Page(as_of_s=clock.s)
+    shown, handle = a_field(page)
+    shown.show(2.0)
+    assert handle.value == 2.0
+
+
+def test_what_was_read_before_it_was_put_in_is_never_shown_however_late(clock: SimpleNamespace):
+    page = Page(as_of_s=clock.s)
+    shown, handle = a_field(page)
+    clock.s += 1.0
+    handle.put_in(5.0)
+    clock.s += 60.0  # the drawing of the older value comes at last
+    shown.show(1.0)
+    assert handle.value == 5.0
+    page.as_of_s = clock.s
+    shown.show(4.0)
+    assert handle.value == 4.0, "what the session made of it"
+
+
+def test_while_it_is_moved_it_is_left_alone(clock: SimpleNamespace):
+    page = Page()
+    shown, handle = a_field(page)
+    handle.put_in(5.0)
+    clock.s += QUIET_S / 2
+    page.as_of_s = clock.s
+    shown.show(1.0)
+    assert handle.value == 5.0
