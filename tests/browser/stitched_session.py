@@ -10,7 +10,7 @@ from tests.browser.fake_session import FakeSession
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.poses import Doubt, Poses
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.session.changes import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
@@ -44,6 +44,9 @@ class StitchedSession(FakeSession):
         self._painter = StandIn(self.shelf)
         self._poses = poses
         self.paint = self._painter.paint
+
+    def surface_source(self, show: int) -> Mosaic:
+        return self._painter.surface_source(show)
 
     def poses(self) -> Poses | None:
         return self._poses

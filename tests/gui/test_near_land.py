@@ -11,7 +11,7 @@ import pytest
 from tests.gui.stand_in import MemoryShelf, height_map
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.lie_of_land import Land
-from wafer_viewer.gui.near_land import hit_nearby
+from wafer_viewer.gui.near_land import land_nearby
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
@@ -43,10 +43,11 @@ def test_a_click_hits_the_pixel_it_seems_to(surface, datum):
         over = datum.at(np.float64(x_um), np.float64(-400.0)) if datum else 0.0
         top = np.array([x_um * 1e-3, -0.4, on_show.scene_z(60.0 - float(over))])
         origin = top + np.array([0.0, -0.8, 1.1])
-        coarse = land.hit(origin, top - origin)
-        assert coarse is not None
-        x, y = hit_nearby(lambda show: surface, land, coarse, origin, top - origin)
-        assert np.hypot(x - x_um, y + 400.0) < 0.71 * PIXEL_UM
+        near = land_nearby(lambda show: surface, land, origin, top - origin)
+        found = near.hit(origin, top - origin)
+        assert found is not None
+        assert np.hypot(found[0] - x_um, found[1] + 400.0) < 0.71 * PIXEL_UM
+        assert near.reached(origin, top - origin) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surface):
@@ -60,4 +61,4 @@ def test_a_surface_that_cannot_be_read_is_hit_where_the_coarse_heights_are(surfa
         raise DatasetError("The surface is gone.")
 
     origin = np.array([0.5, -0.5, 1.0])
-    assert hit_nearby(gone, land, (500.0, -500.0), origin, np.array([0.0, 0.0, -1.0])) == (500.0, -500.0)
+    assert land_nearby(gone, land, origin, np.array([0.0, 0.0, -1.0])) is land

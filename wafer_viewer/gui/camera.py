@@ -42,6 +42,10 @@ class Pose:
         away = self.position - self.look_at
         return away / np.linalg.norm(away)
 
+    def is_same(self, other: Pose) -> bool:
+        """Whether two poses are the same to the last bit."""
+        return bool((self.position == other.position).all() and (self.look_at == other.look_at).all())
+
     def is_near(self, other: Pose | None) -> bool:
         """Whether two poses are the same but for rounding."""
         if other is None:

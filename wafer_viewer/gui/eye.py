@@ -12,6 +12,9 @@ from wafer_viewer.gui.camera import FOV_RAD, Clear, Pose, Vector, direction_of, 
 from wafer_viewer.gui.flight import Pilot
 from wafer_viewer.gui.sight import Sight
 
+_AIMED = 5e-3
+"""As a share of the distance: the camera looks at a place when it looks so close to it."""
+
 
 class Eye:
     """The camera of one browser."""
@@ -82,8 +85,23 @@ class Eye:
         if self._set is not None and self.goal.is_near(self._set):
             self._apply(self._set.direction, self._stand)
 
+    def aim(self, place: Vector) -> None:
+        """Look at a place in the middle of the picture, which stays the same: turns go about it, the wheel nears it."""
+        pose = self.pose
+        moved = float(np.linalg.norm(place - pose.look_at))
+        if self._pilot.goal is None and moved > _AIMED * float(np.linalg.norm(place - pose.position)):
+            if pose.is_near(self._set):
+                self._set = Pose(pose.position, place)
+            self._client.camera.look_at = place
+
+    def moved(self) -> Pose:
+        """After a move: fit again what the canvas no longer holds, let nothing near be cut off; where it is now."""
+        self.refit()
+        self.come_near()
+        return self.pose
+
     def come_near(self) -> None:
-        """After a move: let nothing near be cut off, and keep thin layers of what is far apart."""
+        """Let nothing near be cut off, and keep thin layers of what is far apart."""
         camera, pose = self._client.camera, self.pose
         near = near_mm(pose)
         if not 0.5 < near / camera.near < 2:

@@ -153,6 +153,14 @@ class Land:
 
     def hit(self, origin: Floats, direction: Floats) -> Place | None:
         """Where a ray meets the surface first, or the ground through a hole in it; None when it passes by."""
+        share = self.reached(origin, direction)
+        if share is None:
+            return None
+        x, y, _ = origin + direction * share
+        return self.clamped((float(x) * 1e3, float(y) * 1e3))
+
+    def reached(self, origin: Floats, direction: Floats) -> float | None:
+        """How many times `direction` a ray goes until it meets what is seen; None when it passes by."""
         span = self._crossing(origin, direction)
         if span is None:
             return None
@@ -160,12 +168,12 @@ class Land:
         below = np.flatnonzero(self._depth(origin, direction, t) <= 0)
         if below.size == 0:
             return None
-        low, high = t[max(0, below[0] - 1)], t[below[0]]
+        low, high = float(t[max(0, below[0] - 1)]), float(t[below[0]])
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
             low, high = (low, middle) if self._depth(origin, direction, np.array([middle]))[0] <= 0 else (middle, high)
         x, y, _ = origin + direction * high
-        return self.clamped((float(x) * 1e3, float(y) * 1e3)) if self._inside(np.array([x]), np.array([y]))[0] else None
+        return high if self._inside(np.array([x]), np.array([y]))[0] else None
 
     def _crossing(self, origin: Floats, direction: Floats) -> tuple[float, float] | None:
         """The part of a ray between the highest height drawn and the ground."""

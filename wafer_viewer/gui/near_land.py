@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.gui.lie_of_land import Box, Floats, Land, Place
+from wafer_viewer.gui.lie_of_land import Box, Floats, Land
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic
@@ -19,21 +19,21 @@ _REACH_PX, _MOST_PX = 4, 512
 """So many coarse pixels round where a ray may hit are looked at; so many fine ones in each direction."""
 
 
-def hit_nearby(read: Read, land: Land, coarse: Place, origin: Floats, direction: Floats) -> Place:
-    """Where a ray that hits the coarse heights at a place meets the surface itself; the same place where it cannot."""
+def land_nearby(read: Read, land: Land, origin: Floats, direction: Floats) -> Land:
+    """The heights under a ray as fine as the surface has them; the coarse ones where it has none finer to read."""
     show, box = land.on_show.source.show, _under(land, origin, direction)
     if show < 0:  # two surfaces compared are as coarse as they are drawn
-        return coarse
+        return land
     try:
         surface = read(show)
         if surface.pixel_um >= land.pixel_um:
-            return coarse
+            return land
         side_px = max(box[2] - box[0], box[3] - box[1]) / surface.pixel_um
         level = max(0, math.ceil(math.log2(max(1.0, side_px / _MOST_PX))))
         part = surface.window(Region.rectangle(*box), min(level, surface.levels - 1))
     except WaferViewerError:
-        return coarse
-    return Land(_relief(part, land), land.on_show, land.holes).hit(origin, direction) or coarse
+        return land
+    return Land(_relief(part, land), land.on_show, land.holes)
 
 
 def _under(land: Land, origin: Floats, direction: Floats) -> Box:

@@ -197,12 +197,12 @@ class SceneView:
 
     def _camera_moved(self) -> None:
         """On a thread of its own, which pauses after each: the last move of many is never left out."""
-        self._eye.refit()
-        self._eye.come_near()
+        pose = self._eye.moved()
         self._tools.resize()
         self._arrived()
         self._camera_listener()
         time.sleep(_CAMERA_EVERY_S)
+        self._tools.aim(pose)
 
     def _send(self, errand: Errand) -> None:
         with self._due:

@@ -9,6 +9,7 @@ import numpy as np
 import viser
 
 from wafer_viewer.gui.book import Book
+from wafer_viewer.gui.camera import Pose
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.first_places import first_levelling
@@ -18,7 +19,7 @@ from wafer_viewer.gui.kept_marks import KeptMarks
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.line_tools import LineTools
-from wafer_viewer.gui.near_land import Read, hit_nearby
+from wafer_viewer.gui.near_land import Read, land_nearby
 from wafer_viewer.gui.place_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import View
@@ -91,6 +92,19 @@ class Tools:
         """The camera has moved: handles keep their size on the screen."""
         self._drags.ask(self._redraw)
 
+    def aim(self, before: Pose) -> None:
+        """Have the camera, once it rests where it was, turn about what is in the middle and come no nearer than that.
+
+        It looks at a level between the lowest and the highest: nearing that, it would go through what stands higher.
+        """
+        land, pose = self._land, self._eye.pose
+        if land is None or not pose.is_same(before):
+            return
+        direction = pose.look_at - pose.position
+        share = land_nearby(self._read, land, pose.position, direction).reached(pose.position, direction)
+        if share is not None:
+            self._eye.aim(pose.position + direction * share)
+
     def _show_tools(self, view: View, land: Land | None) -> None:
         if land is None or view.tool != "profile":
             self._lines.remove()
@@ -156,7 +170,7 @@ class Tools:
         place = land.hit(origin, direction) if land is not None else None
         if land is None or place is None:
             return
-        place = hit_nearby(self._read, land, place, origin, direction)
+        place = land_nearby(self._read, land, origin, direction).hit(origin, direction) or place
         with self._lock:
             self._places.put(place)
         self._redraw()
