@@ -76,6 +76,7 @@ def test_a_long_way_between_fields_is_no_missed_heartbeat(strategy, virtual_rig,
     assert run_scan(plan, rig, recorder, control()).kept == 10
 
 
+@pytest.mark.slow
 def test_in_real_time_rendering_is_reported_apart(recorder, control):
     rig = VirtualRig("plane", limits=virtual_limits(48, 64), real_time=True)
     fields = (Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0),)

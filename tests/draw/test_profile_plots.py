@@ -110,6 +110,7 @@ def counts(png: bytes, colour: str) -> int:
     return int((np.abs(image - np.array(rgb(colour[1:]))).max(axis=2) < 12).sum())
 
 
+@pytest.mark.slow
 def test_the_picture_for_print_shows_both_curves_in_their_colours_and_says_that_it_is_simulated():
     z = hill()
     z[:3000] = np.nan

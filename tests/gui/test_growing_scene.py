@@ -109,6 +109,7 @@ def test_the_camera_the_ground_and_the_range_stay_while_it_grows(
     assert len(set(ranges)) == 1
 
 
+@pytest.mark.slow
 def test_a_surface_that_grows_faster_than_it_is_painted_is_seen_all_the_same(
     browser: Browser, growing: GrowingSession, scene: SceneView
 ) -> None:

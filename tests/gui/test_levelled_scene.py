@@ -132,6 +132,7 @@ def test_the_wheel_nears_what_is_in_the_middle_and_does_not_go_through_it(browse
     assert camera.position[2] > top_mm
 
 
+@pytest.mark.slow
 def test_a_print_gets_more_pixels_than_the_screen(browser: Browser, scene: SceneView) -> None:
     on_show(scene, View(step="surface"))
     before = {name.split("/")[2] for name in browser.scene.names("/surface/")}

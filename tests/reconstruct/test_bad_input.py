@@ -58,6 +58,7 @@ def test_a_missing_frame_in_the_middle_costs_little(make_stack: MakeStack, plane
     assert error.max() < 3
 
 
+@pytest.mark.slow
 def test_the_order_of_the_frames_does_not_matter(plane_stack: FieldStack) -> None:
     order = np.random.default_rng(1).permutation(plane_stack.n_frames)
     expected = wv.reconstruct(plane_stack)
@@ -92,6 +93,7 @@ def test_one_row_of_pixels_is_a_map_of_one_row(plane_stack: FieldStack) -> None:
         assert height.shape == images.shape[1:]
 
 
+@pytest.mark.slow
 def test_frames_shifted_at_random_are_put_right(make_stack: MakeStack) -> None:
     rows, cols = np.indices((290, 390))
     truth_um = 42 + 0.012 * cols + 0.008 * rows

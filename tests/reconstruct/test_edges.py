@@ -85,6 +85,7 @@ def rims_of(taken: Taken) -> NDArray[np.bool_]:
     return taken.scene.edge & taken.scene.textured & (taken.scene.layer == 1)
 
 
+@pytest.mark.slow
 def test_hardly_a_kept_height_is_false(dies: Taken, mapped: dict[str, HeightMap]) -> None:
     none, band, rims = (kept_and_false(mapped[mode], dies) for mode in ("none", "band", "rims"))
     assert none[1] > 0.015
@@ -122,6 +123,7 @@ def test_beyond_the_band_nothing_changes(dies: Taken, mapped: dict[str, HeightMa
     assert alike.mean() > 0.99
 
 
+@pytest.mark.slow
 def test_bright_dies_over_a_dark_trench() -> None:
     taken = take(REVERSED, SHAPE, Z_UM)
     before, after = (kept_and_false(made(taken.stack, mode), taken) for mode in ("none", "rims"))
@@ -130,6 +132,7 @@ def test_bright_dies_over_a_dark_trench() -> None:
     assert after[0] > 0.7
 
 
+@pytest.mark.slow
 def test_the_glow_of_a_polished_rim_is_no_surface() -> None:
     taken = take(POLISHED, SHAPE, Z_UM)
     inside = (taken.scene.layer == 1) & ~taken.scene.edge

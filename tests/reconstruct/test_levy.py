@@ -114,6 +114,7 @@ def test_a_sharp_corner_stays(noise_um: float, tilt: int) -> None:
     assert np.abs(smoothed - np.where(die, 40, 0)).max() < 1.5
 
 
+@pytest.mark.slow
 def test_a_bump_20_px_wide_and_three_deviations_high_keeps_its_height_and_width() -> None:
     bump = _square(3, 20)
     rest = [smooth(np.where(bump, 3, 0) + _noise(seed), _levy("sigma_filter"), 10.0) for seed in range(5)]

@@ -49,6 +49,7 @@ def test_a_read_only_file_is_read_without_compiling_again(plane_stack: FieldStac
     assert len(focus_block.signatures) == compiled
 
 
+@pytest.mark.slow
 def test_other_byte_orders_and_strides_are_read(plane_stack: FieldStack) -> None:
     wide = plane_stack.images.astype(np.uint16) * 16
     pages = np.zeros((42, *wide.shape[1:]), ">u2")

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = """
 import dataclasses, sys
 import numpy as np
@@ -39,6 +41,7 @@ print(*sorted(name for name, _ in kernels() - warm))
 """
 
 
+@pytest.mark.slow
 def test_a_field_needs_no_kernel_that_was_not_warmed_up(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", SCRIPT, str(tmp_path / "field.npy")], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

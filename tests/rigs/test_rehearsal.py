@@ -56,6 +56,7 @@ def take(rig):
     return np.array(images)
 
 
+@pytest.mark.slow
 def test_a_scan_in_real_time_replays_what_was_rendered_beforehand(monkeypatch):
     rig = VirtualRig("plane", limits=LIMITS, seed=3, real_time=True)
     rig.prepare(PLAN, lambda: False)
@@ -69,6 +70,7 @@ def test_a_scan_in_real_time_replays_what_was_rendered_beforehand(monkeypatch):
     assert replayed.std() > 5.0
 
 
+@pytest.mark.slow
 def test_elsewhere_it_renders_live():
     replay = rehearse(ORDER, NoLive(), lambda: False)
     with pytest.raises(AssertionError, match="rendered live"):

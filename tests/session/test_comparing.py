@@ -35,6 +35,7 @@ def kept(pair, names):
     return comparison
 
 
+@pytest.mark.slow
 def test_a_difference_is_a_result_with_a_mosaic_of_its_own(pair, kept):
     data = Dataset.open(pair[0])
     assert (data.results(), data.differences()) == (("default",), (NAME,))

@@ -60,6 +60,7 @@ def test_hands_make_no_difference(dataset, made, tmp_path):
     _assert_same(alone, kept.mosaic().window())
 
 
+@pytest.mark.slow
 def test_fields_that_come_are_placed_beside_the_others_and_solved_for_together_at_the_end(dataset, made, tmp_path):
     for place in range(len(made.fields)):
         kept = add_surfaces(dataset, made, [place])

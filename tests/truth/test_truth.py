@@ -38,6 +38,7 @@ def spread_px(light: NDArray) -> tuple[float, float]:
     return tuple(float(np.sqrt(np.sum(weight * (at - np.sum(weight * at)) ** 2))) for at in (rows, cols))
 
 
+@pytest.mark.slow
 def test_an_even_sheet_is_equally_bright_at_every_height():
     light = light_of(level(), Optics(views=40), np.array([0.0, 150.0, LEVEL_UM, 400.0]))
     np.testing.assert_allclose(light, 0.4, rtol=1e-4)
