@@ -95,6 +95,7 @@ def begin(page: Page, address: str, dataset: Path) -> None:
     remember(page, "surface", False)
     page.goto(address)
     page.locator(f'[data-pick=open][data-k="{dataset}"]').first.click()
+    page.locator(f'.sel[data-pick=open][data-k="{dataset}"]').first.wait_for()
     page.get_by_role("button", name="Measure", exact=True).first.click()
     page.locator("[data-pick=tool][data-k=profile]").first.click()
     page.get_by_role("button", name="Add line", exact=True).and_(page.locator(":enabled")).wait_for(timeout=60_000)
