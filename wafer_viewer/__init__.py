@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.angle import face_angle
     from wafer_viewer.measure.flatness import flatness
     from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.measure.one_sided import site_ranges
     from wafer_viewer.measure.point import distance, point_height
     from wafer_viewer.measure.profile import profile
     from wafer_viewer.measure.quality import Quality, compare_with_truth
     from wafer_viewer.measure.radius import bump_radius
+    from wafer_viewer.measure.repeatability import gauge_rr
     from wafer_viewer.measure.step import step_height
     from wafer_viewer.measure.texture import texture
     from wafer_viewer.measure.volume import area_volume
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.quantities import Length, Quantity
     from wafer_viewer.model.recipe import Recipe
     from wafer_viewer.model.region import Region
+    from wafer_viewer.model.repeatability import GaugeRR
     from wafer_viewer.model.sample import Sample
     from wafer_viewer.model.stack import FieldStack
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
@@ -69,6 +72,7 @@ _HOMES = {
     "Flatness": "model.findings",
     "FocusCurve": "model.evidence",
     "FocusSweep": "model.plan",
+    "GaugeRR": "model.repeatability",
     "HeightMap": "model.surface",
     "Job": "model.plan",
     "Length": "model.quantities",
@@ -100,6 +104,7 @@ _HOMES = {
     "face_angle": "measure.angle",
     "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
+    "gauge_rr": "measure.repeatability",
     "import_dataset": "store.importers",
     "levelled": "measure.levelled",
     "open_stack": "store.importers",
@@ -107,6 +112,7 @@ _HOMES = {
     "profile": "measure.profile",
     "read_npz": "store.npz",
     "reconstruct": "reconstruct.field",
+    "site_ranges": "measure.one_sided",
     "step_height": "measure.step",
     "stitch": "reconstruct.stitch",
     "texture": "measure.texture",
@@ -125,6 +131,7 @@ __all__ = [
     "Flatness",
     "FocusCurve",
     "FocusSweep",
+    "GaugeRR",
     "HeightMap",
     "Job",
     "Length",
@@ -157,6 +164,7 @@ __all__ = [
     "face_angle",
     "flatness",
     "focus_curve",
+    "gauge_rr",
     "import_dataset",
     "levelled",
     "open_stack",
@@ -164,6 +172,7 @@ __all__ = [
     "profile",
     "read_npz",
     "reconstruct",
+    "site_ranges",
     "step_height",
     "stitch",
     "texture",

@@ -27,6 +27,8 @@ COMMANDS: dict[str, str] = {
     "measure flatness": "the flatness of a face",
     "measure texture": "the texture of a face",
     "measure profile": "sections along lines, rows and columns, as numbers, table or picture",
+    "measure site-range": "front-surface site range, as mounted",
+    "measure rr": "repeatability and reproducibility of repeated measurements",
     "measure verdict": "whether a wafer is good by the features of its job",
     "compare": "the second of two surfaces minus the first, aligned before",
     "report": "write the report of a dataset as one HTML file that prints well",
@@ -36,7 +38,7 @@ COMMANDS: dict[str, str] = {
     "convert": "write a surface in another format",
     "doctor": "what this machine has and lacks, and the line that mends it",
 }
-FUNCTIONS = {"import": "import_"}
+FUNCTIONS = {"import": "import_", "measure site-range": "measure_site_range"}
 """The functions that are not called as their command is, with underscores for spaces."""
 
 
@@ -80,9 +82,20 @@ def _command(argv: list[str]) -> tuple[str, list[str]]:
         if (name := " ".join(argv[:words])) in COMMANDS:
             return name, argv[words:]
     group = [name for name in COMMANDS if name.startswith(f"{argv[0]} ")]
+    if argv[0] == "measure":
+        _refuse_two_sided(argv[1:2])
     if group:
         raise PlanError(f"'{argv[0]}' needs to be told what: {', '.join(group)}.")
     raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(COMMANDS)}.")
+
+
+def _refuse_two_sided(terms: list[str]) -> None:
+    """Raise MeasureError for a term that a map of one side cannot have."""
+    from wafer_viewer.measure.one_sided import REFUSED, refuse
+
+    for term in terms:
+        if term.lower() in REFUSED:
+            raise refuse(term.lower())
 
 
 def _call(name: str, rest: list[str]) -> int | None:
@@ -104,13 +117,22 @@ def _function(name: str) -> Callable[..., int | None]:
     from wafer_viewer import (
         commands,
         compare_command,
+        gauge_commands,
         measure_commands,
         operator_commands,
         profile_command,
         surface_commands,
     )
 
-    rooms = (measure_commands, profile_command, surface_commands, operator_commands, compare_command, commands)
+    rooms = (
+        measure_commands,
+        profile_command,
+        gauge_commands,
+        surface_commands,
+        operator_commands,
+        compare_command,
+        commands,
+    )
     return next(found for room in rooms if (found := getattr(room, name, None)) is not None)
 
 

@@ -6,9 +6,10 @@ A signature is the command's flags, its docstring the help.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from tyro.conf import arg
 
 from wafer_viewer.arguments import Circle, Level, Place, Rectangle, Source, levelling_from
 from wafer_viewer.command_output import print_json
@@ -144,6 +145,31 @@ def measure_texture(src: Source, region: Rectangle, level: Level = (), field: in
         result: Name of the reconstruction.
     """
     _measure("texture", (Region.rectangle(*region),), src, level, field, result)
+
+
+def measure_site_range(
+    src: Source,
+    site: Annotated[tuple[float, float], arg(metavar="WIDTH HEIGHT")],
+    region: Annotated[tuple[float, float, float, float] | None, arg(metavar="X0 Y0 X1 Y1")] = None,
+    level: Level = (),
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """Front-surface site range, as mounted: the range of heights in each site about its own plane, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        site: Width and height of a site.
+        region: Two opposite corners of what the sites are laid into; the whole surface by default.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.measure.one_sided import site_ranges
+
+    surface, calibrated = _surface(src, level, field, result)
+    within = Region.rectangle(*region) if region is not None else None
+    print_json(msgspec.to_builtins(site_ranges(surface, site, within, calibration_valid=calibrated)))
 
 
 def _measure(

@@ -151,6 +151,28 @@ def test_flatness_is_about_the_plane_of_least_squares():
     assert (found.main.status, found.main.unit) == ("not evaluated", "um")
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.003])
+def test_the_minimum_zone_is_the_lowest_layer_that_holds_every_point(tilt):
+    """A saddle's zone lies level; one raised corner tilts the plane of least squares, and the zone hardly."""
+    x_um, y_um = lattice()
+    saddle = 1e-3 * x_um * y_um + tilt * x_um
+    found = flatness(surface_of(saddle), FACE)
+    assert found.flt_t_minimum_zone is not None
+    assert found.flt_t_minimum_zone.value_um == pytest.approx(4 * 1e-3 * 40 * 30 / 2, rel=0.03)
+    wedge = np.where(x_um > 30, 0.5 * (x_um - 30), 0.0) + tilt * x_um
+    zone, total = flatness(surface_of(wedge), FACE).flt_t_minimum_zone, flatness(surface_of(wedge), FACE).flt_t
+    assert zone is not None
+    assert zone.value_um == pytest.approx(5 * 70 / 80, rel=0.03), "a triangle's height over its longest side"
+    assert zone.value_um < total.value_um
+
+
+def test_the_zone_of_a_plane_is_nothing():
+    x_um, y_um = lattice()
+    found = flatness(surface_of(0.01 * x_um + 0.02 * y_um), FACE)
+    assert found.flt_t_minimum_zone is not None
+    assert found.flt_t_minimum_zone.value_um < 1e-6 + 1e-6 * 50
+
+
 def test_a_single_wrong_height_is_in_the_total_and_not_in_the_band():
     surface = surface_of(noise_of(3, SHAPE, 0.1))
     surface.z_raw_um[80, 100] = 20.0

@@ -127,8 +127,10 @@ def _volume(finding: AreaVolume) -> str:
 
 def _flatness(finding: Flatness) -> str:
     plane = {"least_squares": "least-squares plane", "minimum_zone": "minimum zone"}[finding.reference]
+    zone = finding.flt_t_minimum_zone
     return html.pairs(
         [
+            *([("FLTt, minimum zone", whole(zone.quantity))] if zone is not None else []),
             ("FLTq", whole(finding.flt_q.quantity)),
             ("Band with 99.73 %", number(finding.band_9973_um, 2)),
             ("Reference", plane),

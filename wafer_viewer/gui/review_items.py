@@ -36,7 +36,7 @@ VERDICT_LOOKS = {
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (("all", "All"), ("open", "Open"), ("rejected", "Rejected"))
 GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
 """What a person has to look at first."""
-_QUANTITIES = {"pt": "Pt", "flt_t": "FLTt", "flt_q": "FLTq", "dz": "Δz"}
+_QUANTITIES = {"pt": "Pt", "flt_t": "FLTt", "flt_t_minimum_zone": "FLTt, minimum zone", "flt_q": "FLTq", "dz": "Δz"}
 
 
 @dataclass(frozen=True, slots=True)

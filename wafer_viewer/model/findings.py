@@ -176,12 +176,13 @@ class AreaVolume(Finding, frozen=True, kw_only=True, tag="volume"):
 
 
 class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
-    """Flatness of a region, ISO 12781: FLTt and FLTq about a reference plane."""
+    """Flatness of a region, ISO 12781: FLTt and FLTq about a reference plane, and FLTt of the minimum zone."""
 
     region: Region
     reference: Literal["least_squares", "minimum_zone"]
     flt_t: Length
     flt_q: Length
+    flt_t_minimum_zone: Length | None = None
     band_9973_um: NonNegative = 0.0
     points: int = 0
     measured_fraction: Fraction = 1.0

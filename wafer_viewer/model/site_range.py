@@ -1,0 +1,38 @@
+"""What is said of sites of a wafer of which one side was measured, as it lay."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.spec import Fraction, Positive, Spec
+
+
+class Site(Spec, frozen=True, kw_only=True):
+    """One site, its middle in stage um; without a range where too little of it is measured."""
+
+    x_um: float
+    y_um: float
+    range: Length | None
+    measured_fraction: Fraction = 0.0
+
+
+class SiteRanges(Spec, frozen=True, kw_only=True):
+    """Front-surface site ranges, as mounted, row after row from the top left; `largest` of those that have one.
+
+    Rows and columns count whole sites; what is left at the border belongs to none.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    site_width_um: Positive
+    site_height_um: Positive
+    rows: int
+    cols: int
+    sites: tuple[Site, ...]
+    largest: Length
+    surface: str
+    levelling: Levelling
+    simulated: bool
+    notes: tuple[str, ...]
