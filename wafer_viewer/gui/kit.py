@@ -57,6 +57,8 @@ class Field(Generic[T]):
         """Whether a person put something in that `show` has not come upon since."""
         self._page = page
         self._touched_at = -QUIET_S
+        self._known: T = handle.value
+        """What the widget holds as far as was shown or heard: viser has what was put in before it tells."""
         self._on_change = guarded(page, failed)(on_change)
         handle.on_update(self._update)
 
@@ -69,15 +71,18 @@ class Field(Generic[T]):
         """Show a value, unless a person is just moving the widget, or has moved it since the value was read."""
         if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
             return
+        if not _alike(self._known, self.handle.value):  # put in, and not heard of yet
+            return
         self.edited = False
         if not _alike(value, self.handle.value):
-            self.handle.value = value
+            self._known = self.handle.value = value
 
     def enable(self, enabled: bool) -> None:
         """Whether a person may change it."""
         set_prop(self.handle, "disabled", not enabled)
 
     def _update(self, event: Any) -> None:
+        self._known = self.handle.value
         if event.client is not None:
             self._touched_at, self.edited = time.monotonic(), True
             self._on_change(event)
