@@ -46,8 +46,8 @@ def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
 
 
 def bar(page: Page, title: str) -> Locator:
-    """The colour bar of a quantity."""
-    return page.locator("[data-floating-window]", has_text=title)
+    """The colour bar of a quantity; the one before may still be going."""
+    return page.locator("[data-floating-window]", has_text=title).last
 
 
 def compare_with(page: Page, name: str) -> None:

@@ -45,7 +45,7 @@ def page(session: StitchedSession, look_at: Callable[[str], Page]) -> Iterator[P
     running = start(session)
     shown = look_at(running.address)
     go_to(shown, "Surface")
-    expect(shown.locator("[data-floating-window]", has_text="not measured")).to_be_visible()
+    expect(shown.locator("[data-floating-window]", has_text="not measured").last).to_be_visible()
     yield shown
     shown.goto("about:blank")
     running.stop()

@@ -37,7 +37,7 @@ def page(session: MeasuringSession, serve: Callable[[MeasuringSession], Page]) -
     shown = serve(session)
     go_to(shown, "Measure")
     title_is(shown, "Measure")
-    expect(shown.locator("[data-floating-window]", has_text="Height")).to_be_visible()
+    expect(shown.locator("[data-floating-window]", has_text="Height").last).to_be_visible()
     return shown
 
 

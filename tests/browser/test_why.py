@@ -39,7 +39,7 @@ def page(session: SeenSession, serve: Callable[[SeenSession], Page]) -> Page:
     shown = serve(session)
     go_to(shown, "Surface")
     title_is(shown, "Surface")
-    expect(shown.locator("[data-floating-window]", has_text="Height")).to_be_visible()
+    expect(shown.locator("[data-floating-window]", has_text="Height").last).to_be_visible()
     click_the_surface(shown)
     return shown
 
