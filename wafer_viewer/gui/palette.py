@@ -1,4 +1,4 @@
-"""The commands as the browser knows them: those there is something to do for now, by the name they have now.
+"""The commands as the browser knows them: those that have something to act on, by the name they have by then.
 
 One that is not possible says why when it is chosen, by its key or in the palette.
 """
