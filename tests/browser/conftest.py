@@ -13,6 +13,7 @@ from playwright.sync_api import Browser, Page, expect, sync_playwright
 from tests.browser.fake_session import FakeSession
 from tests.browser.screens import FLAGS, dismiss_viser_warning
 from wafer_viewer.gui.app import start
+from wafer_viewer.session.session import Session
 
 PATIENCE_MS = 60_000
 """A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
@@ -59,6 +60,16 @@ def serve(look_at: Callable[[str], Page]) -> Iterator[Callable[[FakeSession], Pa
             return look_at(running.address)
 
         yield show
+
+
+@pytest.fixture
+def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
+    """The page of the session that a module's own fixture opens; it is left before the viewer ends."""
+    running = start(session)
+    shown = look_at(running.address)
+    yield shown
+    shown.goto("about:blank")
+    running.stop()
 
 
 os.environ.setdefault("WAFER_VIEWER_LOG", os.devnull)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.steps import HAND_MS, eventually, notes, numbers, title_is
-from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
 pytestmark = [
@@ -28,15 +27,6 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened = Session(tmp_path / "wafers")
     yield opened
     opened.close()
-
-
-@pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
 
 
 def test_plan_scan_surface_and_a_kept_step_height(page: Page, session: Session):

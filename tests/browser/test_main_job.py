@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,6 @@ from tests.browser.steps import (
     title_is,
     type_into,
 )
-from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
 pytestmark = [
@@ -41,15 +40,6 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened = Session(tmp_path / "wafers")
     yield opened
     opened.close()
-
-
-@pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
 
 
 def test_plan_scan_surface_profile_and_step_height(page: Page, session: Session):

@@ -16,7 +16,6 @@ from tests.browser import operator_session as day
 from tests.browser.conftest import dismiss_viser_warning
 from tests.browser.steps import eventually, notes, press, put, set_numbers, text_field, title_is, type_into
 from tests.test_house import ROOT
-from wafer_viewer.gui.app import start
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.session import Session
 
@@ -38,15 +37,6 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened = Session(data)
     yield opened
     opened.close()
-
-
-@pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
 
 
 def test_four_actions_from_the_wafers_id_to_its_verdict(page: Page, session: Session):

@@ -13,7 +13,6 @@ from playwright.sync_api import Page, expect
 
 from tests.browser import fake_session as fake
 from tests.browser.steps import eventually, notes
-from wafer_viewer.gui.app import start
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.session import Session
@@ -33,15 +32,6 @@ def session(tmp_path: Path) -> Iterator[Session]:
     opened = Session(tmp_path / "wafers", RigConfig(real_time=True))
     yield opened
     opened.close()
-
-
-@pytest.fixture
-def page(session: Session, look_at: Callable[[str], Page]) -> Iterator[Page]:
-    running = start(session)
-    shown = look_at(running.address)
-    yield shown
-    shown.goto("about:blank")
-    running.stop()
 
 
 def stop_button(page: Page):
