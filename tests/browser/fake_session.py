@@ -78,9 +78,6 @@ class FakeSession:
     def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
 
-    def step_height(self, upper: Region, lower: Region, show: int = 0) -> StepHeight:
-        return a_step(upper, lower)
-
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
         return SimpleNamespace(z_um=21.86, confidence=0.94, origin=0)
 

@@ -117,7 +117,7 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         on_pad = session.read_out(100 + 330 + 6, 700 - 220 - 4, show)
         assert on_pad.z_um == pytest.approx(BUMP_UM, abs=0.4)
         pad, round_it = Region.rectangle(420, 465, 450, 485), Region.rectangle(350, 465, 390, 485)
-        step = session.step_height(pad, round_it, show)
+        step = session.measure("step", (pad, round_it), show)
         assert step.height.value_um == pytest.approx(BUMP_UM, abs=0.1)
         assert session.surface_source(show_of(number, Face.SECOND)).shape == session.mosaic().shape
         out = session.export_surface(tmp_path / "off.npz", show).result(patience_s)

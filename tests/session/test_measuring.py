@@ -90,7 +90,7 @@ def test_a_height_is_read_from_the_zero_that_is_chosen(measuring):
     line, curve = measuring.profile(Region.line(-45, 0, -5, 0), 0, PLANE)
     assert line.levelling == PLANE
     assert abs(np.nanmedian(curve.z_um)) < 0.3
-    assert measuring.step_height(LEFT, RIGHT, levelling=PLANE).levelling == PLANE
+    assert measuring.measure("step", (LEFT, RIGHT), levelling=PLANE).levelling == PLANE
 
 
 def test_a_zero_is_found_once_for_each_state_of_a_surface(measuring, shown):

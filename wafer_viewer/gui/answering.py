@@ -34,7 +34,7 @@ class Answering:
 
     def follow(self, snapshot: Snapshot, view: View) -> None:
         """Have the places of a view measured where they, the zero or the surface have changed."""
-        asked = (view.tool, _places(view), view.levelling, view.show, _stamp(snapshot, view.show))
+        asked = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
         if asked == self._asked:
             return
         if self._asked is None or asked[0] != self._asked[0]:
@@ -61,7 +61,7 @@ class Answering:
     def _measured(self, view: View) -> Answer:
         if view.tool == "none":
             return Answer()
-        return Answer(self._page.session.measure(view.tool, view.places, view.show, view.levelling))
+        return Answer(self._page.session.measure(view.tool, view.places, view.show, view.levelling, view.options))
 
 
 def _places(view: View) -> object:

@@ -15,6 +15,7 @@ from wafer_viewer.gui.kit import Cell, button, leading, set_prop
 from wafer_viewer.gui.levelling_section import LevellingSection
 from wafer_viewer.gui.measure_source import source
 from wafer_viewer.gui.obstacles import elsewhere
+from wafer_viewer.gui.options_section import OptionsSection
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.gui.profile_section import ProfileSection
@@ -65,6 +66,7 @@ class MeasurePanel:
         self._tools.show(tool_cards() if view.tool == "none" and chosen is None else "")
         self._show_answer(view, finding, chosen)
         self._level.show(view)
+        self._options.show(view, kept=chosen is not None)
         self._profiles.show(snapshot, view)
         self._source.show(f"{source(finding)}{words.budget(finding.main)}{_GAP}" if finding is not None else "")
         self._show_keep(snapshot, view, finding, chosen)
@@ -89,6 +91,7 @@ class MeasurePanel:
         self._answer = Cell(gui)
         self._name = gui.add_text("Name", "", visible=False)
         self._level = LevellingSection(self._page, scene)
+        self._options = OptionsSection(self._page)
         self._profiles = ProfileSection(self._page, curves)
         self._source = Cell(gui)
         self._why = Cell(gui)

@@ -9,6 +9,7 @@ from wafer_viewer.gui.plot_view import PlotView
 from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 
 Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
@@ -28,7 +29,7 @@ class View:
     frame_k: a frame of the field `show`, drawn at its z; slice_z_um: the stitched picture at one z; None: none.
     fields: whether fields and overlaps are drawn over the stitched surface.
     places: where the tool in use measures, as it asks for them (the profile has lines of its own); none: the scene lays
-    first ones. levelling: what heights are read from.
+    first ones. options: what was set of each tool. levelling: what heights are read from.
     lines: those of the profiles, at most four; line: the active one, whose numbers are shown;
     plot: what was chosen of their plot.
     why: the place, stage um, whose height is being explained.
@@ -54,6 +55,7 @@ class View:
     line: int = 0
     plot: PlotView = PlotView()
     places: tuple[Region, ...] = ()
+    options: ToolOptions = ToolOptions()
     levelling: Levelling = Levelling()
     selected: int | None = None
     why: tuple[float, float] | None = None

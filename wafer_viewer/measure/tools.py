@@ -15,6 +15,7 @@ from wafer_viewer.measure.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyFinding, Profile
 from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.options import ToolOptions, keywords
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import Mosaic
 
@@ -37,7 +38,13 @@ MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
 """Each takes a surface and as many places as its tool asks for."""
 
 
-def measured(surface: Mosaic, tool: ToolName, places: tuple[Region, ...], calibration_valid: bool) -> AnyFinding:
+def measured(
+    surface: Mosaic,
+    tool: ToolName,
+    places: tuple[Region, ...],
+    calibration_valid: bool,
+    options: ToolOptions | None = None,
+) -> AnyFinding:
     """What a tool finds at its places. Raises MeasureError when it asks for another number, or there is no answer."""
     asked = TOOLS[tool].places
     if len(places) != len(asked):
@@ -45,4 +52,5 @@ def measured(surface: Mosaic, tool: ToolName, places: tuple[Region, ...], calibr
         raise MeasureError(
             f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), here are {len(places)}: give as many."
         )
-    return MEASUREMENTS[tool](surface, *places, calibration_valid=calibration_valid)
+    chosen = keywords(options or ToolOptions(), tool)
+    return MEASUREMENTS[tool](surface, *places, calibration_valid=calibration_valid, **chosen)

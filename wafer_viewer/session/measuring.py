@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
-from wafer_viewer.model.findings import AnyFinding, Finding, Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.findings import AnyFinding, Finding, Profile, ProfileCurve
 from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
@@ -30,12 +31,17 @@ class Measuring:
         self._datums: dict[object, Datum] = {}
 
     def measure(
-        self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None
+        self,
+        tool: ToolName,
+        places: tuple[Region, ...],
+        show: int = 0,
+        levelling: Levelling | None = None,
+        options: ToolOptions | None = None,
     ) -> AnyFinding:
         """What a tool finds at its places on what a browser shows."""
         from wafer_viewer.measure.tools import measured
 
-        found = measured(self._levelled(levelling, show), tool, places, self._calibrated())
+        found = measured(self._levelled(levelling, show), tool, places, self._calibrated(), options)
         return self._told(found, show, levelling)
 
     def profile(
@@ -47,15 +53,6 @@ class Measuring:
         surface = self._levelled(levelling, show)
         found, curve = profile(surface, line, calibration_valid=self._calibrated(), layer=layer)
         return self._told(found, show, levelling), curve
-
-    def step_height(
-        self, upper: Region, lower: Region, show: int = 0, levelling: Levelling | None = None
-    ) -> StepHeight:
-        """The height of one region over another; 'uncalibrated' where the dataset's calibration does not hold."""
-        from wafer_viewer.measure.step import step_height
-
-        found = step_height(self._levelled(levelling, show), upper, lower, calibration_valid=self._calibrated())
-        return self._told(found, show, levelling)
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         """The zero that a way of levelling lays through what a browser shows; found once for each state of it."""

@@ -6,23 +6,16 @@ State is a frozen `Snapshot`; every verb returns a future, and a `WaferViewerErr
 from __future__ import annotations
 
 import atexit
-import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve, StepHeight
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.plan import Job
-from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
@@ -31,15 +24,12 @@ from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.messages import Move
 from wafer_viewer.session.notebook import NotebookVerbs
 from wafer_viewer.session.papers import Papers
-from wafer_viewer.session.questions import Questions, ReadOut
+from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.sections import Sections
 from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
 
-if TYPE_CHECKING:
-    from wafer_viewer.session.painter import Painter, PaintRequest
 
-
-class Session:
+class Session(Asking):
     """One rig, one data folder, one open dataset, shared by all browsers.
 
     rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
@@ -50,15 +40,13 @@ class Session:
     def __init__(self, data_folder: Path, rig: RigConfig | None = None, scheduler: str | None = None) -> None:
         self._rooms = rooms = Conductor(Path(data_folder), rig or RigConfig(), scheduler)
         self._desk, self._do = rooms.desk, rooms.desk.do
-        self._questions = Questions(rooms.library, lambda: self.snapshot)
+        super().__init__(Questions(rooms.library, lambda: self.snapshot))
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.sections = Sections(self._questions, lambda: self.snapshot)
         self.papers = Papers(self._do, rooms.library, rooms.files)
-        self._painter: Painter | None = None
-        self._painter_lock = threading.Lock()
         self._desk.note(rooms.start)
         atexit.register(self.close)
 
@@ -236,65 +224,3 @@ class Session:
     def focus_curve(self, x_um: float, y_um: float, show: int = 0) -> Future[FocusCurve]:
         """Why a pixel has its height, by a field's focus curve; show 0 asks the nearest field with the place."""
         return self._do(self._rooms.focus_curve, x_um, y_um, show)
-
-    # -------------------------------------------- questions, from any thread
-
-    def mosaic(self) -> Mosaic:
-        """The stitched surface of the open dataset."""
-        return self._questions.mosaic()
-
-    def height_map(self, field: int) -> HeightMap:
-        """The surface of one field."""
-        return self._questions.height_map(field)
-
-    def surface_source(self, show: int) -> Mosaic:
-        """What a browser shows: 0 the stitched surface, else the field of that number."""
-        return self._questions.surface_source(show)
-
-    def poses(self) -> Poses | None:
-        """Where the fields of the stitched surface lie and what their overlaps said; None where only the stage did."""
-        return self._questions.poses()
-
-    def frame(self, field: int, k: int) -> Image:
-        """One frame of a field, as it was stored."""
-        return self._questions.frame(field, k)
-
-    def frame_near(self, field: int, z_um: float) -> Image:
-        """The frame of a field that was taken nearest to a z, as it was stored."""
-        return self._questions.frame_near(field, z_um)
-
-    def thumbnail(self, number: int) -> bytes | None:
-        """The small picture, JPEG, that was kept with a result."""
-        return self._questions.thumbnail(number)
-
-    def measure(
-        self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None
-    ) -> AnyFinding:
-        """What a tool finds at its places, heights read from the stage's zero or as levelled."""
-        return self._questions.measuring.measure(tool, places, show, levelling)
-
-    def datum(self, levelling: Levelling, show: int = 0) -> Datum:
-        """The zero that a way of levelling lays through what is shown."""
-        return self._questions.measuring.datum(levelling, show)
-
-    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> tuple[Profile, ProfileCurve]:
-        """A section along a line."""
-        return self._questions.measuring.profile(line, show, levelling)
-
-    def step_height(
-        self, upper: Region, lower: Region, show: int = 0, levelling: Levelling | None = None
-    ) -> StepHeight:
-        """The height of one region over another."""
-        return self._questions.measuring.step_height(upper, lower, show, levelling)
-
-    def read_out(self, x_um: float, y_um: float, show: int = 0) -> ReadOut:
-        """The surface at a point."""
-        return self._questions.read_out(x_um, y_um, show)
-
-    def paint(self, request: PaintRequest) -> Future[bytes]:
-        """A picture tile, made in a process of its own."""
-        from wafer_viewer.session.painter import Painter
-
-        with self._painter_lock:
-            self._painter = self._painter or Painter()
-        return self._painter.paint(request)
