@@ -66,7 +66,7 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
         case AreaVolume() | Flatness() | Texture():
             return (finding.region,)
         case GaugeCheck():
-            return finding.step.upper, finding.step.lower
+            return finding.upper, finding.lower
         case Defect():
             return (finding.outline,)
 

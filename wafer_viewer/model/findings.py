@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.finding import Finding
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
@@ -193,23 +194,6 @@ class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
     def main(self) -> Quantity:
         """Sa."""
         return self.sa.quantity
-
-
-class GaugeCheck(Finding, frozen=True, kw_only=True, tag="gauge_check"):
-    """A step against certified gauge blocks: deviation, En, and the verdict by the guard band of ISO 14253-1."""
-
-    step: StepHeight
-    certified: Length
-    serial_numbers: str
-    deviation_um: float
-    limit_um: NonNegative
-    en: float | None
-    verdict: Literal["pass", "fail", "inconclusive", "no verdict"]
-
-    @property
-    def main(self) -> Quantity:
-        """The step's height."""
-        return self.step.main
 
 
 class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
