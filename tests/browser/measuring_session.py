@@ -15,6 +15,7 @@ from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
@@ -48,9 +49,14 @@ class MeasuringSession(FakeSession):
         return self.shelf.surfaces[show]
 
     def measure(
-        self, tool: ToolName, places: tuple[Region, ...], show: int = 0, levelling: Levelling | None = None
+        self,
+        tool: ToolName,
+        places: tuple[Region, ...],
+        show: int = 0,
+        levelling: Levelling | None = None,
+        options: ToolOptions | None = None,
     ) -> AnyFinding:
-        return self._measuring.measure(tool, places, show, levelling)
+        return self._measuring.measure(tool, places, show, levelling, options)
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         return self._measuring.datum(levelling, show)

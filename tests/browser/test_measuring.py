@@ -63,9 +63,13 @@ def take(page: Page, tool: str) -> None:
     expect(answer(page)).to_contain_text("Not kept yet")
 
 
+def choose(page: Page, label: str, option: str) -> None:
+    page.get_by_label(label).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
 def read_from(page: Page, zero: str) -> None:
-    page.get_by_label("Heights from").click()
-    page.get_by_role("option", name=zero, exact=True).click()
+    choose(page, "Heights from", zero)
 
 
 def keep(page: Page, name: str) -> None:
@@ -169,3 +173,15 @@ def test_a_reload_brings_back_the_tool_its_places_and_the_zero(page: Page):
     expect(page.locator(".wv-title").first).to_contain_text("Radius")
     expect(page.locator(".wv-zero")).to_contain_text("the plane of the whole surface")
     expect(answer(page)).to_have_text(before, use_inner_text=True)
+
+
+def test_what_is_set_of_a_tool_is_measured_with_at_once_and_stays_over_a_reload(page: Page, session: MeasuringSession):
+    take(page, "volume")
+    panel = page.locator("[data-dock-region=right]")
+    expect(panel).to_contain_text("the plane through the region's border")
+    choose(page, "Reference", "Zero of heights")
+    expect(panel).to_contain_text("Above and below the zero of heights")
+    page.reload()
+    expect(panel).to_contain_text("Above and below the zero of heights")
+    take(page, "flatness")
+    expect(page.get_by_label("Reference")).to_be_hidden()

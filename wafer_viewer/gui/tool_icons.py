@@ -10,13 +10,19 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.view import Tool
 from wafer_viewer.model.measuring import TOOLS, ToolName
 
-GROUPS: tuple[tuple[ToolName, ...], ...] = (
+GROUPS: dict[str, tuple[ToolName, ...]] = {
+    "Sections and steps": ("profile", "step", "angle"),
+    "Places": ("point", "distance"),
+    "What stands out": ("radius", "volume"),
+    "Faces": ("flatness", "texture"),
+}
+ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
     ("profile", "step", "angle"),
     ("point", "distance"),
     ("radius", "volume"),
     ("flatness", "texture"),
 )
-"""Sections and steps, places, what stands out, faces."""
+"""There is room for these; the others are a click further, in the panel."""
 ICONS: dict[ToolName, Any] = {
     "profile": viser.Icon.LINE,
     "step": viser.Icon.STAIRS_UP,
@@ -62,13 +68,19 @@ def hint(tool: ToolName) -> str:
 
 
 def tool_strip(chosen: Tool) -> str:
-    """All tools in a row, by their icons; the one in use says its name."""
-    return GAP.join("".join(_icon(tool, tool == chosen) for tool in group) for group in GROUPS)
+    """Tools in a row, by their icons; the one in use says its name, and takes the last group's room if it has none."""
+    groups = ON_TOOLBAR
+    if chosen != "none" and not any(chosen in group for group in ON_TOOLBAR):
+        groups = (*ON_TOOLBAR[:-1], (chosen,))
+    return GAP.join("".join(_icon(tool, tool == chosen) for tool in group) for group in groups)
 
 
 def tool_cards() -> str:
     """All tools with their names, to choose from."""
-    return "".join(f'<div class="wv-cards">{"".join(_card(tool) for tool in group)}</div>' for group in GROUPS)
+    return "".join(
+        f'{html.head(name)}<div class="wv-cards">{"".join(_card(tool) for tool in group)}</div>'
+        for name, group in GROUPS.items()
+    )
 
 
 def _icon(tool: ToolName, chosen: bool) -> str:
