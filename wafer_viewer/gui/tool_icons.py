@@ -69,7 +69,7 @@ def hint(tool: ToolName) -> str:
 
 def tool_strip(chosen: Tool) -> str:
     """Tools in a row, by their icons; the one in use says its name, and takes the last group's room if it has none."""
-    groups = ON_TOOLBAR
+    groups: tuple[tuple[ToolName, ...], ...] = ON_TOOLBAR
     if chosen != "none" and not any(chosen in group for group in ON_TOOLBAR):
         groups = (*ON_TOOLBAR[:-1], (chosen,))
     return GAP.join("".join(_icon(tool, tool == chosen) for tool in group) for group in groups)
