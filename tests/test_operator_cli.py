@@ -46,7 +46,7 @@ def test_a_wafer_beyond_its_limits_has_status_1(judged, tmp_path):
     path = shutil.copytree(judged[0], tmp_path / "w8.wafer")
     (path / "results" / "default" / "verdict.json").unlink()
     record = read_record(path)
-    low = replace(record.job.features[0], lower_limit_um=20.0, upper_limit_um=29.0)
+    low = replace(record.job.features[0], lower_limit=20.0, upper_limit=29.0)
     write_record(path, replace(record, job=replace(record.job, features=(low,))))
     said = viewer("measure", "verdict", path)
     assert said.returncode == 1

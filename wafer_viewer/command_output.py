@@ -12,12 +12,14 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from wafer_viewer.model.feature import limits_text
 from wafer_viewer.model.plan import ScanPlan
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from wafer_viewer.model.verdict import Judged, WaferVerdict
+    from wafer_viewer.model.quantities import Quantity
+    from wafer_viewer.model.verdict import WaferVerdict
     from wafer_viewer.session.doctor import Check
     from wafer_viewer.session.preflight import Check as LookedAt
     from wafer_viewer.session.state import SurfaceInfo
@@ -67,18 +69,21 @@ def print_preflight(checks: Iterable[LookedAt]) -> None:
 def print_verdict(verdict: WaferVerdict) -> int:
     """Every feature, the word for the wafer, and what to do next; 0 for a pass, 1 for any other word."""
     for item in verdict.items:
-        limits = f"{item.feature.lower_limit_um:g} to {item.feature.upper_limit_um:g} um"
-        print(f"{item.word.upper():<12} {item.feature.name}: {_height(item)}, limits {limits}. {item.why}")
+        limits = limits_text(item.feature)
+        print(f"{item.word.upper():<12} {item.name}: {measured_text(item.measured)}, limits {limits}. {item.why}")
+    if verdict.dies:
+        print(f"{len(verdict.dies)} dies: {', '.join(f'{n} {word}' for word, n in verdict.die_counts.items())}")
     simulated = " SIMULATED" if verdict.simulated else ""
     print(f"{verdict.word.upper()}{simulated}: {verdict.next}")
     return 0 if verdict.word == "pass" else 1
 
 
-def _height(item: Judged) -> str:
-    if item.height is None:
+def measured_text(measured: Quantity | None) -> str:
+    """A value with its U, in plain characters."""
+    if measured is None:
         return "not measured"
-    u = item.height.expanded_um
-    return f"{item.height.value_um:.3f} um" + (f" +- {u:.2g} um (k = 2)" if u is not None else ", no uncertainty")
+    u, unit = measured.expanded, measured.unit
+    return f"{measured.value:.3f} {unit}" + (f" +- {u:.2g} {unit} (k = 2)" if u is not None else ", no uncertainty")
 
 
 def print_surface(out: Path, info: SurfaceInfo) -> None:

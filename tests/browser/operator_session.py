@@ -10,9 +10,8 @@ from tests.browser import fake_session as fake
 from tests.session.released import DIE, MARKS, release_of
 from wafer_viewer.measure.verdict import judge, overall, what_next
 from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.findings import Length
 from wafer_viewer.model.plan import Job
-from wafer_viewer.model.quantities import Contribution
+from wafer_viewer.model.quantities import Contribution, Length, Quantity
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.operating import JobEntry, Operating
@@ -22,7 +21,7 @@ JOBS = (
     JobEntry(Path("/tmp/wafers/jobs/coupon-B.toml"), "Coupon 6 mm", "B", 9, 2),
     JobEntry(Path("/tmp/wafers/jobs/coupon-A.toml"), "Coupon 6 mm", "A", 9, 1),
 )
-PAD = replace(DIE, name="pad over die", nominal_um=2.0, lower_limit_um=1.8, upper_limit_um=2.2)
+PAD = replace(DIE, name="pad over die", nominal=2.0, lower_limit=1.8, upper_limit=2.2)
 SEEN = ((-1996.0, 3.0), (2004.5, 2.0))
 
 
@@ -66,10 +65,10 @@ def aligned(residual_um: float = 1.2) -> Snapshot:
     return released(a_released_job("W07", residual_um), SEEN)
 
 
-def height_of(value_um: float, u_um: float) -> Length:
+def height_of(value_um: float, u_um: float) -> Quantity:
     """A height with a budget as a step has."""
     noise = Contribution(name="noise and form of the faces", u_um=u_um / 2)
-    return Length.evaluated(value_um, (Contribution(name="z scale", u_um=2e-4 * value_um), noise))
+    return Length.evaluated(value_um, (Contribution(name="z scale", u_um=2e-4 * value_um), noise)).quantity
 
 
 def a_verdict(die_um: float, pad_um: float, u_um: float = 0.14) -> WaferVerdict:

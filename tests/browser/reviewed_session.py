@@ -34,4 +34,4 @@ def reviewed_session() -> StitchedSession:
 
 def _judged(name: str, height_um: float, x_um: float) -> Judged:
     upper, lower = Region.rectangle(x_um, 0, x_um + 40, 40), Region.rectangle(x_um, -60, x_um + 40, -30)
-    return judge(replace(DIE, name=name, upper=upper, lower=lower), height_of(height_um, 0.14))
+    return judge(replace(DIE, name=name, places=(upper, lower)), height_of(height_um, 0.14))

@@ -11,6 +11,7 @@ from tests.measure.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.measure.verdict import (
     LESS_WITH_REPEATS,
     judge,
+    judge_dies,
     judge_features,
     on_stage,
     overall,
@@ -18,17 +19,19 @@ from wafer_viewer.measure.verdict import (
     what_next,
 )
 from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.quantities import Contribution, Length
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.feature import Die, Dies, Feature
+from wafer_viewer.model.quantities import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Feature
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.verdict import Judged, WaferVerdict
 
 DIE = Feature(name="die", nominal_um=30.0, lower_limit_um=29.0, upper_limit_um=31.0)
 SIMPLE = replace(DIE, decision_rule="simple_acceptance")
 
 
 def height(value_um, expanded_um=0.25):
-    return Length(value_um=value_um, expanded_um=expanded_um, status="evaluated")
+    return Quantity(value=value_um, unit="um", expanded=expanded_um, status="evaluated")
 
 
 @pytest.mark.parametrize(
@@ -57,10 +60,10 @@ def test_simple_acceptance_looks_at_the_value_alone(value_um, word):
 
 @pytest.mark.parametrize("feature", [DIE, SIMPLE])
 def test_without_an_uncertainty_there_is_no_verdict_and_it_says_why(feature):
-    bare = judge(feature, Length(value_um=30.0, status="uncalibrated"))
+    bare = judge(feature, Quantity(value=30.0, unit="um", status="uncalibrated"))
     assert bare.word == "no verdict"
     assert "calibrat" in bare.why
-    assert "larger regions" in judge(feature, Length(value_um=30.0)).why
+    assert "larger regions" in judge(feature, Quantity(value=30.0, unit="um")).why
 
 
 def test_a_band_wider_than_the_tolerance_never_passes():
@@ -69,7 +72,7 @@ def test_a_band_wider_than_the_tolerance_never_passes():
 
 def test_the_gravest_word_is_that_of_the_wafer():
     good, bad, open_ = (judge(DIE, height(z)) for z in (30.0, 40.0, 29.0))
-    none = judge(DIE, Length(value_um=30.0))
+    none = judge(DIE, Quantity(value=30.0, unit="um"))
     assert overall([good, good]) == "pass"
     assert overall([good, open_]) == "inconclusive"
     assert overall([open_, none, good]) == "no verdict"
@@ -84,7 +87,7 @@ def with_budget(value_um, scale_um, noise_um):
         Contribution(name="z scale", u_um=scale_um),
         Contribution(name="noise and form of the faces", u_um=noise_um),
     )
-    return judge(DIE, Length.evaluated(value_um, parts))
+    return judge(DIE, Length.evaluated(value_um, parts).quantity)
 
 
 def test_what_noise_leaves_open_is_scanned_as_often_as_decides_it():
@@ -128,17 +131,17 @@ def test_features_are_measured_where_the_wafer_lies():
     surface = gauge_blocks(1)
     straight = judge_features(surface, [BLOCKS, DIE], None, calibration_valid=True)
     assert [(item.feature.name, item.word) for item in straight] == [("blocks", "pass")]
-    assert straight[0].height.value_um == pytest.approx(STEP_UM, abs=0.3)
+    assert straight[0].measured.value == pytest.approx(STEP_UM, abs=0.3)
     upside_down = Alignment(rotation_rad=math.pi)
     (turned,) = judge_features(surface, [BLOCKS], upside_down, calibration_valid=True)
     assert turned.word == "fail"
-    assert turned.height.value_um == pytest.approx(-STEP_UM, abs=0.3)
+    assert turned.measured.value == pytest.approx(-STEP_UM, abs=0.3)
 
 
 def test_what_cannot_be_measured_has_no_verdict_and_says_why():
-    nowhere = replace(BLOCKS, upper=Region.rectangle(9000, 0, 9100, 100))
+    nowhere = replace(BLOCKS, places=(Region.rectangle(9000, 0, 9100, 100), BLOCKS.places[1]))
     (item,) = judge_features(gauge_blocks(1), [nowhere], None, calibration_valid=True)
-    assert (item.word, item.height) == ("no verdict", None)
+    assert (item.word, item.measured) == ("no verdict", None)
     assert "'blocks' was not measured" in item.why
     (uncalibrated,) = judge_features(gauge_blocks(1), [BLOCKS], None, calibration_valid=False)
     assert uncalibrated.word == "no verdict"
@@ -147,4 +150,93 @@ def test_what_cannot_be_measured_has_no_verdict_and_says_why():
 
 def test_what_repeats_make_smaller_are_lines_of_a_steps_budget():
     (item,) = judge_features(gauge_blocks(1), [BLOCKS], None, calibration_valid=True)
-    assert set(LESS_WITH_REPEATS) < {line.name for line in item.height.budget}
+    assert set(LESS_WITH_REPEATS) < {line.name for line in item.measured.budget}
+
+
+TWO_DIES = Dies(
+    width_um=150.0, height_um=50.0, listed=(Die(name="low", x_um=-75, y_um=-55), Die(name="high", x_um=-75, y_um=5))
+)
+ON_A_DIE = replace(
+    BLOCKS, per_die=True, places=(Region.rectangle(5, 5, 65, 45), Region.rectangle(85, 5, 145, 45)), name="pair"
+)
+
+
+def test_a_feature_of_a_die_is_measured_on_every_die_and_each_die_has_its_word():
+    items = judge_features(gauge_blocks(1), [ON_A_DIE], None, calibration_valid=True, dies=TWO_DIES)
+    assert [(item.name, item.word) for item in items] == [("pair, die low", "pass"), ("pair, die high", "pass")]
+    assert items[0].measured != items[1].measured
+    worse = (items[0], replace(items[1], word="fail"))
+    assert [(die.name, die.x_um, die.word) for die in judge_dies(worse, TWO_DIES)] == [
+        ("low", -75, "pass"),
+        ("high", -75, "fail"),
+    ]
+    verdict = WaferVerdict(word=overall(worse), next="", items=worse, dies=judge_dies(worse, TWO_DIES))
+    assert (verdict.word, verdict.die_counts) == ("fail", {"fail": 1, "pass": 1})
+
+
+def test_dies_lie_on_a_lattice_or_where_they_are_listed():
+    lattice = Dies(width_um=1.0, height_um=1.0, rows=2, cols=2, pitch_x_um=3.0, pitch_y_um=4.0, left_out=("1,0",))
+    assert [(die.name, die.x_um, die.y_um) for die in lattice.all()] == [
+        ("0,0", 0.0, 0.0),
+        ("0,1", 0.0, 4.0),
+        ("1,1", 3.0, 4.0),
+    ]
+    with pytest.raises(PlanError, match="not both"):
+        replace(lattice, listed=(Die(name="a", x_um=0.0, y_um=0.0),))
+    with pytest.raises(PlanError, match="no two alike"):
+        replace(TWO_DIES, listed=TWO_DIES.listed * 2)
+
+
+FLAT = Feature(name="face", tool="flatness", quantity="flt_q", upper_limit=3.0, places=(BLOCKS.places[0],))
+WAY = (Region.point(-100, 0), Region.point(100, 0))
+FALL = Feature(name="fall", tool="distance", quantity="dz", unit="um", upper_limit=-390.0, places=WAY)
+
+
+def test_any_quantity_of_any_tool_is_judged_against_a_limit_that_may_be_open():
+    (item,) = judge_features(gauge_blocks(1), [FALL], None, calibration_valid=True)
+    assert item.word == "pass"
+    assert item.measured.value == pytest.approx(-STEP_UM, abs=8)
+    (beyond,) = judge_features(gauge_blocks(1), [replace(FALL, upper_limit=-500.0)], None, calibration_valid=True)
+    assert (beyond.word, beyond.why) == ("fail", "Over the upper limit.")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"quantity": "sa"}, "no quantity 'sa': choose one of flt_t, flt_q"),
+        ({"unit": "deg"}, "in um and the limits of 'face' are in deg"),
+    ],
+)
+def test_a_quantity_that_is_not_there_or_in_another_unit_has_no_verdict(change, words):
+    (item,) = judge_features(gauge_blocks(1), [replace(FLAT, **change)], None, calibration_valid=True)
+    assert item.word == "no verdict"
+    assert words in item.why
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"upper_limit": None}, "or else lower_limit"),
+        ({"lower_limit": 4.0}, "over the lower limit 4 um"),
+        ({"places": BLOCKS.places}, "the 1 places of the tool 'flatness'"),
+        ({"tool": "point"}, r"of the tool 'point': point \(point\)"),
+    ],
+)
+def test_a_feature_that_nothing_can_be_measured_by_is_refused(change, words):
+    with pytest.raises(PlanError, match=words):
+        replace(FLAT, **change)
+
+
+def test_a_step_in_the_older_words_is_the_same_feature():
+    older = """
+        name = "blocks"
+        nominal_um = 399.88
+        lower_limit_um = 397.88
+        upper_limit_um = 401.88
+        upper = { kind = "rectangle", points = [[-150, -50], [-40, 50]] }
+        lower = { kind = "rectangle", points = [[40, -50], [150, 50]] }
+    """
+    assert decode(older, Feature, "older") == BLOCKS
+    assert decode(encode(BLOCKS), Feature, "newer") == BLOCKS
+    kept = Judged(feature=BLOCKS, height=Length(value_um=30.0), word="no verdict", why="")
+    assert kept.measured == Quantity(value=30.0, unit="um")

@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import ComputeError, PlanError
+from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.findings import Findings, Length, Profile
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.recipe import Levy, Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Feature, Sample
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import decode, encode, replace
 
 GRID = FieldGrid(rows=3, cols=4, field_width_um=336.0, field_height_um=252.0)

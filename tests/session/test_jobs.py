@@ -81,7 +81,7 @@ def test_a_revision_is_never_overwritten(desk, drafting):
         ({"revision": " "}, SETTLED, "no revision"),
         ({"marks": None}, SETTLED, "two corners"),
         ({"features": ()}, SETTLED, "no feature"),
-        ({"features": (replace(DIE, upper=None, lower=None),)}, SETTLED, "'die over street' has no place"),
+        ({"features": (replace(DIE, places=()),)}, SETTLED, "'die over street' has no place"),
         ({}, Recipe(), "'auto'"),
         ({}, None, "no surface"),
     ],

@@ -14,11 +14,13 @@ from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.__main__ import main
 from wafer_viewer.measure.step import step_height
-from wafer_viewer.model.findings import Findings, Length
+from wafer_viewer.model.feature import Feature
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.notebook import Judgement, Notebook
+from wafer_viewer.model.quantities import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
-from wafer_viewer.model.sample import Feature, Sample
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.model.verdict import Judged, WaferVerdict
@@ -100,7 +102,8 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
 
 def a_verdict() -> WaferVerdict:
     feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
-    judged = Judged(feature=feature, height=Length(value_um=12.01), word="inconclusive", why="No uncertainty.")
+    measured = Quantity(value=12.01, unit="um")
+    judged = Judged(feature=feature, measured=measured, word="inconclusive", why="No uncertainty.")
     return WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
 
 
@@ -108,7 +111,7 @@ def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
     material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
     rows = reporting._results(material).table.rows
-    assert rows[0][:3] == ("F1", "die", "Feature, 11.00 … 13.00\u202fµm")
+    assert rows[0][:3] == ("F1", "die", "Feature, 11 to 13 um")
     assert rows[0][-1] == "INCONCLUSIVE · accepted · measured by hand"
     assert ("Verdict", "INCONCLUSIVE, Coupon B") in reporting._facts(material)
     assert gather(dataset, RESULT).verdict is None

@@ -17,10 +17,10 @@ from wafer_viewer.gui.verdict_words import RULES
 from wafer_viewer.model.alignment import Alignment, Mark, Marks
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.findings import StepHeight
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Feature
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.operating import JobEntry
 from wafer_viewer.session.preflight import Check
@@ -104,16 +104,16 @@ def feature_dialog(page: Page, n: int | None = None) -> None:
     steps = steps_of(page.session.snapshot)
     with dialog.modal:
         name = gui.add_text("Name", old.name if old else "")
-        nominal = gui.add_number("Nominal, µm", old.nominal_um if old else 0.0, step=0.01)
+        nominal = gui.add_number("Nominal, µm", old.nominal or 0.0 if old else 0.0, step=0.01)
         limits = gui.add_vector2(
-            "Limits, µm", (old.lower_limit_um, old.upper_limit_um) if old else (0.0, 0.0), step=0.01
+            "Limits, µm", (old.lower_limit or 0.0, old.upper_limit or 0.0) if old else (0.0, 0.0), step=0.01
         )
         rule = gui.add_dropdown(
             "Rule", tuple(RULES.values()), initial_value=RULES[old.decision_rule if old else "guard_band"]
         )
         source = gui.add_dropdown("Regions", (BY_HAND, *steps)) if steps else None
-        upper = _corners(gui, "Upper", old.upper if old else None)
-        lower = _corners(gui, "Lower", old.lower if old else None)
+        upper = _corners(gui, "Upper", old.places[0] if old and old.places else None)
+        lower = _corners(gui, "Lower", old.places[1] if old and old.places else None)
 
     def copy_step(_: Any) -> None:
         if source is not None and (step := steps.get(source.value)) is not None:
@@ -127,12 +127,11 @@ def feature_dialog(page: Page, n: int | None = None) -> None:
     def keep() -> None:
         made = Feature(
             name=name.value.strip() or f"Step {len(job.features) + 1}",
-            nominal_um=nominal.value,
-            lower_limit_um=limits.value[0],
-            upper_limit_um=limits.value[1],
+            nominal=nominal.value,
+            lower_limit=limits.value[0],
+            upper_limit=limits.value[1],
             decision_rule=next(key for key, title in RULES.items() if title == rule.value),
-            upper=_region(upper),
-            lower=_region(lower),
+            places=(_region(upper), _region(lower)),
         )
         kept = (*job.features, made) if n is None else (*job.features[:n], made, *job.features[n + 1 :])
         edit(page, features=kept)

@@ -12,10 +12,10 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import corners_dialog, edit, feature_dialog, release_dialog, required_job
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.verdict_words import RULES
+from wafer_viewer.gui.verdict_words import RULES, limits
 from wafer_viewer.model.alignment import Marks
+from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.plan import Job
-from wafer_viewer.model.sample import Feature
 from wafer_viewer.session.state import Snapshot
 
 
@@ -73,15 +73,14 @@ def _features(job: Job) -> str:
     if not job.features:
         return html.head("Features") + html.empty("A step height with its limits gives a verdict.")
     rows = [_feature(n, feature, job.released) for n, feature in enumerate(job.features)]
-    return html.head("Features, µm") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
+    return html.head("Features") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
 
 
 def _feature(n: int, feature: Feature, released: bool) -> str:
     place = "" if feature.has_place else " · no place"
     name = f"{html.safe(feature.name)}<small>{RULES[feature.decision_rule]}{place}</small>"
-    limits = f"{number(feature.lower_limit_um, 2)} … {number(feature.upper_limit_um, 2)}"
     away = (
         f'<span class="wv-link" title="Take it off" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
     )
-    cells = [name, number(feature.nominal_um, 2), limits, "" if released else away]
+    cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
     return html.row(cells, " nn ", "" if released else html.pick("feature", n))

@@ -15,10 +15,12 @@ from wafer_viewer.gui.measure_words import letter, list_text, of_what, sign_colo
 from wafer_viewer.gui.verdict_words import LOOKS, in_short
 from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.feature import on_die
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.notebook import Judgement, key_of_result, keys_of_features
+from wafer_viewer.model.plan import Job
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.verdict import Judged, Word
@@ -119,12 +121,12 @@ def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
         return
     keyed = enumerate(zip(keys_of_features(verdict), verdict.items, strict=True), 1)
     for n, (key, judged) in sorted(keyed, key=lambda of: GRAVEST.index(of[1][1].word)):
-        places = [place for place in (judged.feature.upper, judged.feature.lower) if place is not None]
+        places = _places(judged, data.job)
         yield ReviewItem(
             key=key,
             sign=f"F{n}",
             colour="",
-            title=judged.feature.name,
+            title=judged.name,
             below="Feature of the released job" if verdict.released else "Feature of the job",
             value=in_short(judged),
             rows=_feature_rows(judged),
@@ -145,20 +147,33 @@ def _kind(finding: AnyFinding) -> str:
     return " · ".join(word for word in words if word)
 
 
+def spoken(name: str) -> str:
+    """A name of the program as words."""
+    return name.replace("_", " ").capitalize()
+
+
 def _rows(finding: AnyFinding) -> Iterator[Row]:
     for name in finding.__struct_fields__:
         held = getattr(finding, name)
         if isinstance(held, Length | Quantity):
             quantity = held.quantity if isinstance(held, Length) else held
-            yield (_QUANTITIES.get(name, name.replace("_", " ").capitalize()), *value_texts(quantity))
+            yield (_QUANTITIES.get(name, spoken(name)), *value_texts(quantity))
 
 
 def _feature_rows(judged: Judged) -> tuple[Row, ...]:
-    feature = judged.feature
-    limits = (("Lower limit", feature.lower_limit_um), ("Upper limit", feature.upper_limit_um))
-    measured = (("Height", *value_texts(judged.height.quantity)),) if judged.height is not None else ()
-    named = (("Nominal", feature.nominal_um), *limits)
-    return (*measured, *((name, f"{um:.2f}", "", "µm") for name, um in named))
+    feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
+    measured = ((_QUANTITIES.get(what, spoken(what)), *value_texts(judged.measured)),) if judged.measured else ()
+    named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
+    given = [(name, Quantity(value=value, unit=feature.unit)) for name, value in named if value is not None]
+    texts = [(name, *value_texts(quantity)) for name, quantity in given]
+    return (*measured, *((name, value, "", unit) for name, value, _, unit in texts))
+
+
+def _places(judged: Judged, job: Job) -> list[Region]:
+    """Where a feature was measured, in wafer um."""
+    dies = job.dies.all() if job.dies is not None and judged.die else ()
+    die = next((die for die in dies if die.name == judged.die), None)
+    return [place if die is None else on_die(place, die) for place in judged.feature.places]
 
 
 def _box_on_stage(places: list[Region], alignment: Alignment | None) -> Box | None:

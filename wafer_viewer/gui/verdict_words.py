@@ -6,9 +6,11 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number, value_and_u
+from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
-from wafer_viewer.model.sample import DecisionRule
+from wafer_viewer.gui.measure_words import reading, value_texts, with_unit_sign
+from wafer_viewer.model.feature import DecisionRule, Feature
+from wafer_viewer.model.quantities import Quantity
 from wafer_viewer.model.verdict import Judged, WaferVerdict, Word
 
 LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
@@ -41,14 +43,14 @@ def features(verdict: WaferVerdict) -> str:
         return ""
     rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
     rows = [_row(item) for item in verdict.items]
-    return html.head("Features, µm", f"U: k = 2 · {', '.join(rules)}") + html.table(
+    return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
         ["", "Value ± U", "Limits", ""], rows, " nn "
     )
 
 
 def in_short(item: Judged) -> str:
     """A feature as a list shows it: its value ± U, and its limits below."""
-    return f"{value_and_its_u(item)}<small>{limits(item)}\u202fµm</small>"
+    return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
 
 
 def state(word: Word) -> str:
@@ -57,19 +59,22 @@ def state(word: Word) -> str:
     return f'<b style="color:var(--{tone})">{html.icon(sign, 14)} {name}</b>'
 
 
-def limits(item: Judged) -> str:
-    """Between which heights a feature is good."""
-    return f"{_um(item.feature.lower_limit_um)} … {_um(item.feature.upper_limit_um)}"
+def limits(feature: Feature) -> str:
+    """Between which values a feature is good, with their unit."""
+    low, high = feature.lower_limit, feature.upper_limit
+    if low is not None and high is not None:
+        told = f"{_plain(low)} … {_plain(high)}"
+    else:
+        told = f"≤ {_plain(high)}" if high is not None else f"≥ {_plain(low)}"
+    return with_unit_sign(told, reading(Quantity(value=0.0, unit=feature.unit)).unit)
 
 
 def value_and_its_u(item: Judged) -> str:
     """What was measured of a feature, HTML."""
-    if item.height is None:
+    if item.measured is None:
         return "not measured"
-    if item.height.expanded_um is None:
-        return f"{number(item.height.value_um, 2)}<small>no U</small>"
-    value, u = value_and_u(item.height.value_um, item.height.expanded_um)
-    return f"<b>{value}</b> ± {u}"
+    value, u, _ = value_texts(item.measured)
+    return f"<b>{value}</b> ± {u}" if item.measured.expanded is not None else f"{value}<small>no U</small>"
 
 
 def waiting(judging: bool) -> str:
@@ -84,8 +89,9 @@ def _row(item: Judged) -> str:
     told = (
         f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
     )
-    return html.row([f"{html.safe(feature.name)}{why}", value_and_its_u(item), limits(item), told], " nn ")
+    return html.row([f"{html.safe(item.name)}{why}", value_and_its_u(item), limits(feature), told], " nn ")
 
 
-def _um(value: float) -> str:
+def _plain(value: float | None) -> str:
+    value = value or 0.0
     return number(value, max(0, len(f"{value:g}".partition(".")[2])))

@@ -1,19 +1,20 @@
-"""Verdicts: a measured height against its limits, by the guard band of ISO 14253-1 or by simple acceptance."""
+"""Verdicts: what was measured against its limits, by the guard band of ISO 14253-1 or by simple acceptance."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.tools import measured
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Length
+from wafer_viewer.model.feature import Die, Dies, Feature, on_die
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.sample import Feature
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.verdict import Judged, Word
+from wafer_viewer.model.verdict import GRAVEST, Judged, JudgedDie, Word
 
 COVERAGE = 2.0
 """The factor k of every expanded uncertainty."""
@@ -21,38 +22,108 @@ LESS_WITH_REPEATS = ("noise and form of the faces", "interpolation between frame
 """Lines of a step's budget that the mean of several scans makes smaller; the others are the same in each."""
 MOST_REPEATS = 25
 """More scans than this are a matter for the engineer."""
-GRAVEST: tuple[Word, ...] = ("fail", "no verdict", "inconclusive", "pass")
-"""The word of a wafer is the first of these that any feature has."""
 
 
 def judge_features(
-    surface: Mosaic, features: Sequence[Feature], alignment: Alignment | None, *, calibration_valid: bool
+    surface: Mosaic,
+    features: Sequence[Feature],
+    alignment: Alignment | None,
+    *,
+    calibration_valid: bool,
+    dies: Dies | None = None,
 ) -> tuple[Judged, ...]:
-    """Measure every feature that has a place, and judge it. What cannot be measured has no verdict and says why."""
-    return tuple(_measured(surface, feature, alignment, calibration_valid) for feature in features if feature.has_place)
+    """Measure every feature that has a place, on each of the dies where it is one of a die, and judge it.
+
+    What cannot be measured has no verdict and says why.
+    """
+    places = ((feature, die) for feature in features if feature.has_place for die in _dies_of(feature, dies))
+    return tuple(judge_at(surface, feature, die, alignment, calibration_valid) for feature, die in places)
 
 
-def judge(feature: Feature, height: Length) -> Judged:
-    """A height against the limits of its feature.
+def judge_at(
+    surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
+) -> Judged:
+    """Measure one feature, on one die where it is repeated over dies, and judge it."""
+    name = die.name if die is not None else ""
+    try:
+        quantity = measured_quantity(surface, feature, die, alignment, calibration_valid)
+    except MeasureError as fault:
+        return Judged(feature=feature, die=name, word="no verdict", why=f"'{feature.name}' was not measured. {fault}")
+    return replace(judge(feature, quantity), die=name)
+
+
+def measured_quantity(
+    surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
+) -> Quantity:
+    """The quantity of a feature where it lies on the stage. Raises MeasureError where it cannot be measured."""
+    on_wafer = feature.places if die is None else tuple(on_die(place, die) for place in feature.places)
+    on_the_stage = tuple(on_stage(place, alignment) for place in on_wafer)
+    found = measured(surface, feature.tool, on_the_stage, calibration_valid, feature.options)
+    quantity = named_quantity(found, feature.quantity)
+    if quantity.unit != feature.unit:
+        raise MeasureError(
+            f"It is in {quantity.unit} and the limits of '{feature.name}' are in {feature.unit}: mend the job."
+        )
+    return quantity
+
+
+def named_quantity(found: AnyFinding, name: str) -> Quantity:
+    """A quantity of a result by the name of its field, the main one without a name. Raises MeasureError for others."""
+    if not name:
+        return found.main
+    held = {field: getattr(found, field) for field in found.__struct_fields__}
+    known = {field: value for field, value in held.items() if isinstance(value, Length | Quantity)}
+    if name not in known:
+        raise MeasureError(f"Its result has no quantity '{name}': choose one of {', '.join(known)}.")
+    quantity = known[name]
+    return quantity.quantity if isinstance(quantity, Length) else quantity
+
+
+def judge(feature: Feature, quantity: Quantity) -> Judged:
+    """A quantity against the limits of its feature; a limit that is open is never passed.
 
     Guard band (ISO 14253-1): pass where all of value ± U lies within the limits, fail where all of it lies beyond one,
     else inconclusive. Simple acceptance: the value alone decides. Without an uncertainty neither gives a verdict.
     """
-    if height.expanded_um is None:
-        return Judged(feature=feature, height=height, word="no verdict", why=_no_uncertainty(height))
-    half_um = height.expanded_um if feature.decision_rule == "guard_band" else 0.0
-    low_um, high_um = height.value_um - half_um, height.value_um + half_um
-    if feature.lower_limit_um <= low_um and high_um <= feature.upper_limit_um:
-        return Judged(feature=feature, height=height, word="pass", why="Within the limits.")
-    if high_um < feature.lower_limit_um or low_um > feature.upper_limit_um:
-        beyond = "Under the lower limit." if high_um < feature.lower_limit_um else "Over the upper limit."
-        return Judged(feature=feature, height=height, word="fail", why=beyond)
-    return Judged(feature=feature, height=height, word="inconclusive", why=_undecided(feature, height))
+    if quantity.expanded is None:
+        return Judged(feature=feature, measured=quantity, word="no verdict", why=_no_uncertainty(quantity))
+    half = quantity.expanded if feature.decision_rule == "guard_band" else 0.0
+    low, high = quantity.value - half, quantity.value + half
+    least, most = limits_of(feature)
+    if least <= low and high <= most:
+        return Judged(feature=feature, measured=quantity, word="pass", why="Within the limits.")
+    if high < least or low > most:
+        beyond = "Under the lower limit." if high < least else "Over the upper limit."
+        return Judged(feature=feature, measured=quantity, word="fail", why=beyond)
+    return Judged(feature=feature, measured=quantity, word="inconclusive", why=_undecided(feature, quantity))
+
+
+def limits_of(feature: Feature) -> tuple[float, float]:
+    """Lower and upper limit; infinite where one is open."""
+    low, high = feature.lower_limit, feature.upper_limit
+    return -math.inf if low is None else low, math.inf if high is None else high
+
+
+def judge_dies(items: Sequence[Judged], dies: Dies | None) -> tuple[JudgedDie, ...]:
+    """The word of every die that anything was judged on, by the gravest word of its features."""
+    return tuple(
+        JudgedDie(
+            name=die.name,
+            x_um=die.x_um,
+            y_um=die.y_um,
+            width_um=dies.width_um if dies else 0.0,
+            height_um=dies.height_um if dies else 0.0,
+            word=overall(on_it),
+        )
+        for die in (dies.all() if dies else ())
+        if (on_it := [item for item in items if item.die == die.name])
+    )
 
 
 def overall(items: Sequence[Judged]) -> Word:
-    """The word for the wafer: fail where any feature fails, pass where all pass; nothing judged is no verdict."""
-    gravest: list[Word] = [word for word in GRAVEST if any(item.word == word for item in items)]
+    """The word for all together: fail where any feature fails, pass where all pass; nothing judged is no verdict."""
+    words = {item.word for item in items}
+    gravest: list[Word] = [word for word in GRAVEST if word in words]
     return gravest[0] if gravest else "no verdict"
 
 
@@ -72,26 +143,14 @@ def what_next(items: Sequence[Judged]) -> str:
 
 def scans_needed(item: Judged) -> int | None:
     """How many scans, this one included, would decide if their mean stayed here; None where no number would."""
-    height = item.height
-    if height is None or not height.budget:
+    quantity = item.measured
+    if quantity is None or not quantity.budget:
         return None
-    to_limit_um = _nearest_limit_um(item.feature, height)
-    repeats = COVERAGE**2 * math.fsum(c.u_um**2 for c in height.budget if c.name in LESS_WITH_REPEATS)
-    stays = COVERAGE**2 * math.fsum(c.u_um**2 for c in height.budget if c.name not in LESS_WITH_REPEATS)
-    room = to_limit_um**2 - stays
+    repeats = COVERAGE**2 * math.fsum(line.u**2 for line in quantity.budget if line.name in LESS_WITH_REPEATS)
+    stays = COVERAGE**2 * math.fsum(line.u**2 for line in quantity.budget if line.name not in LESS_WITH_REPEATS)
+    room = _to_nearest_limit(item.feature, quantity) ** 2 - stays
     n = math.ceil(repeats / room) if room > 0 else math.inf
     return int(n) if n <= MOST_REPEATS else None
-
-
-def _measured(surface: Mosaic, feature: Feature, alignment: Alignment | None, calibration_valid: bool) -> Judged:
-    if feature.upper is None or feature.lower is None:
-        return Judged(feature=feature, word="no verdict", why=f"'{feature.name}' has no place to be measured at.")
-    upper, lower = (on_stage(region, alignment) for region in (feature.upper, feature.lower))
-    try:
-        found = step_height(surface, upper, lower, calibration_valid=calibration_valid, name=feature.name)
-    except MeasureError as fault:
-        return Judged(feature=feature, word="no verdict", why=f"'{feature.name}' was not measured. {fault}")
-    return judge(feature, found.height)
 
 
 def on_stage(region: Region, alignment: Alignment | None) -> Region:
@@ -105,19 +164,26 @@ def on_stage(region: Region, alignment: Alignment | None) -> Region:
     return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in places))
 
 
-def _no_uncertainty(height: Length) -> str:
-    if height.status == "uncalibrated":
+def _dies_of(feature: Feature, dies: Dies | None) -> Iterator[Die | None]:
+    if not feature.per_die:
+        yield None
+    elif dies is not None:
+        yield from dies.all()
+
+
+def _no_uncertainty(quantity: Quantity) -> str:
+    if quantity.status == "uncalibrated":
         return "Without a calibration that holds there is no uncertainty: calibrate, then measure again."
-    return "The uncertainty could not be evaluated: ask the engineer for larger regions."
+    return "The uncertainty could not be evaluated: ask the engineer for larger regions, or another quantity."
 
 
-def _undecided(feature: Feature, height: Length) -> str:
-    near_um = _nearest_limit_um(feature, height)
-    return f"{near_um:.2g} um from the limit, with U = {height.expanded_um or 0.0:.2g} um."
+def _undecided(feature: Feature, quantity: Quantity) -> str:
+    near, unit = _to_nearest_limit(feature, quantity), quantity.unit
+    return f"{near:.2g} {unit} from the limit, with U = {quantity.expanded or 0.0:.2g} {unit}."
 
 
-def _nearest_limit_um(feature: Feature, height: Length) -> float:
-    return min(abs(height.value_um - limit) for limit in (feature.lower_limit_um, feature.upper_limit_um))
+def _to_nearest_limit(feature: Feature, quantity: Quantity) -> float:
+    return min(abs(quantity.value - limit) for limit in limits_of(feature))
 
 
 def _after_inconclusive(items: Sequence[Judged]) -> str:

@@ -56,7 +56,7 @@ def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
     """The keys under which the features of a verdict are judged, in its order; those of one name are numbered."""
     seen: Counter[str] = Counter()
     keys: list[str] = []
-    for name in (item.feature.name for item in (verdict.items if verdict is not None else ())):
+    for name in (item.name for item in (verdict.items if verdict is not None else ())):
         seen[name] += 1
         keys.append(f"feature {name}" if seen[name] == 1 else f"feature {name} ({seen[name]})")
     return tuple(keys)

@@ -11,8 +11,9 @@ from typing import Annotated, Literal
 import msgspec
 
 from wafer_viewer.model.alignment import Alignment, Marks
+from wafer_viewer.model.feature import Dies, Feature
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.sample import Feature, Sample
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
 Axis = Literal["x", "y", "z"]
@@ -240,7 +241,8 @@ class Job(Spec, frozen=True, kw_only=True):
     """What an engineer prepares once and an operator runs: the file ``PLAN.toml``.
 
     Either `grid` or `fields` says where, in wafer um where `marks` are given to align by, else in stage um; `strategy`
-    is a name of the planner's table or ``auto``. `alignment` is of the one wafer that is on the stage.
+    is a name of the planner's table or ``auto``. `alignment` is of the one wafer that is on the stage. `dies` are where
+    features that are measured per die are repeated.
     """
 
     product: str = ""
@@ -257,6 +259,7 @@ class Job(Spec, frozen=True, kw_only=True):
     marks: Marks | None = None
     alignment: Alignment | None = None
     features: tuple[Feature, ...] = ()
+    dies: Dies | None = None
     defect_sensitivity: Positive = 5.0
     released: bool = False
 
@@ -270,6 +273,8 @@ class Job(Spec, frozen=True, kw_only=True):
             self.refuse("released", "false as long as the recipe holds an 'auto'")
         if self.released and self.strategy == "auto":
             self.refuse("released", "false as long as the strategy is 'auto'")
+        if self.dies is None and any(feature.per_die for feature in self.features):
+            self.refuse("dies", "given where a feature is measured per die")
         if self.alignment is not None and self.marks is None:
             self.refuse("alignment", "left out where there are no marks to align by")
 

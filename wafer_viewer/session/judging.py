@@ -82,7 +82,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
 
     Raises MeasureError where the job has no feature with a place, DatasetError without a stitched surface.
     """
-    from wafer_viewer.measure.verdict import judge_features, overall, what_next
+    from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
     from wafer_viewer.store.files import write_text
 
     job, mosaic = data.scan.job, result.mosaic()
@@ -90,11 +90,12 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     if (kept := kept_verdict(result)) is not None:
         return kept
     calibrated = data.calibration_problem(today()) is None
-    items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated)
+    items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
     verdict = WaferVerdict(
         word=overall(items),
         next=what_next(items),
         items=items,
+        dies=judge_dies(items, job.dies),
         job=f"{job.product} {job.revision}".strip(),
         lot=job.sample.lot,
         wafer_id=job.sample.wafer_id or job.sample.name,

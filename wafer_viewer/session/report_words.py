@@ -8,6 +8,7 @@ from typing import Any
 
 from wafer_viewer.draw.numbers import duration, number, share, size, value_and_u, with_unit
 from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.feature import limits_text
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
@@ -32,7 +33,7 @@ def spaced(name: str) -> str:
 
 def quantity_text(quantity: Quantity) -> str:
     """A value with its U and unit, ``11.86 ± 0.31 µm``; where there is no U, why."""
-    unit = UNITS[quantity.unit]
+    unit = UNITS.get(quantity.unit, quantity.unit)
     value, u = value_and_u(quantity.value, quantity.expanded)
     if quantity.expanded is None:
         return (
@@ -50,11 +51,10 @@ def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
 
 def feature_row(n: int, judged: Judged, judgement: Judgement) -> tuple[str, ...]:
     """The same of a feature of the job, with its limits, the instrument's word and people's."""
-    feature = judged.feature
-    limits = f"Feature, {number(feature.lower_limit_um, 2)} … {number(feature.upper_limit_um, 2)}\u202fµm"
-    value = quantity_text(judged.height.quantity) if judged.height is not None else "not measured"
+    limits = f"Feature, {limits_text(judged.feature)}"
+    value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
     thought = _thought(judgement, judged.word.upper())
-    return (f"F{n}", feature.name, limits, value, "", thought)
+    return (f"F{n}", judged.name, limits, value, "", thought)
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
