@@ -83,7 +83,7 @@ if [ "$what" = all ]; then
   for bench in tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py; do
     step "Benchmark $(basename "$bench" .py), quick run" "$bin/python" "$bench" --quick
   done
-  step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist worksteal -m "slow and not browser and not hardware"
+  step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "slow and not browser and not hardware"
   step "Browser tests" "$bin/python" -m pytest -q -m "browser and not hardware"
 fi
 if [ ${#missing[@]} -gt 0 ]; then
