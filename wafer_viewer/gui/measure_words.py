@@ -24,6 +24,7 @@ _LETTERS = {
     "volume": "V",
     "flatness": "F",
     "texture": "T",
+    "roughness": "N",
     "gauge_check": "G",
     "defect": "D",
 }
@@ -35,10 +36,11 @@ _MAIN = {
     "radius": "of the sphere",
     "flatness": "FLTt",
     "texture": "Sa",
+    "roughness": "Ra",
 }
 """What the number is that stands for a result, where its tool's name does not say so."""
 _SIGNED = ("point",)
-_UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°"}
+_UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
 """By unit: from which value on, by which factor, as what it reads."""
 

@@ -10,11 +10,8 @@ from wafer_viewer.measure.faces import enough_points
 from wafer_viewer.measure.heights import Floats, Points, level_for, require_area
 from wafer_viewer.measure.level import Plane, least_squares, plane_design
 from wafer_viewer.measure.reading import Reading
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.measure.regions import require_measured
 from wafer_viewer.model.region import Region
-
-LEAST_MEASURED = 0.5
-"""Of a region: with less the result would be of something else."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,13 +39,7 @@ def area_of(reading: Reading, region: Region, which: str, what: str) -> Area:
     level = level_for(reading.surface, region)
     points = enough_points(reading.surface, region, reading.layer, level, which, what)
     pixel_um = reading.surface.pixel_um * 2**level
-    measured_um2 = len(points) * pixel_um**2
-    share = min(1.0, measured_um2 / (region.area_um2 or measured_um2))
-    if share < LEAST_MEASURED:
-        raise MeasureError(
-            f"Only {100 * share:.0f} % of the {which} is measured and {what} needs {100 * LEAST_MEASURED:.0f} %: "
-            "draw it where the surface has fewer holes."
-        )
+    share = require_measured(region, len(points) * pixel_um**2, which, what)
     return Area(points, level, pixel_um, share)
 
 

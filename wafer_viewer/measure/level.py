@@ -19,6 +19,8 @@ ROUNDING = float(np.finfo(np.float32).eps)
 """Heights are 32-bit numbers."""
 SETTLED_FRACTION = 1e-4
 """So few points at the limit of what is rejected do not matter, and millions of them would go on for long."""
+BEGIN_WITH = 40_000
+"""A fit to more points is begun on about as many of them, spread over all; only the last rounds look at every one."""
 _MAX_ROUNDS = 20
 
 
@@ -52,8 +54,21 @@ def robust_fit(design: Floats, values: Floats) -> Fit:
     Ends when the same points are kept twice, all but one in ten thousand. Raises MeasureError when the points do not
     determine the coefficients.
     """
-    fit = _fit(design, values, np.ones(len(values), bool))
     rounding = ROUNDING * float(np.abs(values).max(initial=0.0))
+    some = _some_of(len(values))
+    fit = _settled(_begun(design[some], values[some]), design[some], values[some], rounding)
+    if some.step == 1:
+        return fit
+    residuals = values - design @ fit.coefficients
+    kept = _within(residuals, fit.residuals[fit.kept], rounding)
+    return _settled(_fit(design, values, kept), design, values, rounding)
+
+
+def _begun(design: Floats, values: Floats) -> Fit:
+    return _fit(design, values, np.ones(len(values), bool))
+
+
+def _settled(fit: Fit, design: Floats, values: Floats, rounding: float) -> Fit:
     for _ in range(_MAX_ROUNDS):
         within = _within(fit.residuals, fit.residuals[fit.kept], rounding)
         if np.count_nonzero(within != fit.kept) <= SETTLED_FRACTION * len(values):
@@ -76,11 +91,12 @@ def least_squares(design: Floats, values: Floats) -> Floats:
 
 def fit_plane(points: Points) -> tuple[Plane, Fit]:
     """A robust plane. Raises MeasureError when the points do not span one."""
-    fit = robust_fit(plane_design(points, _centroid(points)), points.z_um)
-    kept = points.kept(fit.kept)
-    x_um, y_um = _centroid(kept)
-    coefficients = least_squares(plane_design(kept, (x_um, y_um)), kept.z_um)
-    return Plane(x_um, y_um, float(coefficients[2]), float(coefficients[0]), float(coefficients[1])), fit
+    x0_um, y0_um = _centroid(points)
+    fit = robust_fit(plane_design(points, (x0_um, y0_um)), points.z_um)
+    slope_x, slope_y, z0_um = fit.coefficients.tolist()
+    about = Plane(x0_um, y0_um, z0_um, slope_x, slope_y)
+    x_um, y_um = float(np.mean(points.x_um[fit.kept])), float(np.mean(points.y_um[fit.kept]))
+    return Plane(x_um, y_um, float(about.at(x_um, y_um)), slope_x, slope_y), fit
 
 
 def plane_design(points: Points, center_um: tuple[float, float]) -> Floats:
@@ -99,8 +115,14 @@ def _centroid(points: Points) -> tuple[float, float]:
 
 def _within(residuals: Floats, kept: Floats, rounding: float) -> NDArray[np.bool_]:
     """Which residuals belong to the noise of those kept."""
-    middle = np.median(kept)
-    return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(kept - middle), rounding)
+    known = kept[_some_of(len(kept))]
+    middle = np.median(known)
+    return np.abs(residuals - middle) <= REJECT_BEYOND * _spread(np.abs(known - middle), rounding)
+
+
+def _some_of(n: int) -> slice:
+    """About BEGIN_WITH of n, an odd number apart so that they do not stand in columns."""
+    return slice(None, None, 1 if n < 2 * BEGIN_WITH else n // BEGIN_WITH | 1)
 
 
 def _spread(deviations: Floats, rounding: float) -> float:

@@ -52,13 +52,13 @@ class Reading:
             return Quantity.evaluated(value, unit, tuple(BudgetLine(name=n, u=u) for n, u in lines.items()))
         return Quantity(value=value, unit=unit, status=self._no_budget())
 
-    def not_in_budget(self, *more: str) -> tuple[str, ...]:
-        """Notes of what budgets leave out; none where there are no budgets."""
+    def not_in_budget(self, *more: str, own: bool = False) -> tuple[str, ...]:
+        """Notes of what budgets leave out; none where there are no budgets. own: the finding lists its own."""
         if not self.calibrated:
             return ()
         levelled = levelling_of(self.surface).by != "stage"
         zero = ("Not in the budget: how sure the zero is that heights are read from.",) if levelled else ()
-        return (*zero, *more, NOT_IN_BUDGET)
+        return (*zero, *more, *(() if own else (NOT_IN_BUDGET,)))
 
     @property
     def u_z_scale(self) -> float:

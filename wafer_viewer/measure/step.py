@@ -1,134 +1,164 @@
-"""The height of one region over another, with the budget of its uncertainty.
+"""The height of one face over another, with the budget of its uncertainty.
 
-The model is one plane through both regions and a step between them, z = a x + b y + c + h [upper], fitted with
-rejection beyond 3 robust deviations. Where the faces are tilted against each other the definition of h is part of the
-result, so what other definitions give is noted with it.
+Each face is one plane through one region or several, found with rejection beyond 3 robust deviations. Where faces are
+tilted against each other the definition of h is part of the result, so what other definitions give is told with it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.measure.budget import step_budget
-from wafer_viewer.measure.faces import Face, enough_points, face_of
+from wafer_viewer.measure.budget import LEVELLING, NOISE, POSES, Budget, step_budget
+from wafer_viewer.measure.definitions import SENTENCES, Faces, Gradients, gradients, tilts
+from wafer_viewer.measure.faces import enough_points, face_of
+from wafer_viewer.measure.field_poses import poses_u_um
 from wafer_viewer.measure.heights import Layer, Points, level_for, require_area
-from wafer_viewer.measure.level import plane_design, robust_fit
-from wafer_viewer.measure.reading import Reading
+from wafer_viewer.measure.reading import Lines, Reading
+from wafer_viewer.measure.regions import Regions, each_of, require_measured
+from wafer_viewer.model.conditions import Conditions
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import StepHeight
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.options import StepDefinition, StepOptions
+from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.step import StepHeight
 from wafer_viewer.model.surface import Mosaic
 
-DEFINITION = "Offset between the regions over one plane fitted to both: z = a x + b y + c + h [upper]."
+WHAT = "a step height"
 
 
 def step_height(
     surface: Mosaic,
-    upper: Region,
-    lower: Region,
+    upper: Regions,
+    lower: Regions,
     *,
+    definition: StepDefinition = "common_plane",
+    conditions: Conditions = Conditions(),
     calibration_valid: bool = True,
     layer: Layer | None = None,
     name: str = "",
 ) -> StepHeight:
     """The height of `upper` over `lower`, negative when it lies below, with its expanded uncertainty (k = 2).
 
-    layer: heights to measure on, as the surface's recipe says when left out. Without a calibration, or with one that
-    is said not to be valid, the height reads 'uncalibrated' and has no uncertainty.
-    Raises MeasureError when a region is a line, lies outside, has fewer than 200 measured points or overlaps the other.
+    upper, lower: a region, or several that lie on one face. definition: where h is taken; conditions: what is known
+    beside what the surface tells, the rest is listed as not evaluated. layer: heights to measure on, as the surface's
+    recipe says when left out. Without a calibration, or with one that is said not to be valid, the height reads
+    'uncalibrated' and has no uncertainty.
+    Raises MeasureError when a region is a line, lies outside, has fewer than 200 measured points or less than half of
+    its area measured, or overlaps another.
     """
-    require_area(upper, "upper")
-    require_area(lower, "lower")
-    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, upper, lower)
+    uppers, lowers = each_of(upper, "upper"), each_of(lower, "lower")
+    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
     above, below = (
-        enough_points(surface, region, reading.layer, level, f"{which} region", "a step height")
-        for region, which in ((upper, "upper"), (lower, "lower"))
+        [_points(reading, region, level, f"{which} region") for region in regions]
+        for which, regions in (("upper", uppers), ("lower", lowers))
     )
-    _require_apart(upper, below)
-    high, low = face_of(above), face_of(below)
-    height_um = _common_plane_step(above, below)
+    _require_apart((*uppers, *lowers), (*above, *below))
+    faces = Faces(face_of(*above), face_of(*below))
+    h = gradients(faces, definition)
+    budget = _budget(reading, faces, h, definition, conditions)
     return StepHeight(
-        **reading.told(name, level, *_other_definitions(high, low), *reading.not_in_budget()),
-        upper=upper,
-        lower=lower,
-        height=_length(reading, high, low, height_um),
-        definition=DEFINITION,
-        upper_mean_um=high.mean_um,
-        lower_mean_um=low.mean_um,
-        upper_sq_um=high.sq_um,
-        lower_sq_um=low.sq_um,
-        upper_points=len(high.points),
-        lower_points=len(low.points),
-        relative_tilt_mrad=1e3 * math.hypot(*_tilt(high, low)),
+        **reading.told(name, level, *_other_definitions(faces), *reading.not_in_budget(own=True)),
+        upper=uppers[0],
+        lower=lowers[0],
+        also_upper=uppers[1:],
+        also_lower=lowers[1:],
+        height=reading.length(h.value(faces), budget and budget.lines),
+        definition=SENTENCES[definition],
+        options=StepOptions(definition=definition, conditions=conditions),
+        at_joint=_at_joint(reading, faces, conditions),
+        tilt=_tilt(reading, faces),
+        relative_tilt_mrad=_tilt_mrad(faces),
+        upper_mean_um=faces.high.mean_um,
+        lower_mean_um=faces.low.mean_um,
+        upper_sq_um=faces.high.sq_um,
+        lower_sq_um=faces.low.sq_um,
+        upper_points=len(faces.high.points),
+        lower_points=len(faces.low.points),
+        not_evaluated=budget.not_evaluated if budget is not None else (),
     )
 
 
-def _require_apart(upper: Region, below: Points) -> None:
-    shared = int(np.count_nonzero(upper.contains(below.x_um, below.y_um)))
-    if shared:
-        raise MeasureError(f"The two regions share {shared} points: move them apart, each onto one face of the step.")
+def _points(reading: Reading, region: Region, level: int, which: str) -> Points:
+    require_area(region, which.removesuffix(" region"))
+    points = enough_points(reading.surface, region, reading.layer, level, which, WHAT)
+    require_measured(region, len(points) * (reading.surface.pixel_um * 2**level) ** 2, which, WHAT)
+    return points
 
 
-def _common_plane_step(above: Points, below: Points) -> float:
-    both = above.and_also(below)
-    is_upper = np.repeat([1.0, 0.0], [len(above), len(below)])
-    center = float(both.x_um.mean()), float(both.y_um.mean())
-    fit = robust_fit(np.column_stack([plane_design(both, center), is_upper]), both.z_um - both.z_um.mean())
-    return float(fit.coefficients[3])
+def _require_apart(regions: Sequence[Region], points: Sequence[Points]) -> None:
+    for k, region in enumerate(regions):
+        for others in points[k + 1 :]:
+            if shared := int(np.count_nonzero(region.contains(others.x_um, others.y_um))):
+                raise MeasureError(
+                    f"The two regions share {shared} points: move them apart, each onto one face of the step."
+                )
 
 
-def _length(reading: Reading, high: Face, low: Face, height_um: float) -> Length:
-    if not reading.calibrated:
-        return Length(value_um=height_um, status="uncalibrated")
-    budget = step_budget(
-        (high.points, high.residuals_um),
-        (low.points, low.residuals_um),
-        height_um,
-        _over_lower(high, low) - _over_upper(high, low),
-        reading.surface.provenance,
+def _budget(
+    reading: Reading, faces: Faces, h: Gradients, definition: StepDefinition, conditions: Conditions
+) -> Budget | None:
+    """None where there is no calibration, or the scatter cannot be told."""
+    noise = h.scatter(faces) if reading.calibrated else None
+    if noise is None:
+        return None
+    of_points = {
+        NOISE: noise.widened,
+        LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
+        POSES: poses_u_um(reading.surface, faces, h),
+    }
+    return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
+
+
+def _levelling_um(faces: Faces) -> float:
+    """What h moves by from levelling to the one face to levelling to the other, as far as noise does not explain it.
+
+    Taken as the full width of a uniform distribution. The noise of the two is in its own line.
+    """
+    differ = gradients(faces, "lower_face").minus(gradients(faces, "upper_face"))
+    scatter = differ.scatter(faces)
+    by_noise_um = 2 * scatter.widened if scatter is not None else 0.0
+    return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
+
+
+def _at_joint(reading: Reading, faces: Faces, conditions: Conditions) -> Length:
+    at_joint = gradients(faces, "joint")
+    budget = _budget(reading, faces, at_joint, "joint", conditions)
+    return reading.length(at_joint.value(faces), budget and budget.lines)
+
+
+def _tilt_mrad(faces: Faces) -> float:
+    return 1e3 * math.hypot(*(slope.value(faces) for slope in tilts(faces)))
+
+
+def _tilt(reading: Reading, faces: Faces) -> Quantity:
+    """Of one face against the other, as sure as in the direction in which it is least so: near 0 it has none."""
+    lines: Lines | None = None
+    found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
+    if None not in found:
+        poses = [poses_u_um(reading.surface, faces, slope) for slope in tilts(faces)]
+        lines = {
+            NOISE: 1e3 * max(scatter.widened for scatter in found if scatter is not None),
+            "z scale": reading.u_z_scale * _tilt_mrad(faces),
+            "pixel scale": reading.u_pixel_scale * _tilt_mrad(faces),
+            **({POSES: 1e3 * max(u for u in poses if u is not None)} if None not in poses else {}),
+        }
+    return reading.quantity(_tilt_mrad(faces), "mrad", lines)
+
+
+def _other_definitions(faces: Faces) -> tuple[str, ...]:
+    over_upper, over_lower, at_joint = (
+        gradients(faces, definition).value(faces) for definition in ("upper_face", "lower_face", "joint")
     )
-    return Length(value_um=height_um) if budget is None else Length.evaluated(height_um, budget)
-
-
-def _tilt(high: Face, low: Face) -> tuple[float, float]:
-    return high.plane.slope_x - low.plane.slope_x, high.plane.slope_y - low.plane.slope_y
-
-
-def _over_lower(high: Face, low: Face) -> float:
-    """The step when the surface is levelled to the lower face."""
-    return float(high.plane.z_um - low.plane.at(high.plane.x_um, high.plane.y_um))
-
-
-def _over_upper(high: Face, low: Face) -> float:
-    """The step when the surface is levelled to the upper face."""
-    return float(high.plane.at(low.plane.x_um, low.plane.y_um) - low.plane.z_um)
-
-
-def _other_definitions(high: Face, low: Face) -> tuple[str, ...]:
-    x_um, y_um = _middle_of_gap(high, low)
-    place = f"({_tenths(x_um)}, {_tenths(y_um)}) um"
-    at_joint = float(high.plane.at(x_um, y_um) - low.plane.at(x_um, y_um))
+    place = "({}, {}) um".format(*(_tenths(along) for along in faces.joint_um))
     return (
-        f"Levelled to the upper face: {_over_upper(high, low):.3f} um, to the lower: {_over_lower(high, low):.3f} um.",
+        f"Levelled to the upper face: {over_upper:.3f} um, to the lower: {over_lower:.3f} um.",
         f"Both faces extended to the middle between the regions, {place}: {at_joint:.3f} um.",
     )
 
 
-def _middle_of_gap(high: Face, low: Face) -> tuple[float, float]:
-    """Half-way between the borders that the regions turn to each other, on the line between their centroids."""
-    start = np.array([low.plane.x_um, low.plane.y_um])
-    way = np.array([high.plane.x_um, high.plane.y_um]) - start
-    length = float(np.hypot(*way))
-    along = way / length if length > 0 else way
-    last_low = float(((low.points.x_um - start[0]) * along[0] + (low.points.y_um - start[1]) * along[1]).max())
-    first_high = float(((high.points.x_um - start[0]) * along[0] + (high.points.y_um - start[1]) * along[1]).min())
-    x_um, y_um = start + along * (last_low + first_high) / 2
-    return float(x_um), float(y_um)
-
-
 def _tenths(value: float) -> str:
     """One decimal, without a minus before zero."""
-    return f"{round(value, 1) + 0.0:.1f}"
+    return f"{round(float(value), 1) + 0.0:.1f}"

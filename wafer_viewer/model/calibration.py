@@ -22,7 +22,8 @@ class OpticalSetup(Spec, frozen=True, kw_only=True):
 class Calibration(Spec, frozen=True, kw_only=True):
     """Pixel size and z scale with standard uncertainties (k = 1), of an optical setup, made against a standard.
 
-    z_scale multiplies the counts of the stage; u_z_scale is relative. Dates are ISO 8601 days.
+    z_scale multiplies the counts of the stage; u_z_scale is relative. u_z_linearity_um: of a difference of heights,
+    beside the scale; u_abbe_um: the same from the pitch of the stage; None: not known. Dates are ISO 8601 days.
     """
 
     error: ClassVar[type[WaferViewerError]] = RigError
@@ -30,6 +31,8 @@ class Calibration(Spec, frozen=True, kw_only=True):
     u_pixel_um: NonNegative
     z_scale: Positive = 1.0
     u_z_scale: NonNegative
+    u_z_linearity_um: NonNegative | None = None
+    u_abbe_um: NonNegative | None = None
     camera_rotation_rad: float = 0.0
     trigger_delay_us: NonNegative = 0.0
     flat_field: str = ""
@@ -37,6 +40,7 @@ class Calibration(Spec, frozen=True, kw_only=True):
     made: str
     due: str
     against: str
+    z_against: tuple[str, ...] = ()
     simulated: bool = False
 
     def __post_init__(self) -> None:

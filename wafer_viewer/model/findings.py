@@ -17,6 +17,8 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
+from wafer_viewer.model.step import StepHeight, StepProfile
+from wafer_viewer.model.texture import Roughness, Texture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,27 +73,6 @@ class Distance(Finding, frozen=True, kw_only=True, tag="distance"):
     def main(self) -> Quantity:
         """The distance in space."""
         return self.distance.quantity
-
-
-class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
-    """The height of one region over another, fitted with a common plane; the definition of h is part of the result."""
-
-    upper: Region
-    lower: Region
-    height: Length
-    definition: str
-    upper_mean_um: float
-    lower_mean_um: float
-    upper_sq_um: NonNegative
-    lower_sq_um: NonNegative
-    upper_points: int
-    lower_points: int
-    relative_tilt_mrad: NonNegative = 0.0
-
-    @property
-    def main(self) -> Quantity:
-        """The step's height."""
-        return self.height.quantity
 
 
 class FaceAngle(Finding, frozen=True, kw_only=True, tag="angle"):
@@ -176,26 +157,6 @@ class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
         return self.flt_t.quantity
 
 
-class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
-    """Height parameters of a region, ISO 25178-2, about its least-squares plane; a flat one has no ssk and no sku."""
-
-    region: Region
-    sa: Length
-    sq: Length
-    sp: Length
-    sv: Length
-    sz: Length
-    ssk: float | None
-    sku: float | None
-    points: int
-    measured_fraction: Fraction
-
-    @property
-    def main(self) -> Quantity:
-        """Sa."""
-        return self.sa.quantity
-
-
 class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
     """A place that differs from its reference: where, how large, what class, how it was judged."""
 
@@ -219,11 +180,13 @@ AnyFinding = (
     | PointHeight
     | Distance
     | StepHeight
+    | StepProfile
     | FaceAngle
     | Radius
     | AreaVolume
     | Flatness
     | Texture
+    | Roughness
     | GaugeCheck
     | Defect
 )

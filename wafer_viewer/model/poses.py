@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,6 +158,16 @@ class Poses:
     z_error_um: float = 0.0
     final: bool = True
     notes: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class HasPoses(Protocol):
+    """A surface stitched from fields, which can tell where they lie."""
+
+    @property
+    def poses(self) -> Poses | None:
+        """Where its fields lie; None where nobody knows."""
+        ...
 
 
 T = TypeVar("T", Shifts, Seams)

@@ -10,7 +10,7 @@ from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.spec import NonNegative, Spec
 
 UStatus = Literal["evaluated", "not evaluated", "uncalibrated"]
-Unit = Literal["um", "um2", "um3", "deg"]
+Unit = Literal["um", "um2", "um3", "deg", "mrad"]
 
 
 class BudgetLine(Spec, frozen=True, kw_only=True):

@@ -19,7 +19,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.verdict import Judged, WaferVerdict
 from wafer_viewer.session.state import SurfaceInfo
 
-UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°"}
+UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
 Pairs = tuple[tuple[str, str], ...]
 

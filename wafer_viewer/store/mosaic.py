@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface import HeightLayer, HeightMap, Heights, Mosaic, Origin, Provenance, pixel_window
@@ -39,6 +40,7 @@ from wafer_viewer.store.mosaic_layout import (
     shards_of,
 )
 from wafer_viewer.store.patches import Patch, patches
+from wafer_viewer.store.poses import POSES, read_poses
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.shard import ShardedArray, codecs
 
@@ -220,6 +222,12 @@ class ZarrMosaic:
     def provenance(self) -> Provenance:
         """Where it comes from."""
         return self.header.provenance
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """Where its fields lie, from the result that it is part of; None where nobody says so."""
+        kept = self.path.parent / POSES
+        return read_poses(kept) if kept.exists() else None
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
         """The part of a level that holds a region, all of it without one.

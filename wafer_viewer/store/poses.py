@@ -14,6 +14,8 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
 from wafer_viewer.store.files import replacing
 
+POSES = "poses.npz"
+"""What the file is called in the folder of a result."""
 PLACES = (
     *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
     *("u_x_um", "u_y_um", "u_z_um"),

@@ -18,16 +18,10 @@ from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
-from wafer_viewer.store.poses import read_poses, write_poses
+from wafer_viewer.store.poses import POSES, read_poses, write_poses
 
 RECIPE, SETTLED, FINDINGS, COMPARISON = "recipe.json", "settled.json", "findings.json", "comparison.json"
-SURFACES, THUMBNAILS, MOSAIC, POSES, DRAWING = (
-    "surfaces",
-    "thumbnails",
-    "mosaic.zarr",
-    "poses.npz",
-    "poses-being-drawn.npz",
-)
+SURFACES, THUMBNAILS, MOSAIC, DRAWING = "surfaces", "thumbnails", "mosaic.zarr", "poses-being-drawn.npz"
 
 
 @dataclass(frozen=True, slots=True)

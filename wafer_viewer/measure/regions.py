@@ -1,0 +1,34 @@
+"""One region or several where a face is asked for, and how much of them has to be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+
+Regions = Region | Sequence[Region]
+LEAST_MEASURED = 0.5
+"""Of a region: with less the result would be of something else."""
+
+
+def each_of(regions: Regions, which: str) -> tuple[Region, ...]:
+    """All of them. Raises MeasureError when there is none."""
+    each = (regions,) if isinstance(regions, Region) else tuple(regions)
+    if not each:
+        raise MeasureError(f"No {which} region was given: draw at least one on the {which} face.")
+    return each
+
+
+def require_measured(region: Region, measured_um2: float, which: str, what: str) -> float:
+    """The share of a region that is measured; what lies off the surface counts as unmeasured.
+
+    which, what: as in 'The upper region … and a step height needs'. Raises MeasureError when it is less than half.
+    """
+    share = min(1.0, measured_um2 / (region.area_um2 or measured_um2))
+    if share < LEAST_MEASURED:
+        raise MeasureError(
+            f"Only {100 * share:.0f} % of the {which} is measured and {what} needs {100 * LEAST_MEASURED:.0f} %: "
+            "draw it where the surface has fewer holes."
+        )
+    return share
