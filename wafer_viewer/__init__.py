@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.quality import Quality, compare_with_truth
     from wafer_viewer.measure.radius import bump_radius
     from wafer_viewer.measure.repeatability import gauge_rr
+    from wafer_viewer.measure.roughness import roughness
     from wafer_viewer.measure.step import step_height
     from wafer_viewer.measure.texture import texture
     from wafer_viewer.measure.volume import area_volume
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
         ProfileCurve,
         Radius,
         StepHeight,
-        Texture,
     )
     from wafer_viewer.model.levelling import Levelling
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.sample import Sample
     from wafer_viewer.model.stack import FieldStack
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+    from wafer_viewer.model.texture import Roughness, Texture
     from wafer_viewer.reconstruct.compare import compare
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.stitch import stitch
@@ -89,11 +90,12 @@ _HOMES = {
     "Recipe": "model.recipe",
     "Region": "model.region",
     "RigConfig": "rigs.config",
+    "Roughness": "model.texture",
     "Sample": "model.sample",
     "ScanPlan": "model.plan",
     "Session": "session.session",
     "StepHeight": "model.findings",
-    "Texture": "model.findings",
+    "Texture": "model.texture",
     "WaferViewerError": "model.errors",
     "area_volume": "measure.volume",
     "bump_radius": "measure.radius",
@@ -112,6 +114,7 @@ _HOMES = {
     "profile": "measure.profile",
     "read_npz": "store.npz",
     "reconstruct": "reconstruct.field",
+    "roughness": "measure.roughness",
     "site_ranges": "measure.one_sided",
     "step_height": "measure.step",
     "stitch": "reconstruct.stitch",
@@ -148,6 +151,7 @@ __all__ = [
     "Recipe",
     "Region",
     "RigConfig",
+    "Roughness",
     "Sample",
     "ScanPlan",
     "Session",
@@ -172,6 +176,7 @@ __all__ = [
     "profile",
     "read_npz",
     "reconstruct",
+    "roughness",
     "site_ranges",
     "step_height",
     "stitch",

@@ -70,6 +70,11 @@ def _face(land: Land, near: Place) -> tuple[Region, ...]:
     return (_inside(land, *face(land, near)),)
 
 
+def _across_face(land: Land, near: Place) -> tuple[Region, ...]:
+    x0, y0, x1, y1 = _inside(land, *face(land, near)).bounds_um
+    return (Region.line(x0, (y0 + y1) / 2, x1, (y0 + y1) / 2),)
+
+
 FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "profile": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
     "point": _point,
@@ -80,6 +85,7 @@ FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "volume": _volume,
     "flatness": _face,
     "texture": _face,
+    "roughness": _across_face,
 }
 """First places of each tool, in the order in which it asks for them."""
 

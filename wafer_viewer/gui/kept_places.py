@@ -14,10 +14,10 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
-    Texture,
 )
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.texture import Roughness, Texture
 
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
@@ -44,6 +44,8 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
             return "flatness"
         case Texture():
             return "texture"
+        case Roughness():
+            return "roughness"
         case GaugeCheck() | Defect():
             return None
 
@@ -51,7 +53,7 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
 def places_of(finding: AnyFinding) -> tuple[Region, ...]:
     """The places of a result, in the order in which its tool asks for them."""
     match finding:
-        case Profile():
+        case Profile() | Roughness():
             return (finding.line,)
         case PointHeight():
             return (finding.place,)

@@ -18,10 +18,10 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
-    Texture,
 )
 from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.texture import Texture
 
 _SURFACES = {
     "unsmoothed": "measured heights, unsmoothed",

@@ -64,7 +64,8 @@ class PlaceHandle:
     def _knob_share(self, mm_per_pixel: float) -> float:
         """Knobs of a region that is small on the screen are smaller, or they would hide it."""
         x0, y0, x1, y1 = self.region.bounds_um
-        side_px = min(x1 - x0, y1 - y0) * 1e-3 / max(mm_per_pixel, 1e-12)
+        side_um = max(x1 - x0, y1 - y0) if self.region.kind == "line" else min(x1 - x0, y1 - y0)
+        side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
         return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
 
     def _place_sign(self, land: Land, gaze: Gaze) -> None:

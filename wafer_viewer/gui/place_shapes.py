@@ -84,6 +84,29 @@ def _circle_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
     return Region.circle(x, y, _hundredth(min(wanted, max(most, region.radius_um))))
 
 
+def _ends(region: Region) -> Corners:
+    return np.array([(p.x_um, p.y_um) for p in region.points], float)
+
+
+def _line_holds(region: Region) -> dict[str, Place]:
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
+    return {"0": (xa, ya), "1": (xb, yb), WHOLE: ((xa + xb) / 2, (ya + yb) / 2)}
+
+
+def _line_pulled(region: Region, hold: str, to: Place, land: Land) -> Region:
+    """By its middle it moves, by an end it turns and grows."""
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in region.points)
+    if hold == WHOLE:
+        x, y = _kept_inside(to, (abs(xb - xa) / 2, abs(yb - ya) / 2), land)
+        dx, dy = x - (xa + xb) / 2, y - (ya + yb) / 2
+        ends = (xa + dx, ya + dy, xb + dx, yb + dy)
+    else:
+        x, y = land.clamped(to)
+        ends = (x, y, xb, yb) if hold == "0" else (xa, ya, x, y)
+    line = Region.line(*(_hundredth(v) for v in ends), width_um=region.width_um)
+    return line if math.dist(ends[:2], ends[2:]) >= LEAST_PX * land.on_show.facts.pixel_um else region
+
+
 def _kept_inside(to: Place, half: Place, land: Land) -> Place:
     """The middle nearest to `to` of what reaches so far to each side and stays on the surface."""
     x0, y0, x1, y1 = land.bounds_um
@@ -106,8 +129,9 @@ SHAPES: dict[RegionKind, Shape] = {
     "point": Shape(_no_outline, _point_holds, _point_pulled),
     "rectangle": Shape(_corners, _rectangle_holds, _rectangle_pulled),
     "circle": Shape(_round_outline, _circle_holds, _circle_pulled),
+    "line": Shape(_ends, _line_holds, _line_pulled),
 }
-"""The kinds of place that are dragged over the surface; lines have tools of their own."""
+"""The kinds of place that are dragged over the surface."""
 
 
 def outline_of(region: Region) -> Corners:

@@ -14,7 +14,7 @@ GROUPS: dict[str, tuple[ToolName, ...]] = {
     "Sections and steps": ("profile", "step", "angle"),
     "Places": ("point", "distance"),
     "What stands out": ("radius", "volume"),
-    "Faces": ("flatness", "texture"),
+    "Faces": ("flatness", "texture", "roughness"),
 }
 ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
     ("profile", "step", "angle"),
@@ -33,6 +33,7 @@ ICONS: dict[ToolName, Any] = {
     "volume": viser.Icon.DROPLET,
     "flatness": viser.Icon.LAYERS_SUBTRACT,
     "texture": viser.Icon.GRAIN,
+    "roughness": viser.Icon.WAVE_SAW_TOOL,
 }
 SHORT: dict[ToolName, str] = {
     "profile": "Profile",
@@ -44,6 +45,7 @@ SHORT: dict[ToolName, str] = {
     "volume": "Volume",
     "flatness": "Flatness",
     "texture": "Texture",
+    "roughness": "Roughness",
 }
 TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "profile": ("L", None),
@@ -55,6 +57,7 @@ TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "volume": ("V", None),
     "flatness": ("F", "shift"),
     "texture": ("T", "shift"),
+    "roughness": ("J", "shift"),
 }
 """The key of each, and what is held with it."""
 GAP = '<i class="wv-gap"></i>'

@@ -9,6 +9,7 @@ from wafer_viewer.measure.flatness import flatness
 from wafer_viewer.measure.point import distance, point_height
 from wafer_viewer.measure.profile import profile
 from wafer_viewer.measure.radius import bump_radius
+from wafer_viewer.measure.roughness import roughness
 from wafer_viewer.measure.step import step_height
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.measure.volume import area_volume
@@ -34,6 +35,7 @@ MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
     "volume": area_volume,
     "flatness": flatness,
     "texture": texture,
+    "roughness": roughness,
 }
 """Each takes a surface and as many places as its tool asks for."""
 

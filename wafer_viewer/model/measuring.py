@@ -7,7 +7,9 @@ from typing import Literal
 
 from wafer_viewer.model.region import RegionKind
 
-ToolName = Literal["profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture"]
+ToolName = Literal[
+    "profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture", "roughness"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,4 +49,5 @@ TOOLS: dict[ToolName, MeasuringTool] = {
     ),
     "flatness": MeasuringTool("Flatness", "Drag the region over the face.", _rectangles("face")),
     "texture": MeasuringTool("Texture", "Drag the region over the face.", _rectangles("face")),
+    "roughness": MeasuringTool("Roughness", "Drag the line over the face.", (PlaceAsked("line", "line"),)),
 }

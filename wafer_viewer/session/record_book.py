@@ -23,9 +23,9 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
-    Texture,
 )
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.texture import Roughness, Texture
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.library import Library
@@ -40,6 +40,7 @@ NAMES: dict[type[AnyFinding], str] = {
     AreaVolume: "Volume",
     Flatness: "Flatness",
     Texture: "Texture",
+    Roughness: "Roughness",
     GaugeCheck: "Gauge check",
     Defect: "Defect",
 }

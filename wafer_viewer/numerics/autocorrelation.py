@@ -1,0 +1,47 @@
+"""The areal autocorrelation of a lattice with unmeasured points, each lag over the pairs of points that it has."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.gaussian import fast_length
+
+Floats = NDArray[np.float64]
+LEAST_PAIRS = 0.05
+"""Of the measured points: a lag with fewer pairs has no value."""
+
+
+def autocorrelation(z: Floats) -> Floats:
+    """Of z [row, col] with mean 0, for lags up to half of its sides: [2 r + 1, 2 c + 1], 1 in the middle.
+
+    A lag is the mean product of the pairs of measured points that lie so far apart, over the mean square; NaN where
+    there are fewer than a twentieth as many pairs as points.
+    """
+    known = np.isfinite(z)
+    n_known = int(known.sum())
+    reach = z.shape[0] // 2, z.shape[1] // 2
+    products = _lagged(np.where(known, z, 0.0), reach)
+    pairs = _full_pairs(z.shape, reach) if n_known == z.size else np.rint(_lagged(known.astype(np.float64), reach))
+    middle = float(products[reach]) / n_known
+    return np.divide(products / middle, pairs, out=np.full(pairs.shape, np.nan), where=pairs >= LEAST_PAIRS * n_known)
+
+
+def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
+    """Sums of products of points a lag apart."""
+    from scipy.fft import irfft2, rfft2
+
+    padded = [fast_length(n + r) for n, r in zip(plane.shape, reach, strict=True)]
+    spectrum: Any = rfft2(plane, padded)
+    power = spectrum.real**2 + spectrum.imag**2
+    lags: Any = irfft2(power, padded)
+    down, across = (np.arange(-r, r + 1) for r in reach)
+    return np.asarray(lags[np.ix_(down, across)], np.float64)
+
+
+def _full_pairs(shape: tuple[int, int], reach: tuple[int, int]) -> Floats:
+    """Pairs of a lattice without holes."""
+    down, across = (n - np.abs(np.arange(-r, r + 1)) for n, r in zip(shape, reach, strict=True))
+    return np.outer(down, across).astype(np.float64)
