@@ -23,6 +23,7 @@ VARIATION_UM: dict[Grade, float] = {"K": 0.05, "0": 0.10, "1": 0.16, "2": 0.30}
 """Largest variation in length of a gauge block of up to 10 mm, ISO 3650."""
 LONGEST_UM = 10_000.0
 """Of the blocks that the variations above are of."""
+WITHOUT = "without it there is nothing to check against"
 Role = Literal["scale", "measurement", "reference"]
 """What a line of the budget belongs to: to U of x alone, to U of x and of the error, or to U of the reference."""
 
@@ -34,7 +35,7 @@ class GaugeBlock(Spec, frozen=True, kw_only=True):
     serial_number: str
     nominal_um: Positive
     value_um: Positive
-    expanded_um: Positive
+    expanded_um: Positive | None = None
 
 
 class Certificate(Spec, frozen=True, kw_only=True):
@@ -59,11 +60,15 @@ class Certificate(Spec, frozen=True, kw_only=True):
     variation_um: NonNegative | None = None
     expansion_per_k: NonNegative = 11.5e-6
     u_expansion_per_k: NonNegative = 0.6e-6
-    temperature_c: Annotated[float, Within(20, 20)] = 20.0
+    temperature_c: float = 20.0
     note: str = ""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.temperature_c != 20:
+            self.refuse("temperature_c", "20, at which lengths are certified (ISO 1)")
+        if self.expires <= self.issued:
+            self._wrong(f"expires on {self.expires} and was issued on {self.issued}: one of the days is wrong")
         if self.blocks:
             self._require_two_blocks()
         else:
@@ -76,7 +81,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
         if self.blocks:
             first, second = self.blocks
             value_um = abs(first.value_um - second.value_um)
-            expanded_um = math.hypot(first.expanded_um, second.expanded_um)
+            expanded_um = math.hypot(first.expanded_um or 0.0, second.expanded_um or 0.0)
         return Length(value_um=value_um, expanded_um=expanded_um, status="evaluated")
 
     @property
@@ -101,6 +106,9 @@ class Certificate(Spec, frozen=True, kw_only=True):
     def _require_two_blocks(self) -> None:
         if len(self.blocks) != 2:
             self._wrong(f"names {len(self.blocks)} blocks and a step lies between two")
+        for block in self.blocks:
+            if block.expanded_um is None:
+                self._wrong(f"gives no U (expanded_um, k = 2) of block {block.serial_number}: {WITHOUT}")
         if self.value_um is not None or self.expanded_um is not None or self.serial_numbers or self.nominal_um:
             self._wrong("gives both a step and two blocks: leave one of them out")
         if self.blocks[0].nominal_um == self.blocks[1].nominal_um:
@@ -112,7 +120,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
         if self.value_um is None or self.nominal_um is None:
             self._wrong("gives no step: it needs nominal_um, value_um and expanded_um, or two blocks")
         if self.expanded_um is None:
-            self._wrong("gives no U (expanded_um, k = 2): without it there is nothing to check against")
+            self._wrong(f"gives no U (expanded_um, k = 2): {WITHOUT}")
         if not any(self.serial_numbers):
             self._wrong("gives no serial_numbers: what blocks it is of must be told")
 
@@ -135,7 +143,10 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
 
 
 class GaugeRepeat(Spec, frozen=True, kw_only=True):
-    """The step in one scan of the blocks; surface: the mark of the very surface it was measured on."""
+    """The step in one scan of the blocks; surface: the mark of the very surface it was measured on.
+
+    not_evaluated: what the budget of this step leaves out.
+    """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     dataset: str
@@ -145,6 +156,7 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
     lower: Region
     height: Length
     definition: str = ""
+    not_evaluated: tuple[str, ...] = ()
     calibration: Calibration | None = None
     simulated: bool = False
 

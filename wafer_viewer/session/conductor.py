@@ -18,6 +18,7 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting, suggested_name
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.file_work import FileWork
+from wafer_viewer.session.gauge_keeper import GaugeKeeper
 from wafer_viewer.session.instrument import Instrument, Reports
 from wafer_viewer.session.jobs import JobKeeper
 from wafer_viewer.session.judging import Judge
@@ -49,6 +50,7 @@ class Conductor:
         self.notebook = NotebookKeeper(desk, self.library)
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
+        self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
         self.judge = Judge(desk, self.library, self.notices)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
@@ -74,6 +76,7 @@ class Conductor:
         self.desk.close()
         self.reopening.close(self.desk.snapshot, self.library.result_name)
         self.judge.close()
+        self.gauge.close()
         self.rig.close()
         self.reconstruction.compute.close()
         self.library.let_go()

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.model.errors import RigError
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.errors import DatasetError, RigError
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.link import Link
@@ -137,7 +138,7 @@ class Instrument:
             event.simulated,
             state,
             limits=event.limits,
-            calibration=event.calibration,
+            calibration=self._calibration(event),
             setup=event.setup,
             homed=event.homed,
         )
@@ -145,6 +146,16 @@ class Instrument:
         self._at(At(event.position))
         self._show_moves()
         self._reports.ready(event)
+
+    def _calibration(self, event: RigReady) -> Calibration | None:
+        """What the rig came with, or what it was corrected to since."""
+        from wafer_viewer.store.calibrations import calibration_in_force
+
+        try:
+            return calibration_in_force(self._desk.now.data_folder, event.name, event.calibration)
+        except DatasetError as fault:
+            self._notices.fault("The rig's calibration is not known", str(fault), "rig")
+            return None
 
     def _absent(self, event: RigAbsent) -> None:
         self._show(state="absent", message=event.why)

@@ -18,6 +18,7 @@ from wafer_viewer.session.messages import Scan, Taken
 from wafer_viewer.session.preflight import Check, Preflight, preflight
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
+from wafer_viewer.store.calibrations import calibration_in_force
 from wafer_viewer.store.dataset import Dataset
 
 
@@ -72,7 +73,7 @@ def _look_round(scan: Scan, rig: Rig) -> tuple[Check, ...]:
             plan=scan.plan,
             limits=rig.limits,
             simulated=rig.simulated,
-            calibration=rig.calibration,
+            calibration=calibration_in_force(scan.path.absolute().parent, rig.name, rig.calibration),
             setup=rig.setup,
             free_bytes=free_bytes(scan.path.absolute().parent),
             z_um=rig.stage.position().z_um,

@@ -10,6 +10,7 @@ from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.messages import Scan, ScanEnded
 from wafer_viewer.session.scan_watch import ScanWatch, Steering
+from wafer_viewer.store.calibrations import calibration_in_force
 from wafer_viewer.store.files import writing
 from wafer_viewer.store.writer import DatasetWriter
 
@@ -22,7 +23,7 @@ def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:
         scan.path,
         scan.plan,
         scan.job,
-        calibration=rig.calibration,
+        calibration=calibration_in_force(scan.path.absolute().parent, rig.name, rig.calibration),
         setup=rig.setup,
         rig=rig.name,
         simulated=rig.simulated,

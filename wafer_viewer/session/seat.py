@@ -20,6 +20,7 @@ FREE = frozenset(
         *("export_surface", "export_findings"),
         *("papers.keep_picture", "papers.write_report", "papers.contents"),
         *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
+        *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
     }
 )
 """What everybody may: look, measure without keeping, write what there is to a file, and stop what moves.

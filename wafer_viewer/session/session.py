@@ -19,6 +19,7 @@ from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
+from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.jobs import JobVerbs
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.messages import Move
@@ -26,6 +27,7 @@ from wafer_viewer.session.notebook import NotebookVerbs
 from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.sections import Sections
+from wafer_viewer.session.studies import Studies
 from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
 
 
@@ -46,6 +48,8 @@ class Session(Asking):
         self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.sections = Sections(self._questions, lambda: self.snapshot)
+        self.studies = Studies()
+        self.gauge = GaugeVerbs(self._do, rooms.gauge, self._questions, lambda: self.snapshot)
         self.papers = Papers(self._do, rooms.library, rooms.files)
         self._desk.note(rooms.start)
         atexit.register(self.close)

@@ -15,6 +15,7 @@ from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
 from wafer_viewer.session.compared import Compared
+from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.hands import Hands
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.operating import Operating
@@ -258,6 +259,7 @@ class Snapshot:
     hands: Hands = Hands()
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()
+    gauge: GaugeState = GaugeState()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
 

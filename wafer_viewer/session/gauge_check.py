@@ -1,0 +1,118 @@
+"""Gauge-block checks of datasets, for the session and the command line alike: repeats, signing, records."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.run_chart import Capability
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.gauge_state import Faces
+from wafer_viewer.session.library import today
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A surface that a repeat is measured on. problem: why its lengths are uncalibrated, or None; taken: ISO 8601."""
+
+    surface: Mosaic
+    name: str
+    taken: str = ""
+    problem: str | None = None
+
+    @property
+    def day(self) -> str:
+        """Of the measurement; today where that is not known."""
+        return self.taken[:10] or today()
+
+    @property
+    def calibration(self) -> Calibration | None:
+        """What its heights were made with."""
+        return self.surface.provenance.calibration
+
+
+def source_of(src: Path, field_number: int, result: str) -> Source:
+    """The surface of a dataset (0: the mosaic) or of a file. Raises DatasetError when it cannot be read."""
+    from wafer_viewer.session.offline import is_dataset, measured_surface
+    from wafer_viewer.store.dataset import Dataset
+
+    surface, calibrated = measured_surface(src, field_number, result)
+    if is_dataset(src):
+        data = Dataset.open(src)
+        return Source(surface, data.name, data.scan.taken, data.calibration_problem(today()))
+    return Source(surface, src.stem, problem=None if calibrated else "the file has none that holds")
+
+
+def find_faces(surface: Mosaic) -> Faces:
+    """The faces of two blocks, found by themselves. Raises MeasureError where there are none."""
+    from wafer_viewer.measure.find_faces import find_faces
+
+    found = find_faces(surface)
+    return found.upper, found.lower
+
+
+def repeat_of(source: Source, certificate: Certificate, faces: Faces | None = None) -> GaugeRepeat:
+    """The step in one scan; faces are found by themselves where none are given.
+
+    Raises MeasureError where there is no check of this scan against the certificate, or the step cannot be measured.
+    """
+    from wafer_viewer.measure.gauge import gauge_repeat, refusal
+
+    why = refusal(certificate, source.calibration, source.problem, source.day)
+    if why is not None:
+        raise MeasureError(why)
+    upper, lower = faces or find_faces(source.surface)
+    return gauge_repeat(source.surface, upper, lower, dataset=source.name, taken=source.taken)
+
+
+def check_of(
+    repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, records: Sequence[GaugeRecord]
+) -> GaugeCheck:
+    """What repeats come to, with the scatter that signed checks of these blocks found before."""
+    from wafer_viewer.measure.gauge import gauge_check
+    from wafer_viewer.measure.run_chart import pooled_scatter
+
+    return gauge_check(repeats, certificate, terms, known=pooled_scatter(records))
+
+
+def signed(check: GaugeCheck, operator: str, show: int = 0) -> GaugeCheck:
+    """The check with who signed it and when. Raises MeasureError without a name."""
+    if not operator.strip():
+        raise MeasureError("A check is signed with a name: say who made it.")
+    return replace(check, signed_by=operator.strip(), at=now(), show=show)
+
+
+def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
+    """What the log keeps of a signed check."""
+    from wafer_viewer import __version__
+
+    return GaugeRecord(check=check, rig=rig, result=result, software_version=__version__)
+
+
+def capability_of(records: Sequence[GaugeRecord], tolerance_um: float | None) -> Capability | None:
+    """Cg and Cgk over every scan of signed checks; None without a tolerance."""
+    from wafer_viewer.measure.capability import capability
+    from wafer_viewer.measure.run_chart import errors_of_scans, same_scale
+
+    return capability(errors_of_scans(same_scale(records)), tolerance_um) if tolerance_um else None
+
+
+def now() -> str:
+    """This moment, ISO 8601 with the time zone."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
+
+
+def regions(upper: tuple[float, ...] | None, lower: tuple[float, ...] | None) -> Faces | None:
+    """Two rectangles by their corners, or None. Raises MeasureError where one is missing."""
+    if upper is None and lower is None:
+        return None
+    if upper is None or lower is None:
+        raise MeasureError("One face alone makes no step: give --upper and --lower, or neither to have them found.")
+    return Region.rectangle(*upper), Region.rectangle(*lower)
