@@ -90,3 +90,19 @@ def test_an_engineer_releases_a_plan_with_a_good_dataset(judged, tmp_path):
     assert made.released
     assert (made.strategy, made.recipe.window, made.sample.lot) == ("z_snake", job.recipe.window, "")
     assert "choose another revision" in viewer(*words, "--revision", "B").stderr
+
+
+def test_another_recipe_is_tried_on_a_stored_wafer_in_a_result_of_its_own(judged, tmp_path):
+    path = shutil.copytree(judged[0], tmp_path / "w9.wafer")
+    before = (path / "results" / "default" / "verdict.json").read_bytes()
+    job = decode(JOB.read_bytes(), Job, JOB.name)
+    tight = replace(job.features[0], lower_limit=20.0, upper_limit=29.0)
+    plan = tmp_path / "plan.toml"
+    plan.write_text(encode(replace(job, recipe=replace(job.recipe, window=11), features=(tight,))))
+    said = viewer("release", plan, "--revision", "B", "--data", tmp_path, "--against", path, "--dry-run")
+    assert said.returncode == 0, said.stderr
+    lines = said.stdout.splitlines()
+    assert lines[0] == "w9.wafer: PASS -> FAIL, 0 features as before, judged on revision B"
+    assert lines[2].strip().startswith("Limits: 29 to 31 um before, 20 to 29 um now. Recipe: window 9 before, 11 now.")
+    assert (path / "results" / "revision B" / "mosaic.zarr").is_dir()
+    assert (path / "results" / "default" / "verdict.json").read_bytes() == before

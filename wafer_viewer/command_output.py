@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wafer_viewer.model.quantities import Quantity
+    from wafer_viewer.model.trial import Trial
     from wafer_viewer.model.verdict import WaferVerdict
     from wafer_viewer.session.doctor import Check
     from wafer_viewer.session.preflight import Check as LookedAt
@@ -76,6 +77,25 @@ def print_verdict(verdict: WaferVerdict) -> int:
     simulated = " SIMULATED" if verdict.simulated else ""
     print(f"{verdict.word.upper()}{simulated}: {verdict.next}")
     return 0 if verdict.word == "pass" else 1
+
+
+def print_trial(trial: Trial) -> None:
+    """Every verdict that changes with its reasons, what could not be judged, and how many there are of each."""
+    for wafer in trial.wafers:
+        words = f"{_word(wafer.before)} -> {_word(wafer.after)}" if wafer.before != wafer.after else _word(wafer.after)
+        same = f"{wafer.n_same} feature{'' if wafer.n_same == 1 else 's'} as before"
+        print(f"{wafer.dataset}: {words}, {same}, judged on {wafer.result}")
+        for change in wafer.changes:
+            measured = f"{measured_text(change.measured_before)}; {measured_text(change.measured_after)}"
+            print(f"  {change.feature}: {_word(change.before)} -> {_word(change.after)} ({measured})")
+            print(f"    {' '.join(change.why)}")
+    for left_out in trial.not_tried:
+        print(f"{left_out.dataset}: not judged. {left_out.why}")
+    print(f"{trial.job}: {trial.summary}")
+
+
+def _word(word: str | None) -> str:
+    return "not judged" if word is None else word.upper()
 
 
 def measured_text(measured: Quantity | None) -> str:

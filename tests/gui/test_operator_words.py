@@ -90,6 +90,6 @@ def test_a_verdict_is_a_word_the_wafer_and_what_to_do(verdict, word, then):
 def test_features_are_listed_with_their_u_and_why_they_do_not_pass():
     assert "30.42 ± 0.14 29.5 … 30.5" in words(features(day.OPEN))
     assert "0.08 µm from the limit" in words(features(day.OPEN))
-    bare = replace(day.PASS, items=(replace(day.PASS.items[0], height=None, word="no verdict", why="Not seen."),))
+    bare = replace(day.PASS, items=(replace(day.PASS.items[0], measured=None, word="no verdict", why="Not seen."),))
     assert "not measured" in words(features(bare))
     assert "Not seen." in words(features(bare))

@@ -218,8 +218,8 @@ def test_a_quantity_that_is_not_there_or_in_another_unit_has_no_verdict(change, 
     [
         ({"upper_limit": None}, "or else lower_limit"),
         ({"lower_limit": 4.0}, "over the lower limit 4 um"),
-        ({"places": BLOCKS.places}, "the 1 places of the tool 'flatness'"),
-        ({"tool": "point"}, r"of the tool 'point': point \(point\)"),
+        ({"places": BLOCKS.places}, r"measured at face \(rectangle\); here are rectangle, rectangle"),
+        ({"tool": "point"}, "tool 'point' is measured at point"),
     ],
 )
 def test_a_feature_that_nothing_can_be_measured_by_is_refused(change, words):

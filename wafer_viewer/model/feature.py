@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.measuring import TOOLS, ToolName
 from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.quantities import Unit
@@ -90,7 +91,8 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
         same = all(given == asked or {given, asked} <= {"rectangle", "polygon", "circle"} for given, asked in kinds)
         if len(self.places) != n or not same:
             names = ", ".join(f"{place.name} ({place.kind})" for place in TOOLS[self.tool].places)
-            self.refuse("places", f"the {n} places of the tool '{self.tool}': {names}")
+            given = ", ".join(place.kind for place in self.places)
+            raise PlanError(f"Feature '{self.name}': its tool '{self.tool}' is measured at {names}; here are {given}.")
 
 
 class Die(Spec, frozen=True, kw_only=True):

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import msgspec
 
+from wafer_viewer.model.decision import Word
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.spec import Spec
 
-Word = Literal["pass", "fail", "inconclusive", "no verdict"]
 GRAVEST: tuple[Word, ...] = ("fail", "no verdict", "inconclusive", "pass")
 """The word of a die or a wafer is the first of these that any of its features has."""
 

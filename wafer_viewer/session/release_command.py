@@ -2,35 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.trial import Trial
 from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.judging import verdict_of
-from wafer_viewer.session.releases import blank, prepared, released, write_released
+from wafer_viewer.session.releases import blank, free_place, prepared, released, revised
+from wafer_viewer.session.revision import datasets_of, try_job
 from wafer_viewer.session.summary import load_summary
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.lock import Lock
 
 
-def release_plan(plan: Path, product: str | None, revision: str | None, good: Path, result: str, folder: Path) -> Path:
-    """Release a plan with the recipe that a dataset of a good sample settled; returns its file in `folder`/jobs.
+def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:
+    """The job of a plan as it would be released in `folder`/jobs; a good sample's dataset settles what is ``auto``.
 
-    Raises PlanError with what is missing, DatasetError where the dataset has no stitched surface.
+    names: product and revision, where they are not those of the plan. Raises PlanError with what is missing and where
+    that revision is released already, DatasetError where the dataset has no stitched surface.
     """
-    job, data = read_job(plan), Dataset.open(good)
-    names = {"product": product, "revision": revision}
-    job = replace(job, **{key: name for key, name in names.items() if name is not None})
+    job = read_job(plan)
+    job = replace(job, released=False, **{key: name for key, name in names.items() if name is not None})
+    ready = revised(job) if good is None else _settled(job, Dataset.open(good), result)
+    free_place(folder, ready)
+    return ready
+
+
+def tried(job: Job, against: Sequence[Path], result: str, tell: Callable[[float], None]) -> Trial:
+    """What a job comes to on stored datasets, and in folders of them."""
+    return try_job(job, datasets_of(against), result, progress=tell)
+
+
+def _settled(job: Job, data: Dataset, result: str) -> Job:
+    """The job with the recipe that a dataset came to."""
     kept = data.result(result)
     settled, info = kept.mosaic().provenance.recipe, load_summary(kept)
     stitched = info.stitching if info is not None else None
     errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
-    return write_released(folder, released(job, data.scan.plan, settled, errors_um))
+    return released(job, data.scan.plan, settled, errors_um)
 
 
 def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um: Sequence[float]) -> Job:

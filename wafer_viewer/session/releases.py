@@ -43,6 +43,18 @@ def released(job: Job, plan: ScanPlan, settled: Recipe, errors_um: tuple[float, 
     )
 
 
+def revised(job: Job) -> Job:
+    """A job that leaves nothing to the data, as it would be released; no scan is needed for it.
+
+    Raises PlanError with what is still missing.
+    """
+    _require_complete(job)
+    if job.recipe.has_auto or job.strategy == "auto":
+        raise PlanError("The job still holds an 'auto': name a dataset of a good sample that settles it, with --good.")
+    names = {"product": job.product.strip(), "revision": job.revision.strip()}
+    return replace(prepared(job), **names, released=True)
+
+
 def blank(job: Job) -> Job:
     """The job for another wafer: its id and its place on the stage are to be given."""
     return replace(job, sample=replace(job.sample, wafer_id="", name="", slot=0), alignment=None)
@@ -68,14 +80,20 @@ def write_released(folder: Path, job: Job) -> Path:
     """Keep a released job under its product and revision. Raises PlanError where that revision is there already."""
     from wafer_viewer.store.files import write_text, writing
 
+    path = free_place(folder, job)
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, encode(job))
+    return path
+
+
+def free_place(folder: Path, job: Job) -> Path:
+    """Where a job will lie once it is released. Raises PlanError where that revision is there already."""
     path = folder / FOLDER / f"{_plain(job.product)}-{_plain(job.revision)}{ENDING}"
     if path.exists():
         raise PlanError(
             f"Revision {job.revision} of {job.product} is released already ({path.name}): choose another revision."
         )
-    with writing(path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, encode(job))
     return path
 
 
@@ -95,7 +113,7 @@ def _require_complete(job: Job) -> None:
     unplaced = [feature.name for feature in job.features if not feature.has_place]
     if unplaced or not job.features:
         what = f"feature '{unplaced[0]}' has no place" if unplaced else "job has no feature"
-        raise PlanError(f"The {what} to be measured at: give it an upper and a lower region, or there is no verdict.")
+        raise PlanError(f"The {what} to be measured at: give it one, or there is no verdict.")
 
 
 def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] | None) -> Stitching:
