@@ -25,6 +25,7 @@ PLACES_OF: dict[ToolName, tuple[Region, ...]] = {
     "volume": (Region.rectangle(-120, -20, 0, 90),),
     "flatness": (Region.rectangle(0, -30, 30, 0),),
     "texture": (Region.rectangle(0, -30, 30, 0),),
+    "roughness": (Region.line(0, -15, 30, -15),),
 }
 
 

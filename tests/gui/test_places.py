@@ -160,6 +160,7 @@ SHAPED = {
     "point": Region.point(120, 90),
     "rectangle": Region.rectangle(100, 80, 160, 120),
     "circle": Region.circle(130, 100, 25),
+    "line": Region.line(100, 80, 160, 120),
 }
 
 
@@ -174,7 +175,8 @@ def test_whatever_is_pulled_stays_on_the_surface_and_of_its_kind(kind, to) -> No
         assert x0 >= -0.01
         assert y0 >= -0.01
         assert max(x1, y1) <= SIDE_PX - 0.99
-        assert kind == "point" or (x1 - x0 >= 4 and y1 - y0 >= 4)
+        least = math.hypot(x1 - x0, y1 - y0) if kind == "line" else min(x1 - x0, y1 - y0)
+        assert kind == "point" or least >= 4 - 0.01
 
 
 def test_the_middle_moves_a_region_whole_and_the_rim_its_radius() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging, whole
+from wafer_viewer.gui.texture_words import roughness, texture
 from wafer_viewer.model.findings import (
     AnyFinding,
     AreaVolume,
@@ -21,7 +22,7 @@ from wafer_viewer.model.findings import (
 )
 from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.texture import Texture
+from wafer_viewer.model.texture import Roughness, Texture
 
 _SURFACES = {
     "unsmoothed": "measured heights, unsmoothed",
@@ -140,18 +141,6 @@ def _flatness(finding: Flatness) -> str:
     )
 
 
-def _texture(finding: Texture) -> str:
-    lengths = (("Sq", finding.sq), ("Sp", finding.sp), ("Sv", finding.sv), ("Sz", finding.sz))
-    return html.pairs(
-        [
-            *((name, whole(length.quantity)) for name, length in lengths),
-            ("Ssk, Sku", f"{number(finding.ssk, 2, signed=True)}, {number(finding.sku, 2)}"),
-            ("Points", number(finding.points, 0)),
-            ("Measured", share(finding.measured_fraction)),
-        ]
-    )
-
-
 _TOLD: dict[type, Callable[..., str]] = {
     Profile: _profile,
     PointHeight: _point,
@@ -161,7 +150,8 @@ _TOLD: dict[type, Callable[..., str]] = {
     Radius: _radius,
     AreaVolume: _volume,
     Flatness: _flatness,
-    Texture: _texture,
+    Texture: texture,
+    Roughness: roughness,
 }
 
 

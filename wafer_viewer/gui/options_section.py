@@ -65,6 +65,7 @@ class Number:
 
 
 Control = Pick | Number
+FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     "volume": (
         Pick(
@@ -73,6 +74,15 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
             {"As heights are read": None, "Plane of the border": "border", "Zero of heights": "zero"},
             "What volume lies over and under",
         ),
+    ),
+    "texture": (
+        Pick("Form removed", "form_order", FORMS, "Polynomial of least squares"),
+        Number("S-filter, µm", "s_filter_um", 0.1, off="0: no filter"),
+        Number("L-filter, µm", "l_filter_um", 0.5, off="0: no filter"),
+    ),
+    "roughness": (
+        Number("λc, µm", "lambda_c_um", 0.5, off="0: no filter"),
+        Number("λs, µm", "lambda_s_um", 0.1, off="0: no filter"),
     ),
 }
 """`field` is the field of the tool's options."""

@@ -14,7 +14,7 @@ CORE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Bearing:
-    """Core, reduced peak and reduced valley heights in um; material ratios (fractions) where peaks end, valleys begin."""
+    """Core, reduced peak and reduced valley heights in um; fractions of material where peaks end, valleys begin."""
 
     sk_um: float
     spk_um: float
