@@ -26,6 +26,7 @@ COMMANDS: dict[str, str] = {
     "measure volume": "area and volume over and under a plane",
     "measure flatness": "the flatness of a face",
     "measure texture": "the texture of a face",
+    "measure roughness": "the roughness along a line",
     "measure profile": "sections along lines, rows and columns, as numbers, table or picture",
     "measure site-range": "front-surface site range, as mounted",
     "measure rr": "repeatability and reproducibility of repeated measurements",

@@ -11,10 +11,11 @@ from typing import Annotated, Literal
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import Circle, Level, Place, Rectangle, Source, levelling_from
+from wafer_viewer.arguments import Circle, Level, Line, Place, Rectangle, Source, Um, levelling_from
 from wafer_viewer.command_output import print_json
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import RoughnessOptions, TextureOptions, ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
@@ -134,17 +135,57 @@ def measure_flatness(
     _measure("flatness", (Region.rectangle(*region),), src, level, field, result)
 
 
-def measure_texture(src: Source, region: Rectangle, level: Level = (), field: int = 0, result: str = "default") -> None:
-    """Texture of a face, the height parameters of ISO 25178 about its plane, as JSON. Stage um.
+def measure_texture(
+    src: Source,
+    region: Rectangle,
+    form_order: int = 1,
+    s_filter_um: Um = None,
+    l_filter_um: Um = None,
+    level: Level = (),
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """Texture of a face, the parameters of ISO 25178 of what form and filters leave, as JSON. Stage um.
 
     Args:
         src: A NAME.wafer or a surface file, .npz.
         region: Two opposite corners of a rectangle.
+        form_order: Order of the polynomial that is taken off as form; 0 the mean alone, 1 a plane.
+        s_filter_um: Nesting index of the Gaussian filter against shorter waves; none by default.
+        l_filter_um: Nesting index of the Gaussian filter against longer waves; none by default.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    _measure("texture", (Region.rectangle(*region),), src, level, field, result)
+    own = TextureOptions(form_order=form_order, s_filter_um=s_filter_um, l_filter_um=l_filter_um)
+    _measure("texture", (Region.rectangle(*region),), src, level, field, result, ToolOptions(texture=own))
+
+
+def measure_roughness(
+    src: Source,
+    line: Line,
+    width_um: float = 0.0,
+    lambda_c_um: Um = None,
+    lambda_s_um: Um = None,
+    level: Level = (),
+    field: int = 0,
+    result: str = "default",
+) -> None:
+    """Roughness along a line, the parameters of ISO 21920 of what the filters leave, as JSON. Stage um.
+
+    Args:
+        src: A NAME.wafer or a surface file, .npz.
+        line: The two ends of the line.
+        width_um: Width across the line that is averaged over.
+        lambda_c_um: Cut-off of the Gaussian filter against longer waves, and the sampling length; none by default.
+        lambda_s_um: Cut-off of the Gaussian filter against shorter waves; none by default.
+        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
+        field: A field of the dataset; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    own = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
+    place = Region.line(*line, width_um=width_um)
+    _measure("roughness", (place,), src, level, field, result, ToolOptions(roughness=own))
 
 
 def measure_site_range(
@@ -173,12 +214,18 @@ def measure_site_range(
 
 
 def _measure(
-    tool: ToolName, places: tuple[Region, ...], src: Path, level: tuple[str, ...], field: int, result: str
+    tool: ToolName,
+    places: tuple[Region, ...],
+    src: Path,
+    level: tuple[str, ...],
+    field: int,
+    result: str,
+    options: ToolOptions | None = None,
 ) -> None:
     from wafer_viewer.measure.tools import measured
 
     surface, calibrated = _surface(src, level, field, result)
-    _print(measured(surface, tool, places, calibrated), field)
+    _print(measured(surface, tool, places, calibrated, options), field)
 
 
 def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
