@@ -84,15 +84,15 @@ def test_a_step_is_possible_when_it_has_contents():
     def of(snapshot):
         return {step for step in STEPS if possible(step, snapshot)}
 
-    assert of(fake.planned()) == {"plan"}
-    assert of(fake.scanning()) == {"plan", "acquire", "surface"}
+    assert of(fake.planned()) == {"plan", "gauge"}
+    assert of(fake.scanning()) == {"plan", "acquire", "surface", "gauge"}
     measured = fake.measured()
     assert of(measured) == set(STEPS)
     assert of(dataclasses.replace(measured, findings=())) == set(STEPS) - {"review"}
     assert {step for step in STEPS if done(step, measured)} == {"plan", "acquire", "surface"}
     judged = tuple(Judgement(key=key_of_result(f.number), verdict="accepted") for f in measured.findings)
     reviewed = dataclasses.replace(measured, notebook=NotebookState(Notebook(judgements=judged)))
-    assert {step for step in STEPS if done(step, reviewed)} == set(STEPS) - {"report"}
+    assert {step for step in STEPS if done(step, reviewed)} == set(STEPS) - {"gauge", "report"}
 
 
 def test_both_palettes_name_the_same_colours():

@@ -12,6 +12,10 @@ from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.curves import Curves
+from wafer_viewer.gui.gauge_dock import GaugeDock
+from wafer_viewer.gui.gauge_glass import GaugeGlass
+from wafer_viewer.gui.gauge_panel import GaugePanel
+from wafer_viewer.gui.gauge_places import in_scene, take_places
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
@@ -84,7 +88,7 @@ class Drawing:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Have the scene drawn; it works on its own thread."""
-        self._scene.draw(snapshot, view)
+        self._scene.draw(snapshot, in_scene(view))
 
 
 class PossibleStep:
@@ -123,6 +127,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     curves = Curves(page)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
+    gauge = GaugePanel(page)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
     why = WhyPanel(page)
     ear.left = left.panel
@@ -138,6 +143,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             surface,
             curves,
             measure,
+            gauge,
             review,
             report,
             why,
@@ -152,6 +158,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             read_out,
             ProfileDock(page, curves),
             WhyDock(page, why),
+            GaugeDock(page),
+            GaugeGlass(page, lambda: gauge.live.answer),
         ),
         welcome,
         strip,
@@ -164,7 +172,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_page(page, scene, left, measure)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    of_parts = [*welcome.commands(), *review.commands(), *report.commands(), *left.compare.commands()]
+    with_verbs = welcome, gauge, review, report, left.compare
+    of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))
     page.on_close(measure.close)
@@ -207,7 +216,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     clicks = Latest("read-out")
     page.on_close(clicks.close)
     failed = "The surface was not read"
-    scene.on_places(guarded(page, failed)(lambda places: page.change(places=places, selected=None)))
+    scene.on_places(guarded(page, failed)(take_places(page)))
     scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
 
     def picked(x_um: float, y_um: float) -> None:

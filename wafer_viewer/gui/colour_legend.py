@@ -1,4 +1,4 @@
-"""Top right in Surface and Measure: what the colours mean, with the histogram of what is shown."""
+"""Top right wherever a surface is looked at, but in Gauge check: what the colours mean, with the histogram."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ColourLegend:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the legend up to date."""
-        scale = self._page.scale if view.on_surface else None
+        scale = self._page.scale if view.on_surface and view.step != "gauge" else None
         of_origins = scale is not None and scale.quantity == "origin"
         bar_px = self._bar_px()
         bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""

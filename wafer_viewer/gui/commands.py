@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot
 
-Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Review", "Report", "Page"]
+Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report", "Page"]
 Obstacle = Callable[[Snapshot, View], str | None]
 """Says why something is not possible now, in words that follow "Not now:"; None where it is (see obstacles.py)."""
 _SPOKEN = {"escape": "Esc", "pageup": "Page Up", "pagedown": "Page Down", "home": "Home", "enter": "Enter"}

@@ -153,7 +153,7 @@ def import_dialog(page: Page) -> None:
 
     @upload.on_upload
     def _(event: Any) -> None:
-        path.value = str(_put_down(event.target.value))
+        path.value = str(put_down(event.target.value))
         sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
 
     def begin() -> None:
@@ -273,7 +273,7 @@ def _wanted(name: str, value: float, what: str) -> None:
         raise DatasetError(f"The {name} is missing: give {what} in µm.")
 
 
-def _put_down(file: viser.UploadedFile) -> Path:
+def put_down(file: viser.UploadedFile) -> Path:
     """Keep what a browser sent in a folder of its own; only the last part of its name is taken from the sender."""
     target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or "upload.tif")
     target.write_bytes(file.content)

@@ -29,6 +29,8 @@ HANDS_ON = frozenset(
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
         *("Accepted", "Rejected", "Note", "Save view", "Move there"),
+        *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),
+        *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
     }
 )
 """By their labels: the widgets that move the rig, or change the plan, the dataset or the results.
@@ -36,11 +38,13 @@ HANDS_ON = frozenset(
 viser's button groups cannot be disabled: what they do is refused.
 """
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
+OF_GAUGE = ("gauge-tick", "gauge-drop")
 OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
 PICKS = (
     *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),
     *OF_JOBS,
     *OF_VIEWS,
+    *OF_GAUGE,
 )
 """Elements of HTML that do the same."""
 _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)

@@ -11,8 +11,9 @@ from wafer_viewer.draw.numbers import THIN, number
 from wafer_viewer.gui.html import icon, pick, safe
 from wafer_viewer.gui.kit import Cell, Gui, button, set_prop
 from wafer_viewer.gui.stopping import can_stop
-from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_STEP_PX, NARROW_WINDOW_PX, STEP_PX, by_id
+from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, NARROW_WINDOW_PX, STEP_PX, by_id
 from wafer_viewer.gui.view import Step, View
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.notebook import keys_under_review
 from wafer_viewer.session.state import RigStatus, Snapshot
 
@@ -23,9 +24,20 @@ TITLES: dict[Step, str] = {
     "acquire": "Acquire",
     "surface": "Surface",
     "measure": "Measure",
+    "gauge": "Gauge check",
     "review": "Review",
     "report": "Report",
 }
+NARROW_PX: dict[Step, int] = {
+    "plan": 70,
+    "acquire": 92,
+    "surface": 92,
+    "measure": 96,
+    "gauge": 120,
+    "review": 90,
+    "report": 84,
+}
+"""How wide each is where there is little room: together they end before Stop in a window of 1366 px."""
 SHOWN_AT_NEED: tuple[Step, ...] = ("review", "report")
 """Steps that the header leaves out as long as they have no contents."""
 _MARK = (
@@ -49,7 +61,7 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
     """Whether there is anything to do in a step."""
     data = snapshot.dataset
     match step:
-        case "plan":
+        case "plan" | "gauge":
             return True
         case "acquire":
             return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
@@ -71,6 +83,7 @@ def done(step: Step, snapshot: Snapshot) -> bool:
             "acquire": data.finished and not snapshot.scanning,
             "surface": bool(_under_review(snapshot)),
             "measure": bool(snapshot.notebook.book.judgements),
+            "gauge": any(isinstance(finding, GaugeCheck) for finding in snapshot.findings),
             "review": all_judged(snapshot),
             "report": False,
         }[step]
@@ -113,8 +126,8 @@ class Header:
     def _step_style(self, current: Step, shown: list[Step]) -> str:
         rules = "".join(_step_rules(self._steps[step], k, step == current) for k, step in enumerate(shown))
         narrow = "".join(
-            f"{by_id(self._steps[step]._impl.uuid)}{{width:{NARROW_STEP_PX}px!important;"
-            f"left:{LEFT_PX + k * NARROW_STEP_PX}px}}"
+            f"{by_id(self._steps[step]._impl.uuid)}{{width:{NARROW_PX[step]}px!important;"
+            f"left:{LEFT_PX + sum(NARROW_PX[before] for before in shown[:k])}px}}"
             for k, step in enumerate(shown)
         )
         return f"<style>{rules}@media(max-width:{NARROW_WINDOW_PX}px){{{narrow}}}</style>"

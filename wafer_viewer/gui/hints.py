@@ -74,6 +74,21 @@ FIELDS: dict[str, str] = {
     "Row": "Number of the row of pixels, 0 the top one",
     "Column": "Number of the column of pixels, 0 the left one",
     "Cursors, µm": "Two places along the line, µm from its start",
+    # Gauge check
+    "Blocks": "Serial numbers of the blocks, / between them",
+    "U (k = 2), µm": "Expanded uncertainty of the certified step",
+    "Laboratory": "Who certifies it",
+    "Number": "Of the certificate",
+    "Issued": "The day, as 2026-03-14",
+    "Valid until": "The last day, as 2027-03-14",
+    "Signed by": "Who vouches for the check; it stands in the log and in reports",
+    "Done by": "Who changes the z scale; it stands in the log",
+    "Reason": "Why it is done; it stands in the log",
+    "Limit, ± µm": "Largest error allowed, on either side; 0: no verdict",
+    "Blocks, °C": "Temperature of the blocks; 0: not measured",
+    "Tolerance, µm": "Upper limit less lower limit of the product; 0: none",
+    "Next in, days": "The next check is due after so many days",
+    "Method": "How the study is evaluated, both by AIAG",
     # Dialogs
     "Path": "On the machine that runs the viewer",
     "z step, µm": _limited("Between two images of the stack, µm", FocusSweep, "z_step_um"),
@@ -113,7 +128,7 @@ BUTTONS: dict[str, str] = {
     "Rejected": "Reject",
 }
 """Labels of buttons, and the verbs whose keys do the same."""
-STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Review", "Report"
+STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report"
 _SCRIPT = (
     "if(!window.wvTitles)document.addEventListener('mouseover',event=>{"
     "const b=event.target.closest?.('button'),t=b&&window.wvTitles[b.textContent.trim()];if(t&&!b.title)b.title=t});"

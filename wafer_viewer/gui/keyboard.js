@@ -33,6 +33,10 @@ if (!window.wvKeyboard) {
     if (plain && (event.key === 'F1' || event.key === '?')) {
       consume(event);
       document.querySelector('.wv-keys-sheet')?.click();
+    } else if (plain && event.key === 'Enter' && event.target.closest?.('button, [role=button]')) {
+      /* It presses what has the focus, and is no key of ours then. */
+      consume(event);
+      event.target.closest('button, [role=button]').click();
     } else if (plain && event.shiftKey && /^(Digit|Key)/.test(event.code)) {
       /* Shift + 1 types an exclamation mark, and viser's camera asks for no shift: the key alone goes on. */
       again(event, { key: event.code.replace(/^(Digit|Key)/, ''), code: '' });

@@ -40,7 +40,15 @@ from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.session.state import Snapshot
 
 ICON = viser.Icon
-STEP_KEYS: dict[Step, str] = {"plan": "P", "acquire": "A", "surface": "S", "measure": "M", "review": "R", "report": "O"}
+STEP_KEYS: dict[Step, str] = {
+    "plan": "P",
+    "acquire": "A",
+    "surface": "S",
+    "measure": "M",
+    "gauge": "G",
+    "review": "R",
+    "report": "O",
+}
 """Each with shift."""
 EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
 

@@ -10,6 +10,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
 from wafer_viewer.gui.field_map import FieldMap
+from wafer_viewer.gui.gauge_left import GaugeList
 from wafer_viewer.gui.job_list import job_list
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
@@ -32,6 +33,7 @@ class LeftPanel:
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self._review = Cell(page.gui)
+            self._gauge = GaugeList(page)
             self.compare = CompareSection(page)
             self._build_datasets()
             self.results = ResultList(page)
@@ -46,6 +48,7 @@ class LeftPanel:
         self._works.show(job_list(snapshot, view))
         self._views.show(views_html(snapshot, view))
         self._review.show(review_list(snapshot, view))
+        self._gauge.show(snapshot, view)
         self.compare.show(snapshot, view)
         set_prop(self._datasets, "visible", view.step in ("plan", "surface"))
         opened = snapshot.dataset.path if snapshot.dataset else None

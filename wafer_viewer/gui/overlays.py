@@ -11,6 +11,7 @@ from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
 from wafer_viewer.gui import html
 from wafer_viewer.gui.bottom import room_px
+from wafer_viewer.gui.gauge_places import in_scene
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
@@ -64,7 +65,8 @@ class ScaleBar:
         um_per_pixel = self._scene.um_per_pixel()
         y_px = -(EDGE_PX + room_px(view))
         narrow = self._camera.image_width < NARROW_SCENE_PX
-        self._glass.show(_scale_bar(um_per_pixel, _drawn(snapshot, view, narrow)) if um_per_pixel else "", y_px=y_px)
+        drawn = _drawn(snapshot, in_scene(view), narrow)
+        self._glass.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
 
 
 class ReadOutBox:

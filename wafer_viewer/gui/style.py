@@ -51,10 +51,11 @@ BRAND = {False: (4, 44, 61), True: (29, 127, 174)}
 """viser takes the colour as the eighth shade of ten and draws a lighter one: these come out as the accent."""
 RGB_OF_TONE = {"attention": (217, 130, 0), "fault": (180, 35, 24), "busy": (11, 110, 153), "good": (24, 121, 78)}
 
+SHEETS = "page.css", "gauge.css"
 HEADER_PX, LEFT_PX, RIGHT_PX = 56, 300, 404
 PROFILE_PX = 268
 """Height of the bottom panel with a curve in it."""
-STEP_PX, NARROW_STEP_PX, NARROW_WINDOW_PX = 116, 96, 1460
+STEP_PX, NARROW_WINDOW_PX = 116, 1540
 
 
 def palette(dark: bool) -> dict[str, str]:
@@ -75,4 +76,4 @@ def by_id(uuid: str) -> str:
 
 @cache
 def _page_css() -> str:
-    return (Path(__file__).parent / "page.css").read_text()
+    return "\n".join((Path(__file__).parent / name).read_text() for name in SHEETS)

@@ -83,7 +83,7 @@ class Tools:
         land = Land(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
         with self._lock:
             self._land = land
-            self._show_tools(view, land if view.step == "measure" else None)
+            self._show_tools(view, land if view.step in ("measure", "gauge") else None)
             self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
             self._show_mark(view, land)
             self._redraw()

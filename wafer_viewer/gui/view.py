@@ -12,12 +12,12 @@ from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 
-Step = Literal["plan", "acquire", "surface", "measure", "review", "report"]
+Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "report"]
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Tool = Literal["none"] | ToolName
 ReviewFilter = Literal["all", "open", "rejected"]
-Below = Literal["none", "profile", "why"]
+Below = Literal["none", "profile", "why", "gauge"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,8 @@ class View:
     lines: those of the profiles, at most four; line: the active one, whose numbers are shown;
     plot: what was chosen of their plot.
     why: the place, stage um, whose height is being explained.
+    faces: of the gauge blocks, the upper one first; none: they are still to be found. check: which earlier check is
+    looked at, by its key; None the one that is being made.
     review: the key of what is under review, None the first; review_filter: which of all are listed.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     """
@@ -59,6 +61,8 @@ class View:
     levelling: Levelling = Levelling()
     selected: int | None = None
     why: tuple[float, float] | None = None
+    faces: tuple[Region, ...] = ()
+    check: str | None = None
     review: str | None = None
     review_filter: ReviewFilter = "all"
     everything: bool = False
@@ -94,4 +98,6 @@ class View:
         """Which curve takes the room below the scene."""
         if self.explains:
             return "why"
+        if self.step == "gauge":
+            return "gauge"
         return "profile" if self.step == "measure" and self.tool == "profile" else "none"

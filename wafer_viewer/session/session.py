@@ -27,8 +27,8 @@ from wafer_viewer.session.notebook import NotebookVerbs
 from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.sections import Sections
-from wafer_viewer.session.studies import Studies
 from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
+from wafer_viewer.session.studies import Studies
 
 
 class Session(Asking):

@@ -1,0 +1,188 @@
+"""A run chart as HTML: the errors of signed checks in their order, each with its U, between the limits of both kinds.
+
+Colours are the page's custom properties, so one drawing serves light and dark. Lines lie in a stretched SVG, points
+and words beside it in shares of its sides, so the drawing is as wide and as high as its place.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from wafer_viewer.draw.numbers import number, value_and_u
+from wafer_viewer.draw.ticks import tick_digits, ticks
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.run_chart import ChartPoint, RunChart
+
+LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 64, 70, 8, 22
+MOST_POINTS = 30
+"""The newest checks: more would not be told apart."""
+_SIDE = 1000.0
+_ROOM = 0.08
+"""Over and under the outermost value stays this share of the height."""
+_MOST_Y, _MOST_X, _LABEL_SHARE = 5, 10, 0.115
+_DASHES, _DOTS = 'stroke-dasharray="7 5"', 'stroke-dasharray="2 4"'
+Attributes = Callable[[ChartPoint], str]
+"""Makes of a point something to click: HTML attributes."""
+
+
+def run_chart_html(chart: RunChart, attributes: Attributes = lambda point: "", chosen: str = "") -> str:
+    """The newest checks of a chart; `chosen`: when the one was signed that is looked at.
+
+    Raises MeasureError for a chart without a point.
+    """
+    points = chart.points[-MOST_POINTS:]
+    if not points:
+        raise MeasureError("The run chart has no point: sign a check first.")
+    frame, lines = _frame(chart, points), _lines(chart)
+    drawn = "".join((_grid(frame, points), *(_level(frame, line) for line in lines), _bars(frame, points)))
+    dots = "".join(_dot(frame, k, point, attributes(point), chosen) for k, point in enumerate(points))
+    words = f"{_y_words(frame)}{_x_words(frame, points)}{_names(frame, lines)}"
+    place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
+    return (
+        f'<div class="wv-plot wv-run"><div style="position:absolute;{place}">'
+        f'<svg viewBox="0 0 {_SIDE:g} {_SIDE:g}" preserveAspectRatio="none" role="img" aria-label="Run chart">'
+        f"{drawn}{_way(frame, points)}</svg>{words}{dots}</div>"
+        '<span class="wv-plot-y">Error, µm</span></div>'
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    """A level right across, its name at its end, its look."""
+
+    um: float
+    name: str
+    colour: str
+    width_px: float
+    dashes: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Between which errors the chart runs, and how many checks lie in it."""
+
+    low_um: float
+    high_um: float
+    n: int
+
+    def across(self, k: int) -> float:
+        """Where a check lies, 0 at the left and 1 at the right end; one alone in the middle."""
+        return (k + 0.5) / self.n
+
+    def down(self, um: float) -> float:
+        """Where an error lies, 0 at the top and 1 at the foot."""
+        return (self.high_um - um) / (self.high_um - self.low_um)
+
+    @property
+    def y_ticks(self) -> list[float]:
+        """Round errors."""
+        return ticks(self.low_um, self.high_um, _MOST_Y)
+
+
+def _lines(chart: RunChart) -> list[_Line]:
+    """The most telling first: its name has the best place."""
+    lines = [_Line(0.0, "certificate", "ink3", 1.2)]
+    if chart.limit_um is not None:
+        lines += [_Line(side * chart.limit_um, "limit", "fault", 1.4, _DASHES) for side in (1, -1)]
+    if len(chart.points) > 1:
+        lines.append(_Line(chart.mean_um, "mean", "accent", 1.2, _DOTS))
+    controls = [um for um in (chart.high_um, chart.low_um) if um is not None]
+    return lines + [_Line(um, "mean ± 3 s", "attention", 1.1, _DOTS) for um in controls]
+
+
+def _frame(chart: RunChart, points: Sequence[ChartPoint]) -> _Frame:
+    told = [line.um for line in _lines(chart)]
+    told += [p.value.value_um + side * (p.value.expanded_um or 0.0) for p in points for side in (-1, 1)]
+    low, high = min(told), max(told)
+    room = _ROOM * (high - low) or 0.1
+    return _Frame(low - room, high + room, len(points))
+
+
+def _path(d: str, colour: str, width_px: float, more: str = "") -> str:
+    return f'<path d="{d}" stroke="var(--{colour})" stroke-width="{width_px:g}" {more}/>'
+
+
+def _grid(frame: _Frame, points: Sequence[ChartPoint]) -> str:
+    along = "".join(f"M0 {_SIDE * frame.down(um):.1f}H{_SIDE:g}" for um in frame.y_ticks)
+    up = "".join(f"M{_SIDE * frame.across(k):.1f} 0V{_SIDE:g}" for k, _ in _days(points))
+    return _path(along + up, "line", 1)
+
+
+def _level(frame: _Frame, line: _Line) -> str:
+    return _path(f"M0 {_SIDE * frame.down(line.um):.1f}H{_SIDE:g}", line.colour, line.width_px, line.dashes)
+
+
+def _bars(frame: _Frame, points: Sequence[ChartPoint]) -> str:
+    """U of every check, as an upright line through its point."""
+    known = [
+        (k, p.value.value_um, p.value.expanded_um) for k, p in enumerate(points) if p.value.expanded_um is not None
+    ]
+    upright = "".join(
+        f"M{_SIDE * frame.across(k):.1f} {_SIDE * frame.down(um + u):.1f}V{_SIDE * frame.down(um - u):.1f}"
+        for k, um, u in known
+    )
+    return _path(upright, "ink3", 1.2, 'opacity=".55"') if upright else ""
+
+
+def _way(frame: _Frame, points: Sequence[ChartPoint]) -> str:
+    """From check to check; one that failed is left out, so that the way of the others is seen."""
+    good = [(k, p.value.value_um) for k, p in enumerate(points) if p.verdict != "fail"]
+    d = "L".join(f"{_SIDE * frame.across(k):.1f} {_SIDE * frame.down(um):.1f}" for k, um in good)
+    return _path(f"M{d}", "accent", 1.6, 'opacity=".75"') if len(good) > 1 else ""
+
+
+def _dot(frame: _Frame, k: int, point: ChartPoint, attributes: str, chosen: str) -> str:
+    at = f"left:{100 * frame.across(k):.2f}%;top:{100 * frame.down(point.value.value_um):.2f}%"
+    look = f"{point.verdict.replace(' ', '-')}{' sel' if point.at == chosen else ''}{' breaks' if point.breaks else ''}"
+    told = html.escape(_told(point), quote=True)
+    return f'<u class="wv-dot {look}" style="{at}" title="{told}" aria-label="{told}" {attributes}></u>'
+
+
+def _told(point: ChartPoint) -> str:
+    value, u = value_and_u(point.value.value_um, point.value.expanded_um, 3, signed=True)
+    with_u = f"{value} ± {u} µm" if point.value.expanded_um is not None else f"{value} µm"
+    at = datetime.fromisoformat(point.at)
+    return " · ".join((f"{_day(point)} {at:%H:%M}", with_u, point.verdict, *point.breaks))
+
+
+def _y_words(frame: _Frame) -> str:
+    digits = tick_digits(frame.y_ticks)
+    return "".join(
+        f'<i class="y" style="top:{100 * frame.down(um):.2f}%">{number(um, digits, signed=True)}</i>'
+        for um in frame.y_ticks
+    )
+
+
+def _x_words(frame: _Frame, points: Sequence[ChartPoint]) -> str:
+    return "".join(f'<i class="x" style="left:{100 * frame.across(k):.2f}%">{day}</i>' for k, day in _days(points))
+
+
+def _days(points: Sequence[ChartPoint]) -> list[tuple[int, str]]:
+    """The first check of each day that there is room to name."""
+    days = [_day(point) for point in points]
+    first = [(k, day) for k, day in enumerate(days) if k == 0 or day != days[k - 1]]
+    named: list[tuple[int, str]] = []
+    for k, day in first:
+        if not named or k - named[-1][0] >= len(points) / _MOST_X:
+            named.append((k, day))
+    return named
+
+
+def _day(point: ChartPoint) -> str:
+    at = datetime.fromisoformat(point.at)
+    return f"{at.day} {at:%b}"
+
+
+def _names(frame: _Frame, lines: Sequence[_Line]) -> str:
+    """What the lines mean, at their right ends; one without room there has none."""
+    placed: list[float] = []
+    words = ""
+    for line in lines:
+        down = frame.down(line.um)
+        if all(abs(down - other) >= _LABEL_SHARE for other in placed):
+            placed.append(down)
+            words += f'<b class="wv-run-name" style="top:{100 * down:.2f}%;color:var(--{line.colour})">{line.name}</b>'
+    return words

@@ -1,0 +1,160 @@
+"""Questions of Gauge check: which certificate, who signs, whether the z scale is really to be corrected."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import Dialog, put_down
+from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.verdict_words import LOOKS
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
+
+WAIT_S = 20.0
+"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+NOT_TAKEN = "The certificate was not taken"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """The fields of a certificate that is typed in."""
+
+    serials: Any
+    step: Any
+    expanded: Any
+    nominal: Any
+    laboratory: Any
+    number: Any
+    issued: Any
+    expires: Any
+
+
+def certificate_dialog(page: Page) -> None:
+    """Take a certificate from a file, or type it in."""
+    dialog = Dialog(page, "Certificate of the gauge blocks", "A file as the README describes it, TOML or JSON.")
+    with dialog.modal:
+        path = page.gui.add_text("Path", "")
+        upload = page.gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD)
+        outlined(page.gui, upload, 32)
+        sent = Cell(page.gui)
+        Cell(page.gui, html.head("Or type it in"))
+        form = _form(page, page.session.snapshot.gauge.certificate)
+
+    @upload.on_upload
+    def _(event: Any) -> None:
+        path.value = str(put_down(event.target.value))
+        sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
+
+    def take() -> None:
+        if path.value.strip():
+            _wait(page.session.gauge.load_certificate(Path(path.value.strip()).expanduser()))
+        else:
+            _wait(page.session.gauge.put_certificate(_typed(form)))
+
+    dialog.answers("Take this certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
+
+
+def sign_dialog(page: Page, check: GaugeCheck) -> None:
+    """Sign a check: the word and the error once more, and who vouches for them."""
+    word, _, tone = LOOKS[check.verdict]
+    dialog = Dialog(
+        page, "Sign this check?", "It is kept with the dataset and in the log of checks, and stays as it is."
+    )
+    error = with_unit(check.deviation.value_um, 3, signed=True)
+    told = f'<b style="color:var(--{tone})">{word}</b> · error {error} · {check.n} scan{"" if check.n == 1 else "s"}'
+    with dialog.modal:
+        Cell(page.gui, f'<div style="padding:2px 0 8px">{told}</div>')
+        name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
+
+    def sign() -> None:
+        if not name.value.strip():
+            raise MeasureError("Nobody has signed: type your name.")
+        _wait(page.session.gauge.sign(name.value.strip()))
+        page.change(check=None)
+
+    dialog.answers("Sign and save", viser.Icon.SIGNATURE, sign, "The check was not signed")
+
+
+def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
+    """Correct the z scale: what changes by it, who does it and why."""
+    below = "Scans from now on are taken with the new scale. Datasets and signed checks stay as they are."
+    dialog = Dialog(page, "Correct the z scale?", below)
+    now = page.session.snapshot.rig.calibration
+    pairs = [
+        ("z scale now", number(now.z_scale, 6) if now is not None else "none"),
+        ("z scale then", number(offered.calibration.z_scale, 6)),
+        ("The checked step changes by", with_unit(offered.changes_um, 3, signed=True)),
+        ("Set against then", offered.calibration.against),
+    ]
+    with dialog.modal:
+        Cell(page.gui, html.pairs(pairs) + _warned(offered))
+        name = page.gui.add_text("Done by", page.browser.name or _operator(page))
+        why = page.gui.add_text("Reason", "")
+
+    def correct() -> None:
+        if not name.value.strip():
+            raise MeasureError("Nobody is named for the correction: type your name.")
+        _wait(page.session.gauge.correct_scale(name.value.strip(), why.value.strip()))
+
+    dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale stays")
+
+
+def _warned(offered: ScaleCorrection) -> str:
+    same = "A check against these blocks is no check from then on: the scale comes from them. Use others."
+    return html.note("attention", same, offered.advice)
+
+
+def _form(page: Page, known: Certificate | None) -> _Form:
+    gui, step = page.gui, known.step if known is not None else None
+    certified_um, u_um = (step.value_um, step.expanded_um or 0.0) if step is not None else (0.0, 0.0)
+    nominal_um = known.step_nominal_um if known is not None else 0.0
+    return _Form(
+        serials=gui.add_text("Blocks", " / ".join(known.serials) if known is not None else ""),
+        step=gui.add_number("Step, µm", certified_um, min=0.0, step=0.001, hint="The certified step"),
+        expanded=gui.add_number("U (k = 2), µm", u_um, min=0.0, step=0.001),
+        nominal=gui.add_number("Nominal, µm", nominal_um, min=0.0, step=1.0, hint="What the step is called"),
+        laboratory=gui.add_text("Laboratory", known.laboratory if known is not None else ""),
+        number=gui.add_text("Number", known.number if known is not None else ""),
+        issued=gui.add_text("Issued", known.issued.isoformat() if known is not None else ""),
+        expires=gui.add_text("Valid until", known.expires.isoformat() if known is not None else ""),
+    )
+
+
+def _typed(form: _Form) -> Certificate:
+    """The certificate that was typed in. Raises MeasureError for what is missing or is no day."""
+    return Certificate(
+        number=form.number.value.strip() or "typed in",
+        laboratory=form.laboratory.value.strip() or "not named",
+        issued=_day("issue", form.issued.value),
+        expires=_day("expiry", form.expires.value),
+        nominal_um=form.nominal.value or form.step.value or None,
+        value_um=form.step.value or None,
+        expanded_um=form.expanded.value or None,
+        serial_numbers=tuple(part.strip() for part in form.serials.value.split("/") if part.strip()),
+    )
+
+
+def _day(of: str, text: str) -> date:
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError as fault:
+        raise MeasureError(f"The day of {of} {text.strip()!r} is no date: write it as 2027-03-14.") from fault
+
+
+def _operator(page: Page) -> str:
+    data = page.session.snapshot.dataset
+    sample = data.job.sample if data is not None else None
+    return sample.operator if sample is not None else ""
+
+
+def _wait(verb: Future[Any]) -> None:
+    verb.result(WAIT_S)

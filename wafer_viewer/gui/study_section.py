@@ -1,0 +1,67 @@
+"""Gauge R&R in the panel of Gauge check: a study is taken from its file, and told as a table with bars."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import Dialog, put_down
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.study_words import METHODS, study
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.repeatability import Method
+
+FAILED = "The study was not read"
+METHOD_OF: dict[str, Method] = {word.capitalize(): method for method, word in METHODS.items()}
+HEAD = "Repeatability and reproducibility"
+
+
+class StudySection:
+    """What the last study of this browser came to, and the way to the next."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._told = ""
+        self._cell = Cell(page.gui)
+        ask = guarded(page, FAILED)(lambda _: self.ask())
+        in_a_row(page.gui, [button(page.gui, "Gauge R&R study…", viser.Icon.TABLE_IMPORT, ask)])
+
+    def show(self) -> None:
+        """Bring the section up to date."""
+        waits = '<div class="wv-lab" style="margin-bottom:6px">How much of a spread is the gauge\'s, by AIAG.</div>'
+        self._cell.show(html.head(HEAD) + (self._told or waits))
+
+    def ask(self) -> None:
+        """Ask which study, by which method."""
+        below = "A CSV with the columns part, appraiser and value, a line for each trial."
+        dialog = Dialog(self._page, "Gauge R&R study", below)
+        gui = self._page.gui
+        with dialog.modal:
+            path = gui.add_text("Path", "")
+            upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="text/csv")
+            outlined(gui, upload, 32)
+            sent = Cell(gui)
+            method = gui.add_dropdown("Method", tuple(METHOD_OF))
+            tolerance = gui.add_number("Tolerance, µm", 0.0, min=0.0, step=0.1)
+
+        @upload.on_upload
+        def _(event: Any) -> None:
+            path.value = str(put_down(event.target.value))
+            sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
+
+        def read() -> None:
+            self._read(path.value, method.value, tolerance.value)
+
+        dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, FAILED)
+
+    def _read(self, path: str, method: str, tolerance_um: float) -> None:
+        if not path.strip():
+            raise MeasureError("No study is given: type the path of its CSV, or send the file.")
+        found = self._page.session.studies.gauge_rr(Path(path.strip()), METHOD_OF[method], tolerance_um or None)
+        self._told = study(found, Path(path.strip()).name)
+        self._page.redraw()
