@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.profile import profile
     from wafer_viewer.measure.quality import Quality, compare_with_truth
     from wafer_viewer.measure.radius import bump_radius
-    from wafer_viewer.measure.repeatability import gauge_rr
+    from wafer_viewer.measure.repeatability import gauge_rr, repeats_of, study_rr
     from wafer_viewer.measure.roughness import roughness
     from wafer_viewer.measure.step import step_height
     from wafer_viewer.measure.texture import texture
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.reconstruct.why import focus_curve
     from wafer_viewer.rigs.config import RigConfig
+    from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export
@@ -114,9 +115,12 @@ _HOMES = {
     "profile": "measure.profile",
     "read_npz": "store.npz",
     "reconstruct": "reconstruct.field",
+    "repeats_of": "measure.repeatability",
     "roughness": "measure.roughness",
     "site_ranges": "measure.one_sided",
     "step_height": "measure.step",
+    "studies_of": "session.repeat_study",
+    "study_rr": "measure.repeatability",
     "stitch": "reconstruct.stitch",
     "texture": "measure.texture",
 }
@@ -176,10 +180,13 @@ __all__ = [
     "profile",
     "read_npz",
     "reconstruct",
+    "repeats_of",
     "roughness",
     "site_ranges",
     "step_height",
     "stitch",
+    "studies_of",
+    "study_rr",
     "texture",
 ]
 

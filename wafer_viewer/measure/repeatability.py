@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.repeatability import GaugeRR, Method
+from wafer_viewer.model.repeatability import GaugeRR, Method, Repeats, Study
 
 Values = NDArray[np.float64]
 """[part, appraiser, trial]."""
@@ -31,6 +31,24 @@ def gauge_rr(values: ArrayLike, *, method: Method = "anova", tolerance: float | 
     """
     x = _checked(values)
     return _METHODS[method](x, tolerance)
+
+
+def study_rr(study: Study, method: Method = "anova") -> GaugeRR:
+    """Gauge R&R of a study, with the feature's tolerance. Raises MeasureError as `gauge_rr` does."""
+    return gauge_rr(np.array(study.values), method=method, tolerance=study.tolerance)
+
+
+def repeats_of(study: Study) -> Repeats:
+    """How well a feature repeats: for the line of a budget. A single part measured twice is enough.
+
+    Raises MeasureError where nothing was measured twice.
+    """
+    x = np.asarray(study.values, float)
+    df = x.shape[0] * x.shape[1] * (x.shape[2] - 1)
+    if df < 1:
+        raise MeasureError(f"'{study.feature}' was measured once on each part: scan one of them again at least.")
+    s = float(np.sqrt(((x - x.mean(axis=2, keepdims=True)) ** 2).sum() / df))
+    return Repeats(s=s, degrees_of_freedom=df, unit=study.unit)
 
 
 def _by_anova(x: Values, tolerance: float | None) -> GaugeRR:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from wafer_viewer.measure.budget import LESS_WITH_REPEATS
 from wafer_viewer.measure.tools import measured
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
@@ -18,8 +19,6 @@ from wafer_viewer.model.verdict import GRAVEST, Judged, JudgedDie, Word
 
 COVERAGE = 2.0
 """The factor k of every expanded uncertainty."""
-LESS_WITH_REPEATS = ("noise and form of the faces", "interpolation between frames")
-"""Lines of a step's budget that the mean of several scans makes smaller; the others are the same in each."""
 MOST_REPEATS = 25
 """More scans than this are a matter for the engineer."""
 

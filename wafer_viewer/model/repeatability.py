@@ -1,13 +1,51 @@
-"""What a study of repeatability and reproducibility finds: how much of the spread is the gauge's."""
+"""Studies of repeatability and reproducibility: what was measured again and again, and what is found by it."""
 
 from __future__ import annotations
 
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.quantities import Unit
 from wafer_viewer.model.spec import NonNegative, Positive, Spec
 
 Method = Literal["range", "anova"]
+
+
+class Study(Spec, frozen=True, kw_only=True):
+    """One feature measured again and again: `values` [part][appraiser][trial] in `unit`, trials in order of time.
+
+    tolerance: of the feature, upper limit less lower. simulated: whether any of the scans is.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    feature: str
+    unit: Unit
+    parts: tuple[str, ...]
+    appraisers: tuple[str, ...]
+    values: tuple[tuple[tuple[float, ...], ...], ...]
+    tolerance: Positive | None = None
+    simulated: bool = False
+
+    @property
+    def trials(self) -> int:
+        """How often everyone measured every part."""
+        return len(self.values[0][0])
+
+
+class Repeats(Spec, frozen=True, kw_only=True):
+    """How well a measurement repeats: the standard deviation of one, pooled over cells of like repeats.
+
+    degrees_of_freedom: of the deviation; `u_of_mean` is the standard uncertainty of the mean of n.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    s: NonNegative
+    degrees_of_freedom: int
+    unit: Unit
+
+    def u_of_mean(self, n: int) -> float:
+        """Standard uncertainty (k = 1) of the mean of n measurements."""
+        return self.s / n**0.5
 
 
 class GaugeRR(Spec, frozen=True, kw_only=True):

@@ -150,7 +150,7 @@ def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: 
 
     surface = kept.mosaic() if remade else before.surface
     lies = data.scan.job.alignment if job.marks is not None else None
-    for feature, die in _judged_places(job):
+    for feature, die in judged_places(job):
         then = before.items.get((feature.name, die.name if die else ""))
         if then is not None and then.measured is not None and not remade and _same_number(then, before, feature, die):
             yield replace(judge(feature, then.measured), die=then.die)
@@ -165,7 +165,8 @@ def _same_number(then: Judged, before: _Before, feature: Feature, die: Die | Non
     return then.feature.measures == feature.measures and was_on == die
 
 
-def _judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
+def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
+    """Every feature that is judged by itself, with each die that it is repeated on."""
     for feature in job.features:
         if feature.has_place and not feature.per_die:
             yield feature, None
