@@ -13,6 +13,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.angle import face_angle
+    from wafer_viewer.measure.find_faces import find_faces
     from wafer_viewer.measure.flatness import flatness
     from wafer_viewer.measure.levelled import levelled
     from wafer_viewer.measure.one_sided import site_ranges
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
         Profile,
         ProfileCurve,
         Radius,
-        StepHeight,
     )
     from wafer_viewer.model.levelling import Levelling
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.repeatability import GaugeRR
     from wafer_viewer.model.sample import Sample
     from wafer_viewer.model.stack import FieldStack
+    from wafer_viewer.model.step import StepHeight
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
     from wafer_viewer.model.texture import Roughness, Texture
     from wafer_viewer.reconstruct.compare import compare
@@ -95,7 +96,7 @@ _HOMES = {
     "Sample": "model.sample",
     "ScanPlan": "model.plan",
     "Session": "session.session",
-    "StepHeight": "model.findings",
+    "StepHeight": "model.step",
     "Texture": "model.texture",
     "WaferViewerError": "model.errors",
     "area_volume": "measure.volume",
@@ -105,6 +106,7 @@ _HOMES = {
     "distance": "measure.point",
     "export": "store.exporters",
     "face_angle": "measure.angle",
+    "find_faces": "measure.find_faces",
     "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
     "gauge_rr": "measure.repeatability",
@@ -170,6 +172,7 @@ __all__ = [
     "distance",
     "export",
     "face_angle",
+    "find_faces",
     "flatness",
     "focus_curve",
     "gauge_rr",
