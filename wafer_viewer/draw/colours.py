@@ -51,6 +51,7 @@ ORIGIN_COLOURS: dict[Origin, Rgb] = {
     Origin.OUTLIER: (155, 108, 250),
     Origin.STEP_EDGE: (208, 143, 216),
     Origin.TOO_FEW_FRAMES: (111, 96, 181),
+    Origin.NO_REASON: (24, 12, 12),
 }
 """Any two are at least 12 apart (CIEDE2000), to colour-blind eyes as well."""
 

@@ -32,6 +32,7 @@ class Origin(IntEnum):
     OUTLIER = 17
     TOO_FEW_FRAMES = 18
     STEP_EDGE = 19
+    NO_REASON = 20
 
 
 UNMEASURED_FROM = 10
@@ -48,6 +49,7 @@ ORIGIN_TITLES: dict[Origin, str] = {
     Origin.OUTLIER: "outlier",
     Origin.TOO_FEW_FRAMES: "too few frames",
     Origin.STEP_EDGE: "at the edge of a step",
+    Origin.NO_REASON: "no reason given",
 }
 
 

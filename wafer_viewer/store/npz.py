@@ -9,14 +9,18 @@ from __future__ import annotations
 import struct
 import zipfile
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Provenance
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.formats.strips import Strips
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 OVERLAP = "overlap_um"
@@ -31,6 +35,26 @@ def write_npz(surface: HeightMap, path: Path) -> None:
     arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
     with path.open("wb") as file:
         np.savez(file, provenance=np.array(encode(surface.provenance, "json")), **arrays)
+
+
+def write_npz_strips(strips: Strips, path: Path) -> None:
+    """Write a surface to a path layer by layer, each strip by strip: a few rows of it are in memory at a time."""
+    surface, (rows, cols) = strips.surface, strips.shape
+    corner = surface.window(Region.point(surface.x0_um, surface.y0_um))
+    with_overlap = corner.overlap_um is not None and strips.every == 1
+    names = (*LAYERS, OVERLAP) if with_overlap else LAYERS
+    said = {"provenance": encode(surface.provenance, "json"), "x0_um": surface.x0_um, "y0_um": surface.y0_um}
+    with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+        for part, name in enumerate(names):
+            dtype = getattr(corner, name).dtype
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                head = {"descr": dtype.str, "fortran_order": False, "shape": (rows, cols)}
+                np.lib.format.write_array_header_1_0(file, head)
+                for layer in strips.layer(name, part, len(names)):
+                    file.write(np.ascontiguousarray(layer).tobytes())
+        for name, value in {**said, "pixel_um": strips.pixel_um}.items():
+            with archive.open(f"{name}.npy", "w") as file:
+                np.lib.format.write_array(file, np.array(value))
 
 
 def read_npz(path: str | Path) -> HeightMap:

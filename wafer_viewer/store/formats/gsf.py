@@ -1,0 +1,101 @@
+"""GSF, Gwyddion's simple field: lines of text, then 32-bit floats from the top row down.
+
+Lengths are in m. Its y points downward, so YOffset is minus the stage's y of the top edge. Source: Gwyddion user guide,
+'Gwyddion Simple Field file format'.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.formats.about import OURS, about, title, told_by
+from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
+from wafer_viewer.store.formats.strips import Strips
+
+MAGIC = b"Gwyddion Simple Field 1.0\n"
+_LARGEST_HEADER = 1_000_000
+_M = 1e-6
+"""A um in m."""
+
+
+def write_gsf(strips: Strips, path: Path) -> None:
+    """Heights in m as 32-bit floats, NaN where unmeasured."""
+    with path.open("wb") as file:
+        file.write(_header(strips))
+        for z_um in strips.layer("z_um"):
+            file.write((z_um.astype(np.float64) * _M).astype("<f4").tobytes())
+
+
+def read_gsf(path: Path, asked: Asked) -> HeightMap:
+    """Heights of a GSF file. Raises DatasetError for what is no such file, or does not say its units."""
+    said, begin = _said(path, asked)
+    rows, cols = (_count(said, name, asked) for name in ("YRes", "XRes"))
+    if path.stat().st_size != begin + 4 * rows * cols:
+        raise asked.refuse("is cut off or too long: its header and its numbers do not fit, so write it again.")
+    asked.require_heights_up(said.get("Title", ""))
+    z_scale = asked.z_scale_um(said.get("ZUnits"))
+    unit_um = asked.lateral_um(said.get("XYUnits"))
+    dx_um, dy_um = (_pitch_um(said, name, n, unit_um, asked) for name, n in (("XReal", cols), ("YReal", rows)))
+    pixel_um = asked.pixel_um(dx_um, dy_um)
+    z_um = scaled(asked, np.memmap(path, "<f4", "r", begin, (rows, cols)), z_scale)
+    x0_um, y0_um = (_number(said, name, asked, 0.0) * (unit_um or 0.0) for name in ("XOffset", "YOffset"))
+    told = told_by(said.get(OURS))
+    return heights_only(
+        asked, z_um, pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2, told.provenance if told else None
+    )
+
+
+def _header(strips: Strips) -> bytes:
+    surface, (rows, cols), pixel_um = strips.surface, strips.shape, strips.pixel_um
+    lines = {
+        "XRes": cols,
+        "YRes": rows,
+        "XReal": cols * pixel_um * _M,
+        "YReal": rows * pixel_um * _M,
+        "XOffset": (surface.x0_um - pixel_um / 2) * _M,
+        "YOffset": -(surface.y0_um + pixel_um / 2) * _M,
+        "XYUnits": "m",
+        "ZUnits": "m",
+        "Title": title(surface),
+        OURS: about(strips),
+    }
+    text = MAGIC + "".join(f"{name} = {value}\n" for name, value in lines.items()).encode("ascii", "replace")
+    return text + b"\0" * (4 - len(text) % 4)
+
+
+def _said(path: Path, asked: Asked) -> tuple[dict[str, str], int]:
+    """The lines of the header, and where the numbers begin."""
+    with path.open("rb") as file:
+        content = file.read(_LARGEST_HEADER)
+    end = content.find(b"\0")
+    if content[: len(MAGIC)] != MAGIC or end < 0:
+        raise asked.refuse("has no header of a GSF file: give a file that begins with 'Gwyddion Simple Field 1.0'.")
+    said: dict[str, str] = {}
+    for line in content[len(MAGIC) : end].decode("utf-8", "replace").splitlines():
+        name, _, value = (part.strip() for part in line.partition("="))
+        if said.get(name, value) != value:
+            raise asked.refuse(f"says {name} twice, {said[name]} and {value}: keep the line that is right.")
+        said[name] = value
+    return said, end + 4 - end % 4
+
+
+def _count(said: dict[str, str], name: str, asked: Asked) -> int:
+    if not said.get(name, "").isdigit() or int(said[name]) < 1:
+        raise asked.refuse(f"has no {name} in its header: write it again with its numbers of rows and columns.")
+    return int(said[name])
+
+
+def _number(said: dict[str, str], name: str, asked: Asked, otherwise: float) -> float:
+    try:
+        return float(said.get(name, otherwise))
+    except ValueError as fault:
+        raise asked.refuse(f"has {said[name]!r} for {name} in its header: it must be a number.") from fault
+
+
+def _pitch_um(said: dict[str, str], name: str, n: int, unit_um: float | None, asked: Asked) -> float | None:
+    if name not in said or unit_um is None:
+        return None
+    return _number(said, name, asked, 0.0) / n * unit_um

@@ -1,0 +1,308 @@
+"""GWY, Gwyddion's own file: containers of named components, layers as channels, masks where pixels are unmeasured.
+
+Lengths are in m, y points downward, and (xoff, yoff) is the top left corner. Heights keep all their digits. Written
+and read here and not by gwyfile, which copies what it has not read yet for each component. Source: Gwyddion user guide,
+'GWY file format'.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.store.formats.about import OURS, about, title, told_by
+from wafer_viewer.store.formats.reading import Asked, heights_only, require_some, scaled
+from wafer_viewer.store.formats.strips import Strips
+
+MAGIC = b"GWYP"
+_M = 1e-6
+_LARGEST_BYTES = 2**32 - 1
+"""Of an object: its size is said in 32 bits."""
+_DEEPEST = 16
+_SIZES = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
+_FORMS = {"b": "<?", "c": "<c", "i": "<i", "q": "<q", "d": "<d"}
+_ARRAYS = {"C": "u1", "I": "<i4", "Q": "<i8", "D": "<f8"}
+Tree = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A layer as a channel: its title, its unit, what it is multiplied by, and whether it has gaps."""
+
+    layer: str
+    title: str
+    unit: str = ""
+    scale: float = 1.0
+    has_gaps: bool = False
+
+
+CHANNELS = (
+    Channel("z_um", "Heights", "m", _M, has_gaps=True),
+    Channel("z_raw_um", "Unsmoothed heights", "m", _M, has_gaps=True),
+    Channel("confidence", "Confidence"),
+    Channel("all_in_focus", "All in focus"),
+    Channel("origin", "Origin"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Numbers:
+    """Numbers of a layer that stand in the file as 64-bit floats; of a mask, where they are missing."""
+
+    channel: Channel
+    is_mask: bool = False
+
+
+def write_gwy(strips: Strips, path: Path) -> None:
+    """All layers as channels; heights alone where all of them would pass the 4 GB that the format can hold."""
+    parts = _parts(strips, CHANNELS)
+    if _size(strips, parts) > _LARGEST_BYTES:
+        parts = _parts(strips, CHANNELS[:1])
+    arrays = [part for part in parts if isinstance(part, _Numbers)]
+    with path.open("wb") as file:
+        file.write(MAGIC + b"GwyContainer\0" + struct.pack("<I", _size(strips, parts)))
+        for part in parts:
+            if isinstance(part, bytes):
+                file.write(part)
+                continue
+            for data in _data(strips, part, arrays.index(part), len(arrays)):
+                file.write(data)
+
+
+def fits(strips: Strips) -> bool:
+    """Whether all layers can be held, or heights alone at least. The second is asked before anything is written."""
+    return _size(strips, _parts(strips, CHANNELS)) <= _LARGEST_BYTES
+
+
+def fits_heights(strips: Strips) -> bool:
+    """Whether the heights can be held."""
+    return _size(strips, _parts(strips, CHANNELS[:1])) <= _LARGEST_BYTES
+
+
+def read_gwy(path: Path, asked: Asked) -> HeightMap:
+    """The layers of a file of ours, the heights of another's. Raises DatasetError where there are no heights."""
+    if path.stat().st_size < len(MAGIC) or path.open("rb").read(len(MAGIC)) != MAGIC:
+        raise asked.refuse("is no GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
+    try:
+        tree = _Parser(np.memmap(path, np.uint8, "r")).whole()
+    except (struct.error, ValueError, IndexError, UnicodeDecodeError) as fault:
+        raise asked.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.") from fault
+    channels = {int(key.split("/")[1]): tree[key] for key in tree if _is_channel(key, tree[key])}
+    titles = {tree.get(f"/{n}/data/title"): n for n in channels}
+    number = titles.get(CHANNELS[0].title, next((n for n in sorted(channels) if _is_length(channels[n])), None))
+    if number is None:
+        raise asked.refuse("has no channel of heights, with a unit of length: give its unit in Gwyddion, and save it.")
+    told = told_by(tree.get(f"/{number}/meta", {}).get(OURS))
+    if len(channels) > 1 and told is None:
+        asked.notes.append(
+            f"Its channel '{tree.get(f'/{number}/data/title', number)}' was read, one of {len(channels)}."
+        )
+    return _surface(tree, channels, titles, number, told.provenance if told else None, asked)
+
+
+def _surface(
+    tree: Tree,
+    channels: dict[int, Tree],
+    titles: dict[Any, int],
+    number: int,
+    came_from: Provenance | None,
+    asked: Asked,
+) -> HeightMap:
+    field = channels[number]
+    asked.require_heights_up(str(tree.get(f"/{number}/data/title", "")))
+    unit_um = asked.lateral_um(_unit(field, "si_unit_xy"))
+    rows, cols = _shape(field)
+    pitches = (None, None) if unit_um is None else (field["xreal"] / cols * unit_um, field["yreal"] / rows * unit_um)
+    pixel_um = asked.pixel_um(*pitches)
+    x0_um, y0_um = (field.get(name, 0.0) * (unit_um or 0.0) for name in ("xoff", "yoff"))
+    place = pixel_um, x0_um + pixel_um / 2, -y0_um - pixel_um / 2
+    z_um = _heights(tree, number, channels, asked)
+    wanted = [titles.get(channel.title) for channel in CHANNELS]
+    if came_from is None or None in wanted or any(_shape(channels[n]) != (rows, cols) for n in wanted if n is not None):
+        return heights_only(asked, z_um, *place, came_from)
+    confidence, grey, origin = (channels[n] for n in wanted[2:] if n is not None)
+    require_some(asked, np.isfinite(z_um))
+    greys = grey["data"].reshape(rows, cols)
+    return HeightMap(
+        z_um=z_um,
+        z_raw_um=_heights(tree, wanted[1] or 0, channels, asked),
+        confidence=scaled(asked, confidence["data"].reshape(rows, cols), 1.0),
+        all_in_focus=greys.astype(np.uint16 if greys.max(initial=0) > 255 else np.uint8),
+        origin=origin["data"].reshape(rows, cols).astype(np.uint8),
+        pixel_um=place[0],
+        x0_um=place[1],
+        y0_um=place[2],
+        provenance=came_from,
+    )
+
+
+def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: Asked) -> NDArray[np.float32]:
+    """The heights of a channel; what is under its mask is unmeasured."""
+    field = channels[number]
+    z_um = scaled(asked, field["data"].reshape(_shape(field)), asked.z_scale_um(_unit(field, "si_unit_z")))
+    mask = tree.get(f"/{number}/mask")
+    if isinstance(mask, dict) and _shape(mask) == _shape(field):
+        z_um[mask["data"].reshape(_shape(field)) > 0] = np.nan
+        if OURS not in tree.get(f"/{number}/meta", {}):
+            asked.notes.append("What lies under its mask counts as unmeasured.")
+    return z_um
+
+
+def _is_channel(key: str, value: Any) -> bool:
+    parts = key.split("/")
+    is_data = len(parts) == 3 and parts[1].isdigit() and parts[2] == "data" and isinstance(value, dict)
+    return is_data and {"xres", "yres", "xreal", "yreal", "data"} <= value.keys() and _whole(value)
+
+
+def _whole(field: Tree) -> bool:
+    rows, cols = _shape(field)
+    return rows > 0 and cols > 0 and field["data"].size == rows * cols
+
+
+def _shape(field: Tree) -> tuple[int, int]:
+    return int(field["yres"]), int(field["xres"])
+
+
+def _unit(field: Tree, name: str) -> str | None:
+    found = field.get(name)
+    return (found.get("unitstr") or None) if isinstance(found, dict) else None
+
+
+def _is_length(field: Tree) -> bool:
+    return (_unit(field, "si_unit_z") or "m").endswith("m")
+
+
+def _parts(strips: Strips, channels: tuple[Channel, ...]) -> list[bytes | _Numbers]:
+    """The components of the container, in order."""
+    parts: list[bytes | _Numbers] = []
+    said = _object("GwyContainer", _string("Title", title(strips.surface)) + _string(OURS, about(strips)))
+    for number, channel in enumerate(channels):
+        parts += _field(strips, f"/{number}/data", _Numbers(channel))
+        if channel.has_gaps:
+            parts += _field(strips, f"/{number}/mask", _Numbers(channel, is_mask=True))
+        parts.append(_string(f"/{number}/data/title", channel.title))
+        parts.append(_named(f"/{number}/data/visible", "b") + struct.pack("<?", number == 0))
+        parts.append(_named(f"/{number}/meta", "o") + said)
+    return parts
+
+
+def _field(strips: Strips, key: str, numbers: _Numbers) -> list[bytes | _Numbers]:
+    """A GwyDataField: what stands before its numbers, and the numbers."""
+    (rows, cols), pixel_m, surface = strips.shape, strips.pixel_um * _M, strips.surface
+    unit = "" if numbers.is_mask else numbers.channel.unit
+    inside = b"".join(_named(name, "i") + struct.pack("<i", n) for name, n in (("xres", cols), ("yres", rows)))
+    lengths = {
+        "xreal": cols * pixel_m,
+        "yreal": rows * pixel_m,
+        "xoff": (surface.x0_um - strips.pixel_um / 2) * _M,
+        "yoff": -(surface.y0_um + strips.pixel_um / 2) * _M,
+    }
+    inside += b"".join(_named(name, "d") + struct.pack("<d", length) for name, length in lengths.items())
+    for name, said in (("si_unit_xy", "m"), ("si_unit_z", unit)):
+        inside += _named(name, "o") + _object("GwySIUnit", _string("unitstr", said))
+    inside += _named("data", "D") + struct.pack("<I", rows * cols)
+    n_bytes = len(inside) + 8 * rows * cols
+    head = _named(key, "o") + b"GwyDataField\0" + struct.pack("<I", min(n_bytes, _LARGEST_BYTES))
+    return [head + inside, numbers]
+
+
+def _data(strips: Strips, numbers: _Numbers, part: int, of: int) -> Iterator[bytes]:
+    """The numbers of a layer; gaps take the first height of their strip and stand in the mask."""
+    channel, before = numbers.channel, 0.0
+    for layer in strips.layer(channel.layer, part, of):
+        known = np.isfinite(layer) if channel.has_gaps else np.True_
+        if numbers.is_mask:
+            yield (~known).astype("<f8").tobytes()
+            continue
+        values = layer.astype("<f8") * channel.scale
+        if channel.has_gaps:
+            before = float(values[known][0]) if known.any() else before
+            values[~known] = before
+        yield values.tobytes()
+
+
+def _size(strips: Strips, parts: list[bytes | _Numbers]) -> int:
+    rows, cols = strips.shape
+    return sum(len(part) if isinstance(part, bytes) else 8 * rows * cols for part in parts)
+
+
+def _named(name: str, kind: str) -> bytes:
+    return name.encode() + b"\0" + kind.encode()
+
+
+def _string(name: str, text: str) -> bytes:
+    return _named(name, "s") + text.encode() + b"\0"
+
+
+def _object(name: str, inside: bytes) -> bytes:
+    return name.encode() + b"\0" + struct.pack("<I", len(inside)) + inside
+
+
+class _Parser:
+    """Reads components; arrays are views of the file. Raises ValueError or struct.error where it ends too early."""
+
+    def __init__(self, content: NDArray[np.uint8]) -> None:
+        self._content, self._at = content, len(MAGIC)
+
+    def whole(self) -> Tree:
+        """The container that a file is."""
+        return self._object(len(self._content), 0)
+
+    def _object(self, limit: int, depth: int) -> Tree:
+        if depth > _DEEPEST:
+            raise ValueError("objects lie too deep in each other")
+        self._text()
+        (n_bytes,) = struct.unpack("<I", self._bytes(4))
+        end = self._at + n_bytes
+        if end > limit:
+            raise ValueError("an object ends after the file")
+        found: Tree = {}
+        while self._at < end:
+            name, kind = self._text(), self._bytes(1).decode("ascii")
+            found[name] = self._value(kind, end, depth)
+        return found
+
+    def _value(self, kind: str, end: int, depth: int) -> Any:
+        if kind == "o":
+            return self._object(end, depth + 1)
+        if kind == "s":
+            return self._text()
+        if kind in _SIZES:
+            return struct.unpack(_FORMS[kind], self._bytes(_SIZES[kind]))[0]
+        (n_items,) = struct.unpack("<I", self._bytes(4))
+        if kind in _ARRAYS:
+            dtype = np.dtype(_ARRAYS[kind])
+            return np.frombuffer(self._view(n_items * dtype.itemsize), dtype)
+        if kind == "S":
+            return [self._text() for _ in range(n_items)]
+        if kind == "O":
+            return [self._object(end, depth + 1) for _ in range(n_items)]
+        raise ValueError(f"a component is of an unknown kind {kind!r}")
+
+    def _text(self) -> str:
+        end = self._at
+        while not (found := np.flatnonzero(self._content[end : end + 256] == 0)).size:
+            end += 256
+            if end >= len(self._content):
+                raise ValueError("a text has no end")
+        end += int(found[0])
+        text = bytes(self._content[self._at : end]).decode()
+        self._at = end + 1
+        return text
+
+    def _bytes(self, n: int) -> bytes:
+        return bytes(self._view(n))
+
+    def _view(self, n: int) -> NDArray[np.uint8]:
+        if self._at + n > len(self._content):
+            raise ValueError("the file ends too early")
+        view = self._content[self._at : self._at + n]
+        self._at += n
+        return view

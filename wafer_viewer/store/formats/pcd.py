@@ -1,0 +1,105 @@
+"""PCD 0.7: points with a height as 32-bit floats, x and y from the corner of the surface, which a comment names.
+
+Most programs that read PCD know no 64-bit floats (Open3D reads zeros for them), and as 32-bit floats stage coordinates
+of a whole wafer would be off by a tenth of a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.formats.about import OURS, heading, told_by
+from wafer_viewer.store.formats.lattice import Block, Points, surface_of_points
+from wafer_viewer.store.formats.points import AT_A_TIME, count, points_of, records, text_records, units_of
+from wafer_viewer.store.formats.reading import Asked
+from wafer_viewer.store.formats.strips import Strips
+
+_POINT = np.dtype([("xyz", "<f4", 3)])
+_LARGEST_HEADER = 1_000_000
+_KINDS = {"F": "f", "U": "u", "I": "i"}
+
+
+def write_pcd(strips: Strips, path: Path) -> None:
+    """Binary."""
+    n_points, surface = count(strips, 0, 2), strips.surface
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        *(f"# {line}" for line in heading(strips)),
+        f"# corner: {surface.x0_um!r} {surface.y0_um!r}",
+        "VERSION 0.7",
+        "FIELDS x y z",
+        "SIZE 4 4 4",
+        "TYPE F F F",
+        "COUNT 1 1 1",
+        f"WIDTH {n_points}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {n_points}",
+        "DATA binary",
+    ]
+    corner = np.array([surface.x0_um, surface.y0_um, 0.0])
+    with path.open("wb") as file:
+        file.write(("\n".join(header) + "\n").encode())
+        for part in strips.maps(1, 2):
+            rows, cols = np.nonzero(np.isfinite(part.z_um))
+            points = np.empty(len(rows), _POINT)
+            points["xyz"] = points_of(part, rows, cols) - corner
+            file.write(points.tobytes())
+
+
+def read_pcd(path: Path, asked: Asked) -> HeightMap:
+    """The surface that the points of a PCD file lie on."""
+    head = _head(path, asked)
+    about = told_by(head.comments.get(OURS))
+    points = Points(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
+    return surface_of_points(points, asked)
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    form: str
+    n_points: int
+    fields: dict[str, str]
+    comments: dict[str, str]
+    corner: tuple[float, float]
+    begin: int
+
+
+def _head(path: Path, asked: Asked) -> _Head:
+    said, comments, begin = dict[str, list[str]](), dict[str, str](), 0
+    with path.open("rb") as file:
+        while "DATA" not in said and begin < _LARGEST_HEADER and (line := file.readline(_LARGEST_HEADER)):
+            begin += len(line)
+            if line.startswith(b"#"):
+                name, _, value = line[1:].decode("utf-8", "replace").partition(":")
+                comments[name.strip()] = value.strip()
+            elif words := line.decode("ascii", "replace").split():
+                said[words[0]] = words[1:]
+    names, sizes, kinds = (said.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))
+    if "DATA" not in said or not len(names) == len(sizes) == len(kinds) or not said.get("POINTS", [""])[0].isdigit():
+        raise asked.refuse("has no header of a PCD file: give a file with FIELDS, SIZE, TYPE, POINTS and DATA.")
+    if said["DATA"] not in (["binary"], ["ascii"]):
+        raise asked.refuse(f"has its points as {' '.join(said['DATA'])}: write it as binary or ascii.")
+    if set(said.get("COUNT", ["1"])) != {"1"} or not set(kinds) <= _KINDS.keys():
+        raise asked.refuse("has fields of several numbers: write it with one number a field.")
+    for axis in "xyz":
+        if axis not in names:
+            raise asked.refuse(f"has no {axis} among its fields: write it with x, y and z.")
+    fields = {name: f"<{_KINDS[kind]}{size}" for name, kind, size in zip(names, kinds, sizes, strict=True)}
+    corner = [float(number) for number in comments.get("corner", "0 0").split()] if OURS in comments else [0.0, 0.0]
+    return _Head(said["DATA"][0], int(said["POINTS"][0]), fields, comments, (corner[0], corner[1]), begin)
+
+
+def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+    starts = list(range(0, head.n_points, AT_A_TIME))
+    read = text_records if head.form == "ascii" else records
+    for block, _ in zip(
+        read(path, head.begin, head.n_points, list(head.fields.items()), asked), asked.watch(starts), strict=True
+    ):
+        x, y = (block[axis].astype(np.float64) + from_um for axis, from_um in zip("xy", head.corner, strict=True))
+        yield {"x": x, "y": y, "z": block["z"]}

@@ -1,0 +1,113 @@
+"""PLY: points with a height, stage um as 64-bit floats, grey as the all-in-focus image, with origin and confidence."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.formats.about import OURS, heading, told_by
+from wafer_viewer.store.formats.lattice import Block, Points, surface_of_points
+from wafer_viewer.store.formats.points import AT_A_TIME, count, eight_bits, points_of, records, text_records, units_of
+from wafer_viewer.store.formats.reading import Asked
+from wafer_viewer.store.formats.strips import Strips
+
+_POINT = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3), ("origin", "u1"), ("confidence", "<f4")])
+_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
+_LARGEST_HEADER = 1_000_000
+
+
+def write_ply(strips: Strips, path: Path) -> None:
+    """Binary, little-endian."""
+    properties = [
+        *(f"double {c}" for c in "xyz"),
+        *(f"uchar {c}" for c in ("red", "green", "blue", "origin")),
+        "float confidence",
+    ]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *(f"comment {line}" for line in heading(strips)),
+        f"element vertex {count(strips, 0, 2)}",
+        *(f"property {name}" for name in properties),
+        "end_header",
+    ]
+    with path.open("wb") as file:
+        file.write(("\n".join(header) + "\n").encode())
+        for part in strips.maps(1, 2):
+            rows, cols = np.nonzero(np.isfinite(part.z_um))
+            points = np.empty(len(rows), _POINT)
+            points["xyz"] = points_of(part, rows, cols)
+            points["rgb"] = eight_bits(part.all_in_focus)[rows, cols, None]
+            points["origin"], points["confidence"] = part.origin[rows, cols], part.confidence[rows, cols]
+            file.write(points.tobytes())
+
+
+def read_ply(path: Path, asked: Asked) -> HeightMap:
+    """The surface that the points of a PLY file lie on, meshes included: their vertices."""
+    head = _head(path, asked)
+    about = told_by(head.comments.get(OURS))
+    points = Points(lambda: _blocks(path, head, asked), units_of(head.comments.get("unit"), about, asked), about)
+    return surface_of_points(points, asked)
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    order: str
+    n_points: int
+    fields: dict[str, str]
+    comments: dict[str, str]
+    begin: int
+
+
+def _head(path: Path, asked: Asked) -> _Head:
+    with path.open("rb") as file:
+        text, end, _ = file.read(_LARGEST_HEADER).partition(b"end_header\n")
+    lines = text.decode("ascii", "replace").splitlines()
+    if not end or not lines or lines[0].strip() != "ply":
+        raise asked.refuse("has no header of a PLY file: give a file that begins with 'ply'.")
+    order, elements, fields, comments = "", list[str](), dict[str, str](), dict[str, str]()
+    for line in lines[1:]:
+        match line.split():
+            case ["format", form, _] if form in _ORDERS:
+                order = form
+            case ["element", *_]:
+                elements.append(line)
+            case ["property", kind, name] if len(elements) == 1 and kind in _TYPES:
+                fields[name] = _TYPES[kind]
+            case ["property", *_] if len(elements) == 1:
+                raise asked.refuse("has a list among the properties of its points: write it with plain numbers.")
+            case ["comment", *words]:
+                name, _, value = " ".join(words).partition(":")
+                comments[name.strip()] = value.strip()
+            case _:
+                pass
+    n_points = elements[0].split()[-1] if elements and elements[0].split()[1:2] == ["vertex"] else ""
+    if not order or not n_points.isdigit():
+        raise asked.refuse("does not begin with its points (element vertex): write it again with them first.")
+    for axis in "xyz":
+        if axis not in fields:
+            raise asked.refuse(f"has no {axis} among the properties of its points: write it with x, y and z.")
+    return _Head(order, int(n_points), fields, comments, len(text) + len(end))
+
+
+def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+    starts = list(range(0, head.n_points, AT_A_TIME))
+    fields = [(name, _ORDERS[head.order] + kind) for name, kind in head.fields.items()]
+    read = text_records if head.order == "ascii" else records
+    for block, _ in zip(read(path, head.begin, head.n_points, fields, asked), asked.watch(starts), strict=True):
+        named = {name: block[name] for name in ("x", "y", "z", "origin", "confidence") if name in head.fields}
+        yield named | ({"grey": block["red"]} if head.fields.get("red") == "u1" else {})

@@ -1,0 +1,234 @@
+"""X3P, ISO 25178-72 (revision ISO5436_2000): a zip of main.xml, the heights, and their MD5 checksums.
+
+Lengths are in m and right-handed: the first row is that of the smallest y, and (Offset of CX, Offset of CY) is where
+its first point lies. Written and read here and not by x3pio, which holds several copies of the heights in memory and
+can neither be stopped nor say how far it is; the tests hold both to each other.
+"""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import zipfile
+import zlib
+from pathlib import Path
+from typing import IO, Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.formats.about import about, caveats, told_by
+from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
+from wafer_viewer.store.formats.strips import Strips
+
+MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
+REVISION = "ISO5436 - 2000"
+NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
+_TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
+_M = 1e-6
+_LARGEST_XML = 16_000_000
+_BLOCK = 1 << 20
+
+
+def write_x3p(strips: Strips, path: Path) -> None:
+    """Heights in m as 64-bit floats, NaN where unmeasured."""
+    digest = hashlib.md5(usedforsecurity=False)
+    with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+        with archive.open(DATA, "w", force_zip64=True) as file:
+            for z_um in strips.layer("z_um", upward=True):
+                data = (z_um.astype("<f8") * _M).tobytes()
+                digest.update(data)
+                file.write(data)
+        main = _main(strips, digest.hexdigest())
+        archive.writestr(MAIN, main)
+        archive.writestr(CHECKSUM, f"{hashlib.md5(main, usedforsecurity=False).hexdigest()} *{MAIN}\n")
+
+
+def read_x3p(path: Path, asked: Asked) -> HeightMap:
+    """Heights of an X3P file. Raises DatasetError where it is damaged, or holds anything but one surface on a grid."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            main = _main_of(archive, asked)
+            raw = _heights(archive, main, asked)
+    except (zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError) as fault:
+        raise asked.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
+    dx, dy, dz = (_axis(main, name, asked) for name in ("CX", "CY", "CZ"))
+    if dz[0] < 0 and not asked.says.invert_z:
+        raise asked.refuse("has z upside down, its increment is negative: say so with --invert-z to turn it over.")
+    pixel_um = asked.pixel_um(dx[0] / _M, dy[0] / _M)
+    z_scale = asked.z_scale_um("m") * abs(dz[0])
+    z_um = scaled(asked, raw[::-1], z_scale, dz[1] / _M)
+    told = told_by((_text(main, "Record2/Comment") or "").partition("\n")[2])
+    y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
+    return heights_only(asked, z_um, pixel_um, dx[1] / _M, y0_um, told.provenance if told else None)
+
+
+def _main(strips: Strips, digest: str) -> bytes:
+    """main.xml. The calibration's date is left out where there is no calibration, as the standard's text says."""
+    provenance, (rows, cols), pixel_m = strips.surface.provenance, strips.shape, strips.pixel_um * _M
+    calibration = provenance.calibration
+    tree: dict[str, Any] = {
+        "Record1": {
+            "Revision": REVISION,
+            "FeatureType": "SUR",
+            "Axes": {
+                "CX": _said_axis("I", pixel_m, strips.surface.x0_um * _M),
+                "CY": _said_axis("I", pixel_m, strips.low_y_um * _M),
+                "CZ": _said_axis("A", 1.0, 0.0),
+            },
+        },
+        "Record2": {
+            "Date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "Creator": "Wafer Viewer",
+            "Instrument": {
+                "Manufacturer": "Wafer Viewer",
+                "Model": "virtual rig" if provenance.simulated else "shape from focus",
+                "Serial": "",
+                "Version": provenance.software_version,
+            },
+            **({"CalibrationDate": f"{calibration.made}T00:00:00Z"} if calibration is not None else {}),
+            "ProbingSystem": {
+                "Type": "Software" if provenance.simulated else "NonContacting",
+                "Identification": "shape from focus",
+            },
+            "Comment": f"{'; '.join(caveats(provenance)) or 'calibrated'}\n{about(strips)}",
+        },
+        "Record3": {
+            "MatrixDimension": {"SizeX": cols, "SizeY": rows, "SizeZ": 1},
+            "DataLink": {"PointDataLink": DATA, "MD5ChecksumPointData": digest},
+        },
+        "Record4": {"ChecksumFile": CHECKSUM},
+    }
+    ElementTree.register_namespace("p", NAMESPACE)
+    root = ElementTree.Element(f"{{{NAMESPACE}}}ISO5436_2")
+    _grow(root, tree)
+    return ElementTree.tostring(root, "UTF-8", xml_declaration=True)
+
+
+def _said_axis(kind: str, increment: float, offset: float) -> dict[str, Any]:
+    return {"AxisType": kind, "DataType": "D", "Increment": repr(increment), "Offset": repr(offset)}
+
+
+def _grow(parent: ElementTree.Element, tree: dict[str, Any]) -> None:
+    for name, below in tree.items():
+        child = ElementTree.SubElement(parent, name)
+        if isinstance(below, dict):
+            _grow(child, below)
+        else:
+            child.text = str(below)
+
+
+def _main_of(archive: zipfile.ZipFile, asked: Asked) -> ElementTree.Element:
+    """The root of main.xml, whose checksum fits and which describes one surface."""
+    name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
+    if name is None:
+        raise asked.refuse(f"is no X3P file, it has no {MAIN}: give one that has.")
+    with archive.open(name) as file:
+        text = file.read(_LARGEST_XML)
+    sums = next((n for n in archive.namelist() if n.lower().endswith(CHECKSUM)), None)
+    if sums is not None:
+        said = archive.read(sums).split()[:1]
+        _require_sum(
+            said[0].decode("ascii", "replace") if said else "", hashlib.md5(text, usedforsecurity=False), MAIN, asked
+        )
+    try:
+        if b"<!DOCTYPE" in text:
+            raise asked.refuse(f"has a document type in its {MAIN}, which X3P has not: write it again.")
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as fault:
+        raise asked.refuse(f"is damaged: its {MAIN} cannot be read, so copy it again.") from fault
+    if (kind := _text(root, "Record1/FeatureType")) != "SUR":
+        raise asked.refuse(f"holds '{kind}' and no surface (SUR): give a file with a surface.")
+    return root
+
+
+def _heights(archive: zipfile.ZipFile, main: ElementTree.Element, asked: Asked) -> NDArray[Any]:
+    """The raw numbers, the row of the smallest y first; NaN where they are said to be invalid."""
+    rows, cols, layers = (_size(main, name, asked) for name in ("SizeY", "SizeX", "SizeZ"))
+    if layers != 1:
+        raise asked.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
+    link, kind = _text(main, "Record3/DataLink/PointDataLink"), _text(main, "Record1/Axes/CZ/DataType") or "D"
+    if link is None or kind not in _TYPES:
+        raise asked.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
+    dtype = np.dtype(_TYPES[kind])
+    raw = np.frombuffer(_member(archive, link, main, rows * cols * dtype.itemsize, asked), dtype).reshape(rows, cols)
+    if dtype.kind == "f":
+        return raw
+    return _without_invalid(archive, main, raw, asked)
+
+
+def _without_invalid(
+    archive: zipfile.ZipFile, main: ElementTree.Element, raw: NDArray[Any], asked: Asked
+) -> NDArray[Any]:
+    """Integers have no NaN: a file of bits, the lowest first, says which points are valid."""
+    valid_link = _text(main, "Record3/DataLink/ValidPointsLink")
+    if valid_link is None:
+        return raw
+    with archive.open(_there(archive, valid_link, asked)) as file:
+        bits = np.frombuffer(file.read(-(-raw.size // 8)), np.uint8)
+    valid = np.unpackbits(bits, count=raw.size, bitorder="little").astype(bool).reshape(raw.shape)
+    return np.where(valid, raw, np.float64(np.nan))
+
+
+def _member(archive: zipfile.ZipFile, link: str, main: ElementTree.Element, n_bytes: int, asked: Asked) -> bytearray:
+    """The bytes of the heights, as many as there should be, whose checksum fits."""
+    data, digest = bytearray(), hashlib.md5(usedforsecurity=False)
+    with archive.open(_there(archive, link, asked)) as file:
+        for block in _blocks(file, n_bytes):
+            data += block
+            digest.update(block)
+    if len(data) != n_bytes:
+        raise asked.refuse("is cut off: it has fewer heights than it says, so copy it again.")
+    _require_sum(_text(main, "Record3/DataLink/MD5ChecksumPointData") or "", digest, "heights", asked)
+    return data
+
+
+def _blocks(file: IO[bytes], n_bytes: int) -> Any:
+    left = n_bytes
+    while left and (block := file.read(min(_BLOCK, left))):
+        left -= len(block)
+        yield block
+
+
+def _there(archive: zipfile.ZipFile, link: str, asked: Asked) -> str:
+    wanted = link.replace("\\", "/").removeprefix("./").removeprefix("/")
+    found = next((n for n in archive.namelist() if n.replace("\\", "/") == wanted), None)
+    if found is None:
+        raise asked.refuse(f"has no {wanted}, which holds its heights: copy it again.")
+    return found
+
+
+def _require_sum(said: str, digest: Any, what: str, asked: Asked) -> None:
+    """A checksum that is missing is not checked, as others do."""
+    if said.strip() and said.strip().lower() != digest.hexdigest():
+        raise asked.refuse(f"was changed after it was written, the checksum of its {what} is wrong: copy it again.")
+
+
+def _axis(main: ElementTree.Element, name: str, asked: Asked) -> tuple[float, float]:
+    """Increment and offset of an axis, in m."""
+    kind = _text(main, f"Record1/Axes/{name}/AxisType")
+    if kind != ("A" if name == "CZ" else "I"):
+        raise asked.refuse(f"has an axis {name} of type '{kind}': write it on a regular grid.")
+    try:
+        said = [_text(main, f"Record1/Axes/{name}/{what}") for what in ("Increment", "Offset")]
+        increment, offset = float(said[0] or 1.0), float(said[1] or 0.0)
+    except ValueError as fault:
+        raise asked.refuse(f"has an axis {name} whose increment or offset is no number: write it again.") from fault
+    if said[0] is None and name != "CZ":
+        raise asked.refuse(f"does not say the increment of its axis {name}: write it again with its pixel size.")
+    return increment, offset
+
+
+def _size(main: ElementTree.Element, name: str, asked: Asked) -> int:
+    said = (_text(main, f"Record3/MatrixDimension/{name}") or "").strip()
+    if not said.isdigit() or int(said) < 1:
+        raise asked.refuse(f"does not say its {name}: write it again as a surface on a grid.")
+    return int(said)
+
+
+def _text(root: ElementTree.Element, path: str) -> str | None:
+    """The text of an element; those of some programs have a namespace, those of others none."""
+    found = root.find("/".join(f"{{*}}{name}" for name in path.split("/")))
+    return None if found is None or found.text is None else found.text.strip()
