@@ -65,7 +65,7 @@ def direction_deg(alike: Floats) -> float:
     degrees = np.arange(0.0, 180.0, 1.0)
     best = degrees[int(np.argmax(_angular(spectrum, alike.shape, degrees)))]
     finer = best + np.arange(-1.0, 1.01, 0.1)
-    return float(finer[int(np.argmax(_angular(spectrum, alike.shape, finer)))] % 180)
+    return round(float(finer[int(np.argmax(_angular(spectrum, alike.shape, finer)))]), 1) % 180
 
 
 def _ways(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
