@@ -8,11 +8,95 @@ from typing import Annotated, Any
 import msgspec
 from tyro.conf import Positional, arg
 
+from wafer_viewer.arguments import File, Rectangle, Sources, Text
 from wafer_viewer.command_output import print_json
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge import GaugeTerms
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.repeatability import GaugeRR, Method
 from wafer_viewer.model.spec import replace
 
 Studies = Annotated[Positional[tuple[Path, ...]], arg(metavar="STUDY.csv|DATASET ...")]
+Serials = Annotated[tuple[str, ...], arg(metavar="NUMBER ...")]
+DataFolder = Annotated[Positional[Path], arg(metavar="FOLDER")]
+Value = Annotated[float | None, arg(metavar="X")]
+
+
+def measure_gauge(
+    src: Sources = (),
+    certificate: File = None,
+    limit_um: Value = None,
+    upper: Rectangle | None = None,
+    lower: Rectangle | None = None,
+    temperature_c: Value = None,
+    tolerance_um: Value = None,
+    interval_days: int = 30,
+    sign: Text = None,
+    log: Annotated[Path | None, arg(metavar="FOLDER")] = None,
+    serial: Serials = (),
+    field: int = 0,
+    result: str = "default",
+) -> int:
+    """Check the instrument against certified gauge blocks: error with U, En, verdict, as JSON. Stage um.
+
+    Status 0 for PASS, 1 for another word. Each SRC is a repeat, a scan of its own. Without SRC: the signed checks of
+    --log with their run chart and capability; status 1 where the chart warns.
+
+    Args:
+        src: Datasets NAME.wafer or surface files, .npz.
+        certificate: The blocks' certificate, .toml.
+        limit_um: The largest error allowed.
+        upper: Two opposite corners of the upper face; both faces are found by themselves by default.
+        lower: The same of the lower face.
+        temperature_c: Of the blocks.
+        tolerance_um: The product's, upper limit less lower: Cg and Cgk are told for it.
+        interval_days: The next check is due after them.
+        sign: Who signs: the check goes to the log and into the results of the last SRC.
+        log: The folder of gauge-checks.jsonl; that of the first SRC by default.
+        serial: Of the history, the checks with these blocks alone.
+        field: A field of the datasets; 0 is the stitched surface.
+        result: Name of the reconstruction.
+    """
+    from wafer_viewer.session.gauge_runs import check_sources, history, sign_sources
+
+    terms = GaugeTerms(
+        limit_um=limit_um, temperature_c=temperature_c, tolerance_um=tolerance_um, interval_days=interval_days
+    )
+    if not src:
+        if log is None:
+            raise MeasureError("There is nothing to check: give scans and --certificate, or --log for the history.")
+        told = history(log, serial, terms.tolerance_um)
+        print_json(msgspec.to_builtins(told))
+        return 1 if told.chart.warnings else 0
+    if certificate is None:
+        raise MeasureError("There is no check without a certificate: give --certificate FILE.toml.")
+    faces = _faces(upper, lower)
+    found = check_sources(src, certificate, terms, faces, log, field, result)
+    if sign is not None:
+        found = sign_sources(found, src, sign, log, field, result)
+    print_json(msgspec.to_builtins(found))
+    return 0 if found.verdict == "pass" else 1
+
+
+def calibrate_z(folder: DataFolder, by: Text = None, why: str = "", serial: Serials = ()) -> None:
+    """Set the z scale by the newest signed check of a data folder; prints what changes, as JSON.
+
+    Without --by nothing is written. With it the next scans into the folder have the new scale; what it was before, who
+    changed it and why go into calibrations.jsonl. Scans that were taken stay as they are.
+
+    Args:
+        folder: A data folder with gauge-checks.jsonl.
+        by: Who does it.
+        why: A remark.
+        serial: The newest check with these blocks.
+    """
+    from wafer_viewer.session.scales import correct, in_force, last_check, offered
+
+    record = last_check(folder, serial)
+    before = in_force(folder, record)
+    found = offered(record, before) if by is None else correct(folder, record, before, by, why)
+    facts = {"recorded": by is not None, "rig": record.rig, "before": msgspec.to_builtins(before)}
+    print_json({**facts, **msgspec.to_builtins(found)})
 
 
 def measure_rr(
@@ -56,3 +140,11 @@ def _rr_facts(found: GaugeRR) -> dict[str, Any]:
         "distinct_categories": found.distinct_categories,
     }
     return {**msgspec.to_builtins(found), **shares}
+
+
+def _faces(upper: tuple[float, ...] | None, lower: tuple[float, ...] | None) -> tuple[Region, Region] | None:
+    if upper is None and lower is None:
+        return None
+    if upper is None or lower is None:
+        raise MeasureError("One face makes no step: give --upper and --lower, or neither to have them found.")
+    return Region.rectangle(*upper), Region.rectangle(*lower)

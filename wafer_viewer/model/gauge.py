@@ -50,7 +50,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
     laboratory: str
     issued: datetime.date
     expires: datetime.date
-    unit: Literal["um"] = "um"
+    unit: str = "um"
     nominal_um: Positive | None = None
     value_um: Positive | None = None
     expanded_um: Positive | None = None
@@ -65,6 +65,8 @@ class Certificate(Spec, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.unit != "um":
+            self._wrong(f"is in {self.unit!r} and its lengths are read in um: convert them and say unit = 'um'")
         if self.temperature_c != 20:
             self.refuse("temperature_c", "20, at which lengths are certified (ISO 1)")
         if self.expires <= self.issued:
@@ -94,7 +96,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
     @property
     def serials(self) -> tuple[str, ...]:
         """The serial numbers of the blocks, in order."""
-        return tuple(sorted(block.serial_number for block in self.blocks) if self.blocks else self.serial_numbers)
+        return tuple(sorted(block.serial_number for block in self.blocks) or sorted(self.serial_numbers))
 
     @property
     def variation(self) -> float | None:

@@ -10,7 +10,6 @@ from pathlib import Path
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
-from wafer_viewer.model.region import Region
 from wafer_viewer.model.run_chart import Capability
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
@@ -107,12 +106,3 @@ def capability_of(records: Sequence[GaugeRecord], tolerance_um: float | None) ->
 def now() -> str:
     """This moment, ISO 8601 with the time zone."""
     return datetime.datetime.now().astimezone().isoformat(timespec="milliseconds")
-
-
-def regions(upper: tuple[float, ...] | None, lower: tuple[float, ...] | None) -> Faces | None:
-    """Two rectangles by their corners, or None. Raises MeasureError where one is missing."""
-    if upper is None and lower is None:
-        return None
-    if upper is None or lower is None:
-        raise MeasureError("One face alone makes no step: give --upper and --lower, or neither to have them found.")
-    return Region.rectangle(*upper), Region.rectangle(*lower)

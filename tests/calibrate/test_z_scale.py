@@ -1,0 +1,59 @@
+"""The z scale by a check: certified over measured, sure as the comparison is, and refused where it cannot be told."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.measure.gauge_repeats import CALIBRATION, certificate, repeats, signed
+from wafer_viewer.calibrate.z_scale import scale_correction
+from wafer_viewer.measure.gauge import gauge_check, refusal
+from wafer_viewer.model.calibration import OpticalSetup
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge import GaugeTerms
+from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.spec import replace
+
+TODAY = "2026-06-01"
+SCANS = (400.79, 400.8, 400.81)
+
+
+def test_the_mean_would_then_be_what_is_certified():
+    used = replace(CALIBRATION, z_scale=1.01)
+    check = signed("2026-06-01", *SCANS, calibration=used)
+    in_force = replace(used, u_pixel_um=1e-4)
+    found = scale_correction(check, in_force, TODAY)
+    assert found.factor == pytest.approx(400.0 / 400.8)
+    assert found.calibration.z_scale == pytest.approx(1.01 * 400.0 / 400.8)
+    assert found.calibration.u_z_scale == pytest.approx(check.deviation.expanded_um / 2 / 400.0)
+    assert found.changes_um == pytest.approx(-0.8)
+    assert "more than its U" in found.advice
+    assert (found.calibration.made, found.calibration.due) == (TODAY, "2026-07-01")
+    assert found.calibration.u_pixel_um == 1e-4
+    assert found.calibration.z_against == ("A1", "A2")
+    assert refusal(certificate(), found.calibration, None, TODAY) is not None
+
+
+def test_it_is_due_no_later_than_what_it_takes_the_place_of():
+    check = signed("2026-06-01", *SCANS)
+    assert scale_correction(check, replace(CALIBRATION, due="2026-06-15"), TODAY).calibration.due == "2026-06-15"
+
+
+@pytest.mark.parametrize(("u_z_scale", "said"), [(5e-4, "would be"), (1e-5, "nothing surer")])
+def test_an_error_within_its_u_is_said_to_be_none(u_z_scale, said):
+    used = replace(CALIBRATION, u_z_scale=u_z_scale)
+    check = signed("2026-06-01", 400.0, 400.01, 400.02, calibration=used)
+    assert said in scale_correction(check, used, TODAY).advice
+
+
+@pytest.mark.parametrize(
+    ("values", "changes", "said"),
+    [
+        (SCANS[:2], {}, "has 2 repeats"),
+        (SCANS, {"height": Length(value_um=400.8)}, "no uncertainty"),
+        (SCANS, {"calibration": replace(CALIBRATION, setup=OpticalSetup(objective="5x"))}, "is of 5x"),
+    ],
+)
+def test_what_sets_no_scale_is_refused(values, changes, said):
+    check = gauge_check(repeats(*values, **changes), certificate(), GaugeTerms())
+    with pytest.raises(MeasureError, match=said):
+        scale_correction(check, CALIBRATION, TODAY)

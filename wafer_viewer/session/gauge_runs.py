@@ -1,0 +1,99 @@
+"""Gauge-block checks from the command line: of datasets and surface files, without a session."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, GaugeTerms
+from wafer_viewer.model.run_chart import Capability, RunChart
+from wafer_viewer.model.spec import Spec, replace
+from wafer_viewer.session import gauge_check as work
+from wafer_viewer.session.gauge_state import Faces
+from wafer_viewer.session.offline import is_dataset
+from wafer_viewer.store.certificates import read_certificate
+from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.gauge_log import sign, signed_checks
+from wafer_viewer.store.lock import Lock
+
+
+class History(Spec, frozen=True, kw_only=True):
+    """The signed checks of one pair of blocks on one rig, their run chart and, with a tolerance, their capability."""
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    rig: str
+    serial_numbers: tuple[str, ...]
+    chart: RunChart
+    capability: Capability | None = None
+
+
+def check_sources(
+    src: Sequence[Path],
+    certificate_file: Path,
+    terms: GaugeTerms,
+    faces: Faces | None,
+    log: Path | None,
+    field_number: int,
+    result: str,
+) -> GaugeCheck:
+    """What scans come to as repeats of one check. Raises MeasureError where there is no check of one of them."""
+    certificate = read_certificate(certificate_file)
+    sources = [work.source_of(path, field_number, result) for path in src]
+    repeats = [work.repeat_of(source, certificate, faces) for source in sources]
+    records = _of_rig(signed_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
+    return work.check_of(repeats, certificate, terms, records)
+
+
+def sign_sources(
+    check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, field_number: int, result: str
+) -> GaugeCheck:
+    """Sign a check: it goes to the log, and into the results of the last scan where that is a dataset."""
+    signed = work.signed(check, operator, field_number)
+    record = work.record_of(signed, _rig(src[-1]), result)
+    folder = log or src[0].parent
+    if not is_dataset(src[-1]):
+        sign(folder, record)
+        return signed
+    lock = Lock.take(src[-1])
+    try:
+        sign(folder, record)
+        return _keep(Dataset.open(src[-1]), result, signed)
+    finally:
+        lock.release()
+
+
+def history(folder: Path, serials: Sequence[str], tolerance_um: float | None) -> History:
+    """The signed checks of a folder. Raises MeasureError where there are none, or of several pairs of blocks."""
+    from wafer_viewer.measure.run_chart import run_chart
+
+    records = signed_checks(folder, serials)
+    pairs = dict.fromkeys((record.rig, record.check.certificate.serials) for record in records)
+    if len(pairs) > 1:
+        names = "; ".join(f"{' '.join(blocks)} on {rig or 'no rig'}" for rig, blocks in pairs)
+        raise MeasureError(f"{folder} has checks of several blocks or rigs ({names}): choose some with --serial.")
+    if (chart := run_chart(records)) is None:
+        raise MeasureError(f"{folder} has no signed checks of these blocks: sign one with measure gauge … --sign NAME.")
+    (rig, blocks), *_ = pairs
+    return History(rig=rig, serial_numbers=blocks, chart=chart, capability=work.capability_of(records, tolerance_um))
+
+
+def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
+    """Number, name and keep a check among the results of a dataset."""
+    result = data.result(name)
+    items = result.findings().items
+    number = max((result.highest_thumbnail(), *(item.number for item in items))) + 1
+    nth = 1 + sum(isinstance(item, GaugeCheck) for item in items)
+    kept = replace(check, number=number, name=f"Gauge check {nth}")
+    result.save_findings(Findings(items=(*items, kept)))
+    return kept
+
+
+def _rig(src: Path) -> str:
+    return Dataset.open(src).scan.rig if is_dataset(src) else ""
+
+
+def _of_rig(records: Sequence[GaugeRecord], rig: str) -> tuple[GaugeRecord, ...]:
+    return tuple(record for record in records if record.rig == rig)
