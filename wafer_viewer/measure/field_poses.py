@@ -7,6 +7,8 @@ overlaps tell and from the stage.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,8 +25,22 @@ TILT_ERROR = 1e-3
 """Standard deviation of what a field leans by before its overlaps are looked at, um per um: no more than a bound."""
 
 
-def poses_u_um(surface: Mosaic, faces: Faces, of: Gradients) -> float | None:
-    """Standard uncertainty of a number of two faces by the poses of the fields that they were seen in.
+class Pulls(NamedTuple):
+    """Places on the surface, and how much a number moves with the height at each: float64 [n]."""
+
+    x_um: Floats
+    y_um: Floats
+    weight: Floats
+
+
+def pulls_of(faces: Faces, of: Gradients) -> Pulls:
+    """What a number of two faces is pulled by, at the middles of tiles."""
+    pairs = zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
+    return Pulls(*(np.concatenate(pair) for pair in pairs))
+
+
+def poses_u_um(surface: Mosaic, pulls: Pulls) -> float | None:
+    """Standard uncertainty of a number by the poses of the fields that it was seen in.
 
     0 where all was seen in one field; None where nobody knows where the fields lie.
     """
@@ -34,13 +50,11 @@ def poses_u_um(surface: Mosaic, faces: Faces, of: Gradients) -> float | None:
     if isinstance(bare, HeightMap):
         return 0.0 if bare.overlap_um is None else None
     poses = bare.poses if isinstance(bare, HasPoses) else None
-    return None if poses is None else _of_fields(poses, faces, of)
+    return None if poses is None else _of_fields(poses, pulls)
 
 
-def _of_fields(poses: Poses, faces: Faces, of: Gradients) -> float | None:
-    x_um, y_um, weight = (
-        np.concatenate(pair) for pair in zip(_weights(faces.high, of.high), _weights(faces.low, of.low), strict=True)
-    )
+def _of_fields(poses: Poses, pulls: Pulls) -> float | None:
+    x_um, y_um, weight = pulls
     field = _field_of(poses, x_um, y_um)
     if len(np.unique(field)) == 1:
         return 0.0

@@ -14,7 +14,7 @@ import numpy as np
 from wafer_viewer.measure.budget import LEVELLING, NOISE, POSES, Budget, step_budget
 from wafer_viewer.measure.definitions import SENTENCES, Faces, Gradients, gradients, tilts
 from wafer_viewer.measure.faces import enough_points, face_of
-from wafer_viewer.measure.field_poses import poses_u_um
+from wafer_viewer.measure.field_poses import poses_u_um, pulls_of
 from wafer_viewer.measure.heights import Layer, Points, level_for, require_area
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.regions import Regions, each_of, require_measured
@@ -107,7 +107,7 @@ def _budget(
     of_points = {
         NOISE: noise.widened,
         LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
-        POSES: poses_u_um(reading.surface, faces, h),
+        POSES: poses_u_um(reading.surface, pulls_of(faces, h)),
     }
     return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
 
@@ -138,7 +138,7 @@ def _tilt(reading: Reading, faces: Faces) -> Quantity:
     lines: Lines | None = None
     found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
     if None not in found:
-        poses = [poses_u_um(reading.surface, faces, slope) for slope in tilts(faces)]
+        poses = [poses_u_um(reading.surface, pulls_of(faces, slope)) for slope in tilts(faces)]
         lines = {
             NOISE: 1e3 * max(scatter.widened for scatter in found if scatter is not None),
             "z scale": reading.u_z_scale * _tilt_mrad(faces),

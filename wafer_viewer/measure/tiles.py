@@ -117,7 +117,7 @@ def spreads(points: Points, design: Floats, residuals: Floats, part: Labels | No
     tiles = [Tiles.of(points, np.column_stack([design, residuals]), part)]
     for _ in SIDES[1:]:
         tiles.append(tiles[-1].halved)
-    found = (_of_means(each.means) for each in tiles)
+    found = (spread_of(each.means) for each in tiles)
     return [spread for spread in found if spread is not None]
 
 
@@ -148,7 +148,8 @@ def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
     return Scatter(max(u, large.u), 1 / lost if lost > 0 else large.freedom)
 
 
-def _of_means(means: Floats) -> Spread | None:
+def spread_of(means: Floats) -> Spread | None:
+    """By means of tiles, [tile, c]: columns of the design and, last, the residual; None where they are too few."""
     design, residuals = means[:, :-1], means[:, -1]
     freedom = len(residuals) - design.shape[1]
     if freedom < MIN_FREEDOM:
