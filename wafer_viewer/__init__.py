@@ -59,9 +59,10 @@ if TYPE_CHECKING:
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.exporters import export
+    from wafer_viewer.store.exporters import export, write_surface
     from wafer_viewer.store.importers import import_dataset, open_stack
     from wafer_viewer.store.npz import read_npz
+    from wafer_viewer.store.readers import read_surface
 
 _HOMES = {
     "AreaVolume": "model.findings",
@@ -116,6 +117,7 @@ _HOMES = {
     "point_height": "measure.point",
     "profile": "measure.profile",
     "read_npz": "store.npz",
+    "read_surface": "store.readers",
     "reconstruct": "reconstruct.field",
     "repeats_of": "measure.repeatability",
     "roughness": "measure.roughness",
@@ -125,6 +127,7 @@ _HOMES = {
     "study_rr": "measure.repeatability",
     "stitch": "reconstruct.stitch",
     "texture": "measure.texture",
+    "write_surface": "store.exporters",
 }
 """Where each public name lives."""
 
@@ -182,6 +185,7 @@ __all__ = [
     "point_height",
     "profile",
     "read_npz",
+    "read_surface",
     "reconstruct",
     "repeats_of",
     "roughness",
@@ -191,6 +195,7 @@ __all__ = [
     "studies_of",
     "study_rr",
     "texture",
+    "write_surface",
 ]
 
 

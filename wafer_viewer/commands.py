@@ -155,20 +155,33 @@ def import_(
     pixel_um: Um = None,
     pattern: Text = None,
     overlap_fraction: float = 0.1,
+    z_unit: Text = None,
+    invert_z: bool = False,
 ) -> None:
-    """Make a dataset of images taken elsewhere: one field, or a grid of fields told apart by a name pattern.
+    """Make a dataset of images taken elsewhere, one field or a grid told apart by a name pattern, or of a surface file.
 
     Args:
-        src: A folder of images, a multi-page TIFF, or image files; 2 comes before 10.
+        src: A folder of images, a multi-page TIFF, or image files, 2 before 10; or one surface file, such as .x3p.
         out: The dataset, NAME.wafer.
         z_step_um: Distance between frames; negative when they were taken downward.
-        pixel_um: Size of a pixel on the sample.
+        pixel_um: Size of a pixel on the sample, where SRC does not say it.
         pattern: How files are named, such as r{row}_c{col}_k{k}.tif; {e} where each z was taken in several exposures.
         overlap_fraction: Overlap of neighbouring fields.
+        z_unit: Unit of the heights, where a surface file does not say it.
+        invert_z: The numbers of a surface file are depths: turn them over.
     """
+    from wafer_viewer.model.formats import Reading
+    from wafer_viewer.session.surface_import import import_surface
     from wafer_viewer.store.importers import import_dataset
+    from wafer_viewer.store.readers import is_surface_file
 
     require_sources(src)
+    if len(src) == 1 and is_surface_file(src[0]):
+        with progress("Import") as tell:
+            says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z)
+            import_surface(src[0], out, says, progress=tell)
+        print(f"{out}: a surface without frames")
+        return
     with progress("Import") as tell:
         dataset = import_dataset(src, out, z_step_um, pixel_um, pattern, overlap_fraction, progress=tell)
     exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""

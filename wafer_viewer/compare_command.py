@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 from tyro.conf import Positional, arg
 
-from wafer_viewer.command_output import print_json, progress
+from wafer_viewer.command_output import print_json, progress, warn
 from wafer_viewer.model.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.errors import DatasetError
 
@@ -33,7 +33,7 @@ def compare(
     """The second surface minus the first, aligned before; how they were aligned and what has changed as JSON.
 
     Args:
-        first: A NAME.wafer or a surface file, .npz; the difference lies on its lattice.
+        first: A NAME.wafer or a surface file; the difference lies on its lattice.
         second: Another one.
         out: A file, whose ending picks the format, or a name under which FIRST.wafer keeps the difference.
         align: images finds shift, turn, height and tilt; stage takes x and y as they are; none takes heights, too; auto
@@ -53,7 +53,7 @@ def compare(
 
 def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, out: Path | None) -> Comparison:
     from wafer_viewer.session.subtraction import compare_files, keep_difference
-    from wafer_viewer.store.exporters import export, require_known
+    from wafer_viewer.store.exporters import export, losses, require_known
 
     if out is not None and not out.suffix:
         if Path(one.path).suffix != ".wafer" or out.name != str(out):
@@ -65,4 +65,6 @@ def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, 
     difference, numbers = compare_files(one, other, align, keep_z)
     if out is not None:
         export(difference, out)
+        for sentence in losses(difference, out):
+            warn(f"{out.name}: {sentence}")
     return numbers()

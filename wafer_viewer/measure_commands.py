@@ -25,7 +25,7 @@ def measure_point(src: Source, at: Place, level: Level = (), field: int = 0, res
     """The height at a point, with its uncertainty, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         at: Where the point is.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
@@ -40,7 +40,7 @@ def measure_distance(
     """The way between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         start: Where it begins.
         end: Where it ends.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
@@ -56,7 +56,7 @@ def measure_step(
     """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         upper: Two opposite corners of the upper rectangle.
         lower: Two opposite corners of the lower rectangle.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
@@ -72,7 +72,7 @@ def measure_angle(
     """The angle between two faces, with its uncertainty, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         first: Two opposite corners of a rectangle on the one face.
         second: The same on the other.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
@@ -86,7 +86,7 @@ def measure_radius(src: Source, circle: Circle, level: Level = (), field: int = 
     """The radius of a bump or pit and the height of its top, with uncertainties, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         circle: Centre and radius of a circle round it.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
@@ -106,7 +106,7 @@ def measure_volume(
     """Area and volume over and under a plane, with uncertainties, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle.
         reference: The plane through the rectangle's border, or the zero of --level; that of --level where it is given.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
@@ -126,7 +126,7 @@ def measure_flatness(
     """Flatness of a face, FLTt and FLTq of ISO 12781, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
@@ -148,7 +148,7 @@ def measure_texture(
     """Texture of a face, the parameters of ISO 25178 of what form and filters leave, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle.
         form_order: Order of the polynomial that is taken off as form; 0 the mean alone, 1 a plane.
         s_filter_um: Nesting index of the Gaussian filter against shorter waves; none by default.
@@ -174,7 +174,7 @@ def measure_roughness(
     """Roughness along a line, the parameters of ISO 21920 of what the filters leave, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         line: The two ends of the line.
         width_um: Width across the line that is averaged over.
         lambda_c_um: Cut-off of the Gaussian filter against longer waves, and the sampling length; none by default.
@@ -199,7 +199,7 @@ def measure_site_range(
     """Front-surface site range, as mounted: the range of heights in each site about its own plane, as JSON. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         site: Width and height of a site.
         region: Two opposite corners of what the sites are laid into; the whole surface by default.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.

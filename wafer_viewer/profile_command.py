@@ -36,7 +36,7 @@ def measure_profile(
     """Sections along lines, rows and columns, four at most, as JSON; a list of them where there are several. Stage um.
 
     Args:
-        src: A NAME.wafer or a surface file, .npz.
+        src: A NAME.wafer or a surface file, such as .x3p.
         line: The two ends of a line; eight numbers are two lines.
         row: Rows by number, from edge to edge; 0 is the top one.
         column: Columns by number; 0 is the left one.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 
 from wafer_viewer.arguments import (
@@ -18,8 +20,10 @@ from wafer_viewer.arguments import (
     require_sources,
 )
 from wafer_viewer.command_output import print_json, print_surface, progress, warn
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.report import PARTS, Part, ReportOrder
+from wafer_viewer.model.surface import Mosaic
 
 OF_THE_PAGE = ("stamp", "changed")
 """What a browser needs to know of a surface, and nobody else."""
@@ -35,7 +39,7 @@ def reconstruct(
     scheduler: Text = None,
     workers: Count = None,
 ) -> None:
-    """Make a surface and write it to a file, whose ending picks the format: .npz .tif .ply .stl .csv.
+    """Make a surface and write it to a file, whose ending picks the format; `convert --help` names them.
 
     Args:
         src: A folder of images, a multi-page TIFF, image files, or one NAME.wafer, of which the mosaic is written.
@@ -48,14 +52,14 @@ def reconstruct(
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
     """
     from wafer_viewer.session.offline import Hire, surface_of
-    from wafer_viewer.store.exporters import export, require_known
+    from wafer_viewer.store.exporters import require_known
 
     require_sources(src)
     require_known(out)
     hire = Hire(scheduler, workers)
     with progress("Reconstruction") as tell:
         surface, info = surface_of(src, recipe, z_step_um, pixel_um, result, tell, warn, hire)
-    export(surface, out)
+    _write(surface, out)
     print_surface(out, info)
 
 
@@ -117,19 +121,53 @@ def why(
     print_json(msgspec.to_builtins(found))
 
 
-def convert(src: Source, out: NewFile) -> None:
-    """Write a surface in another format, named by the ending: .npz .tif .ply .stl .csv.
+def convert(
+    src: Source,
+    out: NewFile,
+    every: Count = None,
+    max_points: Count = None,
+    z_unit: Text = None,
+    pixel_um: Um = None,
+    invert_z: bool = False,
+    result: str = "default",
+) -> None:
+    """Write a surface in another format, named by the ending; what that cannot hold is said on standard error.
+
+    Reads NAME.wafer .npz .gwy .x3p .gsf .tif .ply .pcd .csv .xyz; writes these files and .stl .obj .glb.
 
     Args:
-        src: A surface file, .npz.
+        src: A surface file, or a NAME.wafer, of which the mosaic is written.
         out: The file to write.
+        every: Only every N-th row and column; all by default, of a mesh as many as make a million points.
+        max_points: As many rows and columns as make at most N points.
+        z_unit: Unit of the heights, such as um, where SRC does not say it; of points the unit of x and y, too.
+        pixel_um: Pixel size where SRC does not say it, or what to grid scattered points on.
+        invert_z: The numbers of SRC are depths: turn them over.
+        result: Name of the reconstruction of a NAME.wafer.
     """
-    from wafer_viewer.store.exporters import export, require_known
-    from wafer_viewer.store.npz import read_npz
+    from wafer_viewer.model.formats import Reading
+    from wafer_viewer.session.offline import file_or_mosaic
+    from wafer_viewer.store.exporters import density, require_known
 
     require_known(out)
-    export(read_npz(src), out)
+    if every is not None and max_points is not None:
+        raise DatasetError("--every and --max-points both say how much is written: give one of them.")
+    with progress("Reading") as tell:
+        says = Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z)
+        surface = file_or_mosaic(src, result, says, tell)
+    _write(surface, out, every or density(surface, out, max_points))
     print(out)
+
+
+def _write(surface: Mosaic, out: Path, every: int | None = None) -> None:
+    """Write a surface to a file; what it cannot hold goes to standard error."""
+    from wafer_viewer.store.exporters import density, export, losses
+
+    every = every or density(surface, out)
+    with progress("Writing") as tell:
+        export(surface, out, every, tell)
+    for sentence in losses(surface, out, every):
+        warn(f"{out.name}: {sentence}")
 
 
 def report(

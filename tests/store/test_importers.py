@@ -127,7 +127,7 @@ def test_a_stack_becomes_a_dataset(folder, tmp_path):
     assert data.check().ok
     assert not data.simulated
     assert data.scan.imported_from == "stack"
-    assert data.calibration_problem("2026-01-01") == "imported images carry no calibration"
+    assert data.calibration_problem("2026-01-01") == "what was imported carries no calibration"
     assert fractions == pytest.approx([(k + 1) / 12 for k in range(12)])
     assert names(tmp_path) == ["a.wafer", "stack"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -82,3 +83,11 @@ FORMATS: dict[str, FileFormat] = {
 """By the ending of the file."""
 READ = tuple(ending for ending, kind in FORMATS.items() if kind.is_read)
 MESHES = tuple(ending for ending, kind in FORMATS.items() if kind.is_mesh)
+
+
+def every_for(shape: tuple[int, int], most_points: int) -> int:
+    """The smallest density, as every so manieth pixel, that makes at most so many points."""
+    every = max(1, int(math.sqrt(shape[0] * shape[1] / most_points)))
+    while -(-shape[0] // every) * -(-shape[1] // every) > most_points:
+        every += 1
+    return every

@@ -168,6 +168,8 @@ class Conductor:
     def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
         """Make all heights of the open dataset again."""
         shown = self.library.shown
+        if not shown.fields:
+            raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
         if shown.read_only is not None:
             raise DatasetError(f"Nothing can be reconstructed: {shown.read_only}")
         fields = [n for n, state in shown.states.items() if self._has_stack(n, state)]

@@ -54,6 +54,8 @@ def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:
     Fields with a surface come first.
     """
     plan = data.scan.plan
+    if not data.fields:
+        raise DatasetError(f"{data.path.name} is a surface without frames: there is no focus curve to look at.")
     holding = [f for f in as_stitched(data.fields, kept.poses()) if _holds(plan, f, data.scan.pixel_um, x_um, y_um)]
     if not holding:
         raise DatasetError(

@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.comparison import comparison_of
+from wafer_viewer.model.formats import Reading
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.reporting import make_report
+from wafer_viewer.session.surface_import import import_surface
 from wafer_viewer.session.tasks import export_surface, import_images
 
 
@@ -30,13 +32,19 @@ class FileWork:
         out = folder / f"{wish}{ENDING}"
         return self._work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
 
-    def export_surface(self, path: Path, field_number: int | None) -> Future[Path]:
+    def import_surface(self, src: Path, says: Reading, name: str | None) -> Future[Path]:
+        """Make a dataset of a surface file; done with its path."""
+        wish = Path(name).name.removesuffix(ENDING) if name else free_name(self._desk.now.data_folder, src.stem)
+        out = self._desk.now.data_folder / f"{wish}{ENDING}"
+        return self._work(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
+
+    def export_surface(self, path: Path, field_number: int | None, every: int | None = None) -> Future[Path]:
         """Write the mosaic, a field's surface, or what is shown of a comparison, to a file; done with its path."""
         dataset, result = self._library.dataset, self._library.result_name
         if (asked := comparison_of(field_number or 0)) is not None:
             result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
             field_number = -asked[1]
-        args = (dataset.path, result, field_number, path.absolute())
+        args = (dataset.path, result, field_number, path.absolute(), every)
         return self._work(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
+from wafer_viewer.model.formats import Reading
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.crew import Crew, Here, crew_for, n_local_workers, require_tls
@@ -23,8 +24,8 @@ from wafer_viewer.session.worker import attempt
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
 from wafer_viewer.store.lock import Lock
-from wafer_viewer.store.npz import read_npz
 from wafer_viewer.store.poses import write_poses_csv
+from wafer_viewer.store.readers import is_surface_file, read_surface
 
 Tell = Callable[[float], None]
 Warn = Callable[[str], None]
@@ -108,13 +109,22 @@ def write_poses_of(path: Path, result: str, out: Path) -> None:
 def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic, bool]:
     """The surface of a dataset (0: the mosaic) or of a file, and whether its calibration holds today."""
     if not is_dataset(src):
-        surface = read_npz(src)
+        surface = read_surface(src)
         calibration = surface.provenance.calibration
         return surface, calibration is not None and calibration.problem(calibration.setup, today()) is None
     data = Dataset.open(src)
     kept = data.result(result)
     surface = kept.surface(data.field(field_number)) if field_number else kept.mosaic()
     return surface, data.calibration_problem(today()) is None
+
+
+def file_or_mosaic(src: Path, result: str, says: Reading, tell: Tell) -> Mosaic:
+    """The surface of a file, or the stitched one of a dataset, which says everything itself."""
+    if is_dataset(src):
+        if says != Reading():
+            raise DatasetError(f"{src.name} says its units itself: leave --z-unit, --pixel-um and --invert-z out.")
+        return Dataset.open(src).result(result).mosaic()
+    return read_surface(src, says.z_unit, says.pixel_um, says.invert_z, tell)
 
 
 def evidence_of(
@@ -133,7 +143,7 @@ def evidence_of(
     """
     if len(src) == 1 and is_dataset(src[0]):
         return focus_curve(src[0], result, field_number, *at_um, None if recipe == Recipe() else recipe)
-    if src[0].suffix == ".npz":
+    if is_surface_file(src[0]):
         raise DatasetError(f"{src[0].name} is a surface without its frames: give the dataset or images it was made of.")
     from wafer_viewer.reconstruct import why
 
@@ -148,6 +158,8 @@ def is_dataset(path: Path) -> bool:
 
 def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> list[int]:
     kept, complete = data.result(result), sorted(data.complete_fields())
+    if not data.fields:
+        raise DatasetError(f"{data.path.name} is a surface without frames: there is nothing to reconstruct.")
     if not complete:
         raise DatasetError(f"{data.path.name} has no field with all its frames yet: go on with its scan.")
     same = kept.exists and kept.surfaces_done(data.fields) and recipe.makes_heights_of(kept.recipe())

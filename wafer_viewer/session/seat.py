@@ -17,7 +17,7 @@ FREE = frozenset(
         *("snapshot", "latest_frame", "subscribe", "wait_until", "control"),
         *("mosaic", "height_map", "surface_source", "poses", "frame", "frame_near", "paint", "refresh_datasets"),
         *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail"),
-        *("export_surface", "export_findings"),
+        *("export_surface", "export_findings", "exchange.is_surface"),
         *("papers.keep_picture", "papers.write_report", "papers.contents"),
         *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
         *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),

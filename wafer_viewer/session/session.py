@@ -19,6 +19,7 @@ from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
+from wafer_viewer.session.exchange import Exchange
 from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.jobs import JobVerbs
 from wafer_viewer.session.library import DEFAULT_RESULT
@@ -51,6 +52,7 @@ class Session(Asking):
         self.studies = Studies()
         self.gauge = GaugeVerbs(self._do, rooms.gauge, self._questions, lambda: self.snapshot)
         self.papers = Papers(self._do, rooms.library, rooms.files)
+        self.exchange = Exchange(self._do, rooms.desk, rooms.files, rooms.open)
         self._desk.note(rooms.start)
         atexit.register(self.close)
 
@@ -217,9 +219,9 @@ class Session(Asking):
         """The list of results that was undone."""
         return self._do(self._rooms.book.redo)
 
-    def export_surface(self, path: Path, field: int | None = None) -> Future[Path]:
-        """Write the stitched surface, or a field's, as the kind of file that the ending names."""
-        return self._do(self._rooms.files.export_surface, Path(path), field)
+    def export_surface(self, path: Path, field: int | None = None, every: int | None = None) -> Future[Path]:
+        """Write the stitched surface, or a field's, as the file that the ending names; `every` so manieth pixel of it."""
+        return self._do(self._rooms.files.export_surface, Path(path), field, every)
 
     def export_findings(self, path: Path) -> Future[Path]:
         """Write the results as CSV."""

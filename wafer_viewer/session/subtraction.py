@@ -31,11 +31,11 @@ THREADS = 2
 def opened(name: SurfaceName) -> Mosaic:
     """The surface of a name. Raises DatasetError when it is not there."""
     from wafer_viewer.reconstruct.read_as import read_as
-    from wafer_viewer.store.npz import read_npz
+    from wafer_viewer.store.readers import read_surface
 
     path = Path(name.path)
     if path.suffix != ENDING:
-        return read_as(read_npz(path), name.heights)
+        return read_as(read_surface(path), name.heights)
     data = Dataset.open(path)
     kept = data.result(name.result)
     return read_as(kept.surface(data.field(name.field)) if name.field else kept.mosaic(), name.heights)

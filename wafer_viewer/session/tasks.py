@@ -123,6 +123,7 @@ def export_surface(
     result: str,
     field_number: int | None,
     out: Path,
+    every: int | None = None,
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
@@ -136,10 +137,9 @@ def export_surface(
     data = Dataset.open(dataset)
     kept = data.result(result)
     if field_number is not None and field_number < 0:
-        export(face_of(dataset, result, Face(-field_number)), out)
-        return out
-    export(kept.mosaic() if field_number is None else kept.surface(data.field(field_number)), out)
-    return out
+        return export(face_of(dataset, result, Face(-field_number)), out, every, progress, should_stop)
+    surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
+    return export(surface, out, every, progress, should_stop)
 
 
 def warm_up() -> None:

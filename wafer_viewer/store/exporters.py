@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import FORMATS, MESH_POINTS
+from wafer_viewer.model.formats import FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing
 from wafer_viewer.store.formats.about import caveats
@@ -18,7 +18,7 @@ from wafer_viewer.store.formats.gwy import fits, fits_heights, write_gwy
 from wafer_viewer.store.formats.mesh import write_glb, write_obj, write_stl
 from wafer_viewer.store.formats.pcd import write_pcd
 from wafer_viewer.store.formats.ply import write_ply
-from wafer_viewer.store.formats.strips import Strips, every_for
+from wafer_viewer.store.formats.strips import Strips
 from wafer_viewer.store.formats.table import write_csv, write_xyz
 from wafer_viewer.store.formats.tiff import write_tiff
 from wafer_viewer.store.formats.x3p import write_x3p
@@ -95,7 +95,7 @@ def losses(surface: HeightMap | Mosaic, path: Path, every: int = 1) -> tuple[str
     """What a file cannot hold of a surface, a sentence each; empty where it holds all."""
     said = [FORMATS[path.suffix.lower()].loses]
     if every > 1:
-        said.append(f"Every {every}th row and column is written, {surface.pixel_um * every:.4g} um apart.")
+        said.append(f"One row and one column in {every} are written, {surface.pixel_um * every:.4g} um apart.")
     if path.suffix.lower() == ".gwy" and not fits(Strips(surface, every)):
         said.append("All layers would pass the 4 GB of a GWY file: it holds heights only.")
     return tuple(one for one in said if one)

@@ -62,7 +62,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     def calibration_problem(self, today: str) -> str | None:
         """Why lengths read 'uncalibrated', or None when they are calibrated. `today` is an ISO 8601 day."""
         if self.calibration is None:
-            return "imported images carry no calibration" if self.imported_from else "the rig had no calibration"
+            return "what was imported carries no calibration" if self.imported_from else "the rig had no calibration"
         return self.calibration.problem(self.setup, today)
 
     def page_of(self, k: int, exposure: int) -> int:

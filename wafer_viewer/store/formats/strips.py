@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
@@ -88,14 +87,6 @@ def thinned(surface: HeightMap, every: int) -> HeightMap:
     names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
     layers = {name: getattr(surface, name)[sparse, sparse] for name in names}
     return dataclasses.replace(surface, **layers, overlap_um=None, pixel_um=surface.pixel_um * every)
-
-
-def every_for(shape: tuple[int, int], most_points: int) -> int:
-    """The smallest density, as every so manieth pixel, that makes at most so many points."""
-    every = max(1, int(np.sqrt(shape[0] * shape[1] / most_points)))
-    while -(-shape[0] // every) * -(-shape[1] // every) > most_points:
-        every += 1
-    return every
 
 
 def _window(surface: HeightMap | Mosaic, rows: slice) -> HeightMap:
