@@ -62,10 +62,10 @@ def test_a_certificate_that_lacks_something_is_refused_in_one_sentence(tmp_path,
 
 
 def test_a_certificate_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(MeasureError, match="gone.toml cannot be read"):
+    with pytest.raises(MeasureError, match=r"gone\.toml cannot be read"):
         read_certificate(tmp_path / "gone.toml")
     (tmp_path / "image.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(MeasureError, match="image.toml"):
+    with pytest.raises(MeasureError, match=r"image\.toml"):
         read_certificate(tmp_path / "image.toml")
 
 
