@@ -220,7 +220,7 @@ class Session(Asking):
         return self._do(self._rooms.book.redo)
 
     def export_surface(self, path: Path, field: int | None = None, every: int | None = None) -> Future[Path]:
-        """Write the stitched surface, or a field's, as the file that the ending names; `every` so manieth pixel of it."""
+        """Write the stitched surface, or a field's, as the file that the ending names, every so manieth pixel of it."""
         return self._do(self._rooms.files.export_surface, Path(path), field, every)
 
     def export_findings(self, path: Path) -> Future[Path]:

@@ -88,7 +88,9 @@ def fits_heights(strips: Strips) -> bool:
 
 def read_gwy(path: Path, asked: Asked) -> HeightMap:
     """The layers of a file of ours, the heights of another's. Raises DatasetError where there are no heights."""
-    if path.stat().st_size < len(MAGIC) or path.open("rb").read(len(MAGIC)) != MAGIC:
+    with path.open("rb") as file:
+        is_ours = file.read(len(MAGIC)) == MAGIC
+    if not is_ours:
         raise asked.refuse("is no GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
     try:
         tree = _Parser(np.memmap(path, np.uint8, "r")).whole()
