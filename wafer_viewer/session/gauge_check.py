@@ -74,17 +74,23 @@ def repeat_of(source: Source, certificate: Certificate, faces: Faces | None = No
 def check_of(
     repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, records: Sequence[GaugeRecord]
 ) -> GaugeCheck:
-    """What repeats come to, with the scatter that signed checks of these blocks found before."""
+    """What repeats come to, with the scatter that signed checks of these blocks found before in other scans."""
     from wafer_viewer.measure.gauge import gauge_check
     from wafer_viewer.measure.run_chart import pooled_scatter
 
-    return gauge_check(repeats, certificate, terms, known=pooled_scatter(records))
+    others = [record for record in records if _in_common(record.check, repeats) is None]
+    return gauge_check(repeats, certificate, terms, known=pooled_scatter(others))
 
 
-def signed(check: GaugeCheck, operator: str, show: int = 0) -> GaugeCheck:
-    """The check with who signed it and when. Raises MeasureError without a name."""
+def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord], show: int = 0) -> GaugeCheck:
+    """The check with who signed it and when. Raises MeasureError without a name, or where a scan counts already."""
     if not operator.strip():
         raise MeasureError("A check is signed with a name: say who made it.")
+    for before in (record.check for record in records):
+        if (scan := _in_common(before, check.repeats)) is not None:
+            raise MeasureError(
+                f"{scan} is in the check that {before.signed_by} signed on {before.at[:10]}: check new scans."
+            )
     return replace(check, signed_by=operator.strip(), at=now(), show=show)
 
 
@@ -93,6 +99,12 @@ def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
     from wafer_viewer import __version__
 
     return GaugeRecord(check=check, rig=rig, result=result, software_version=__version__)
+
+
+def _in_common(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
+    """The first scan that a check has with some repeats."""
+    scans = {(repeat.dataset, repeat.taken) for repeat in check.repeats}
+    return next((r.dataset for r in repeats if (r.dataset, r.taken) in scans), None)
 
 
 def capability_of(records: Sequence[GaugeRecord], tolerance_um: float | None) -> Capability | None:

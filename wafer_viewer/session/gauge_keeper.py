@@ -95,7 +95,7 @@ class GaugeKeeper:
             raise MeasureError(f"{shown.name} is no repeat of this check: open one of its scans to sign it.")
         if shown.read_only is not None:
             raise MeasureError(f"The check cannot be kept: {shown.read_only}")
-        check = work.signed(state.check, operator)
+        check = work.signed(state.check, operator, state.records)
         record = work.record_of(check, self._library.dataset.scan.rig, self._library.result_name)
         sign(self._folder, record)
         self._book.keep(check)

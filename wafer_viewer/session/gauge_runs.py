@@ -51,9 +51,10 @@ def sign_sources(
     check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, field_number: int, result: str
 ) -> GaugeCheck:
     """Sign a check: it goes to the log, and into the results of the last scan where that is a dataset."""
-    signed = work.signed(check, operator, field_number)
-    record = work.record_of(signed, _rig(src[-1]), result)
-    folder = log or src[0].parent
+    folder, rig = log or src[0].parent, _rig(src[-1])
+    records = _of_rig(signed_checks(folder, check.certificate.serials), rig)
+    signed = work.signed(check, operator, records, field_number)
+    record = work.record_of(signed, rig, result)
     if not is_dataset(src[-1]):
         sign(folder, record)
         return signed
