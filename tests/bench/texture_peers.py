@@ -39,7 +39,7 @@ AGREES = 0.1
 MATERIAL_CLASSES = 100_000
 """surfalize ends peaks and valleys at the nearest class: with its 10 000 Spk is off by up to .3 %."""
 WHY = {
-    "Gwyddion": "Sdr: it counts half a pixel more all round, flatter than the rest; where the border is level we agree.",
+    "Gwyddion": "Sdr: it counts half a pixel more all round, flatter than the rest; with a level border we agree.",
     "SurfaceTopography": "Sdq: it leaves out the last row and column.",
     "surfalize": "Sdr: it halves each square both ways, Gwyddion and we make four triangles about its middle. "
     "Sal, Str: it looks along lattice points only.",

@@ -1,0 +1,68 @@
+"""How long the texture of a region takes, all families, without and with filters, whole and with holes.
+
+    python tests/bench/bench_texture.py [--quick]
+
+A made-up surface in memory; one thread. Peers are compared with by texture_peers.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tests.bench.tables import show
+from tests.bench.texture_peers import PIXEL_UM, as_map
+from wafer_viewer.measure.roughness import roughness
+from wafer_viewer.measure.texture import texture
+from wafer_viewer.model.region import Region
+
+ROUNDS = 5
+SETTINGS: dict[str, dict[str, float]] = {
+    "no filter": {},
+    "form of order 4": {"form_order": 4},
+    "S 2.5 um": {"s_filter_um": 2.5},
+    "S 2.5, L 80 um": {"s_filter_um": 2.5, "l_filter_um": 80.0},
+    "S 10, L 250 um, form 4": {"s_filter_um": 10.0, "l_filter_um": 250.0, "form_order": 4},
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="a region of a quarter of a million pixels")
+    side_px = 600 if parser.parse_args().quick else 1024
+    rng = np.random.default_rng(1)
+    z_um = 5 * gaussian_filter(rng.normal(size=(side_px, side_px)), 4)
+    holed = np.where(rng.random(z_um.shape) < 0.1, np.nan, z_um)
+    # A ridge along one direction: looking for where it ends is the most that the spatial parameters ask for.
+    grating = np.broadcast_to(np.sin(np.arange(side_px) / 3), z_um.shape) + 0.01 * z_um
+    side_um = (side_px - 1) * PIXEL_UM
+    face, line = Region.rectangle(0, 0, side_um, side_um), Region.line(0, side_um / 2, side_um, side_um / 2)
+    rows = [
+        [name, *(_timed(partial(texture, as_map(z), face, **options)) for z in (z_um, holed, grating))]
+        for name, options in SETTINGS.items()
+    ]
+    title = f"Texture of {side_px**2 / 1e6:.2f} million pixels, s"
+    show(title, ["settings", "whole", "10 % holes", "grating"], rows)
+    surface = as_map(z_um)
+    lines = [[f"lambda-c {um:g} um", _timed(partial(roughness, surface, line, lambda_c_um=um))] for um in (25.0, 50.0)]
+    show("Roughness of a line across it, s", ["settings", ""], lines)
+
+
+def _timed(work: Callable[[], object]) -> str:
+    """The best of some rounds, after one to load what is loaded once."""
+    work()
+    taken = []
+    for _ in range(ROUNDS):
+        begun = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - begun)
+    return f"{min(taken):.3f}"
+
+
+if __name__ == "__main__":
+    main()
