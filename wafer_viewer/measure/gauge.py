@@ -53,8 +53,9 @@ def gauge_repeat(
 
 
 def surface_mark(surface: Mosaic) -> str:
-    """What a surface was made of and how: another one has another mark."""
-    return hashlib.sha256(encode(surface.provenance, "json").encode()).hexdigest()[:16]
+    """What frames a surface was made of; where that is not known, what is known of it."""
+    about = surface.provenance
+    return (about.input_checksum or hashlib.sha256(encode(about, "json").encode()).hexdigest())[:16]
 
 
 def gauge_check(
@@ -158,7 +159,7 @@ def set_the_scale(serials: Iterable[str], calibration: Calibration) -> tuple[str
 def require_new(repeat: GaugeRepeat, others: Iterable[GaugeRepeat]) -> None:
     """Raise MeasureError where a scan is in a check already, or was made with another calibration."""
     for other in others:
-        if other.dataset == repeat.dataset or (repeat.surface and other.surface == repeat.surface):
+        if other.is_scan_of(repeat):
             raise MeasureError(f"{repeat.dataset} is in the check already: a repeat is a new scan of the blocks.")
         if other.calibration != repeat.calibration:
             raise MeasureError(

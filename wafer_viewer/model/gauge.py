@@ -145,7 +145,7 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
 
 
 class GaugeRepeat(Spec, frozen=True, kw_only=True):
-    """The step in one scan of the blocks; surface: the mark of the very surface it was measured on.
+    """The step in one scan of the blocks; surface: the mark of the frames that its surface was made of.
 
     not_evaluated: what the budget of this step leaves out.
     """
@@ -161,6 +161,11 @@ class GaugeRepeat(Spec, frozen=True, kw_only=True):
     not_evaluated: tuple[str, ...] = ()
     calibration: Calibration | None = None
     simulated: bool = False
+
+    def is_scan_of(self, other: GaugeRepeat) -> bool:
+        """Whether both were measured in one scan: that is no repeat."""
+        named = bool(self.taken) and (self.dataset, self.taken) == (other.dataset, other.taken)
+        return named or (bool(self.surface) and self.surface == other.surface)
 
 
 class GaugeLine(Spec, frozen=True, kw_only=True):

@@ -79,7 +79,7 @@ class GaugeVerbs:
         if state.certificate is None:
             raise MeasureError(NO_CERTIFICATE)
         before = () if state.signed is not None else state.repeats
-        others = tuple(other for other in before if other.dataset != repeat.dataset)
+        others = tuple(other for other in before if not other.is_scan_of(repeat))
         return work.check_of((*others, repeat), state.certificate, state.terms, state.records)
 
     def _measured(self, faces: Faces | None, show: int) -> GaugeRepeat:

@@ -103,8 +103,7 @@ def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
 
 def _in_common(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
     """The first scan that a check has with some repeats."""
-    scans = {(repeat.dataset, repeat.taken) for repeat in check.repeats}
-    return next((r.dataset for r in repeats if (r.dataset, r.taken) in scans), None)
+    return next((new.dataset for new in repeats if any(old.is_scan_of(new) for old in check.repeats)), None)
 
 
 def capability_of(records: Sequence[GaugeRecord], tolerance_um: float | None) -> Capability | None:
