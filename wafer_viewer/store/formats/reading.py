@@ -49,7 +49,7 @@ class Asked:
 
     def require_heights_up(self, quantity: str) -> None:
         """Refuse what a file calls depths, unless a person said that they be turned over."""
-        if "depth" in quantity.lower() and not self.says.invert_z:
+        if quantity.strip().lower().startswith("depth") and not self.says.invert_z:
             raise self.refuse(f"holds depths, not heights ({quantity}): say so with --invert-z to turn them over.")
 
     def z_scale_um(self, unit: str | None) -> float:
@@ -60,7 +60,7 @@ class Asked:
             raise self.refuse("does not say the unit of its heights: give it, as in --z-unit um.")
         if not unit:
             return sign * self._length(given or "", "--z-unit")
-        if given is not None and not _same(self._length(given, "--z-unit"), self._length(unit, "its heights")):
+        if given is not None and not same(self._length(given, "--z-unit"), self._length(unit, "its heights")):
             raise self.refuse(f"says that its heights are in {unit}, and --z-unit says {given}: leave --z-unit out.")
         return sign * self._length(unit, "its heights")
 
@@ -78,11 +78,11 @@ class Asked:
         dy_um = dx_um if dy_um is None else dy_um
         if dx_um < 0 or dy_um < 0:
             raise self.refuse("is mirrored, a step along x or y is negative: write it with positive steps.")
-        if not _same(dx_um, dy_um):
+        if not same(dx_um, dy_um):
             raise self.refuse(
                 f"has pixels of {dx_um:.6g} x {dy_um:.6g} um: resample it to square pixels before, as Gwyddion does."
             )
-        if given is not None and not _same(given, dx_um):
+        if given is not None and not same(given, dx_um):
             raise self.refuse(f"says that a pixel is {dx_um:.6g} um, and --pixel-um {given:g}: leave --pixel-um out.")
         return dx_um
 
@@ -143,5 +143,6 @@ def require_some(asked: Asked, known: NDArray[np.bool_]) -> None:
         raise asked.refuse("holds no height: write it again from a surface that has some.")
 
 
-def _same(a: float, b: float) -> bool:
+def same(a: float, b: float) -> bool:
+    """Whether two statements of one length agree."""
     return math.isclose(a, b, rel_tol=_ROUND_OFF)

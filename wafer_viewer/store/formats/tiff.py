@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.store.formats.about import about, told_by
-from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
+from wafer_viewer.store.formats.reading import Asked, heights_only, same, scaled
 from wafer_viewer.store.formats.strips import Strips
 
 if TYPE_CHECKING:
@@ -65,8 +65,10 @@ def read_tiff(path: Path, asked: Asked) -> HeightMap:
     if told is not None and (told.rows, told.cols) != raw.shape:
         told = None
     said_um = facts.get("pixel_um")
-    if isinstance(said_um, float | int) and lateral_um is not None:
-        asked.pixel_um(float(said_um), lateral_um[0])
+    if isinstance(said_um, float | int) and lateral_um is not None and not same(float(said_um), lateral_um[0]):
+        raise asked.refuse(
+            f"says that a pixel is {said_um:g} um and {lateral_um[0]:g} um by its resolution: keep what is right."
+        )
     dx_um, dy_um = (said_um, said_um) if isinstance(said_um, float | int) else (lateral_um or (None, None))
     z_scale = asked.z_scale_um(facts.get("unit"))
     pixel_um = asked.pixel_um(dx_um, dy_um)
