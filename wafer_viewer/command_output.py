@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from wafer_viewer.session.preflight import Check as LookedAt
     from wafer_viewer.session.state import SurfaceInfo
     from wafer_viewer.store.dataset import CheckReport, Dataset
+    from wafer_viewer.store.digests import Digest
 
 NAMED = 20
 """Missing or damaged frames that are named one by one."""
@@ -126,6 +127,12 @@ def print_check(data: Dataset, report: CheckReport) -> None:
             print(f"  {what}: and {len(shots) - NAMED} more")
     for fault in report.faults:
         print(f"  {fault}")
+
+
+def print_digests(digests: Iterable[Digest]) -> None:
+    """The checksums that stand on reports, to be held against them."""
+    for digest in digests:
+        print(f"  {digest.sha256}  {digest.what}: {digest.of}")
 
 
 def print_checks(checks: Iterable[Check]) -> int:

@@ -26,6 +26,7 @@ from wafer_viewer.command_output import (
     print_check,
     print_checks,
     print_cluster,
+    print_digests,
     print_json,
     print_plan,
     print_preflight,
@@ -195,11 +196,15 @@ def check(dataset: DatasetFolder) -> int:
         dataset: The dataset.
     """
     from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.digests import digests_of_result, digests_of_scan
 
     data = Dataset.open(dataset)
     with progress("Check") as tell:
         report = data.check(tell)
     print_check(data, report)
+    print_digests(digests_of_scan(dataset))
+    for name in data.results():
+        print_digests(digests_of_result(data.result(name)))
     return 0 if report.ok else 1
 
 

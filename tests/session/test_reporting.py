@@ -24,7 +24,7 @@ from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.model.verdict import Judged, WaferVerdict
-from wafer_viewer.session import reporting
+from wafer_viewer.session import report_results, reporting
 from wafer_viewer.session.reporting import contents, gather, make_report, report_of
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset
@@ -95,7 +95,10 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
     assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
     assert kind == "Step height, unsmoothed"
     assert value.startswith("12.0")
-    assert report.sections[0].figures[0].small
+    (sheet,) = report.sections[0].sheets
+    assert (sheet.number, sheet.title, sheet.value) == ("1", "Die <b>", value)
+    assert sheet.picture.startswith("data:image/jpeg")
+    assert sheet.budget is None, "without a calibration there is none"
     assert ("Lot", "L7") in report.facts
     assert report.simulated
 
@@ -110,9 +113,12 @@ def a_verdict() -> WaferVerdict:
 def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
     material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
-    rows = reporting._results(material).table.rows
-    assert rows[0][:3] == ("F1", "die", "Feature, 11 to 13 um")
-    assert rows[0][-1] == "INCONCLUSIVE · accepted · measured by hand"
+    told = report_results.verdict(material)
+    (row,) = told.table.rows
+    assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
+    assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
+    assert (told.word, told.beside) == ("inconclusive", "Coupon B · Calibrate.")
+    assert told.sentences == ("die: No uncertainty.",)
     assert ("Verdict", "INCONCLUSIVE, Coupon B") in reporting._facts(material)
     assert gather(dataset, RESULT).verdict is None
 
@@ -159,11 +165,13 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     material = dataclasses.replace(gather(dataset, RESULT), findings=(), info=None)
     monkeypatch.setattr(reporting, "gather", lambda *_: material)
     said = contents(dataset, RESULT)
-    assert {part for part, holds in said.items() if holds.nothing} == {"results", "pictures", "surface"}
+    assert {part for part, holds in said.items() if holds.nothing} == {
+        *("verdict", "results", "profiles", "gauge", "pictures", "surface")
+    }
     assert (said["results"].words, said["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))
     material = dataclasses.replace(material, verdict=a_verdict(), notebook=rejected)
-    assert contents(dataset, RESULT)["results"] == Holds("1 feature, 1 judged")
+    assert contents(dataset, RESULT)["verdict"] == Holds("INCONCLUSIVE, 1 feature, 1 judged")
 
 
 def test_a_part_with_nothing_in_it_says_so():

@@ -5,19 +5,38 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, get_args
 
+from wafer_viewer.model.decision import Word
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec
 
-Part = Literal["results", "pictures", "surface", "plan", "recipe", "calibration", "warnings"]
+Part = Literal[
+    "verdict",
+    "results",
+    "profiles",
+    "gauge",
+    "pictures",
+    "surface",
+    "plan",
+    "recipe",
+    "calibration",
+    "warnings",
+    "checksums",
+    "signatures",
+]
 PARTS: tuple[Part, ...] = get_args(Part)
 PART_TITLES: dict[Part, str] = {
+    "verdict": "Verdict",
     "results": "Results",
+    "profiles": "Profiles",
+    "gauge": "Gauge checks",
     "pictures": "Pictures",
     "surface": "Surface",
     "plan": "Plan",
     "recipe": "Recipe",
     "calibration": "Calibration",
     "warnings": "Warnings",
+    "checksums": "Data and software",
+    "signatures": "Signatures",
 }
 
 
@@ -30,6 +49,7 @@ class Holds:
 
 
 Contents = dict[Part, Holds]
+Pairs = tuple[tuple[str, str], ...]
 
 
 class ReportOrder(Spec, frozen=True, kw_only=True):
@@ -51,40 +71,54 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture as a data URL, with its caption; small ones stand side by side."""
+    """A picture as a data URL, or a drawing as SVG of our own, with its caption; small ones stand side by side."""
 
     url: str
     caption: str
     small: bool = False
+    svg: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One result with all it holds: its main number, the place it was measured at, the others, the budget.
+
+    missing: what its uncertainty leaves out.
+    """
+
+    number: str
+    title: str
+    below: str
+    value: str
+    picture: str = ""
+    pairs: Pairs = ()
+    budget: Table | None = None
+    missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A head, and what stands under it: names with values, a table, pictures, sentences. `empty`: why nothing does."""
+    """A head, and what stands under it: names with values, a table, pictures, sentences. `empty`: why nothing does.
+
+    word: in large type before all else, with the sentence beside it; lines: what is signed.
+    """
 
     title: str
-    pairs: tuple[tuple[str, str], ...] = ()
+    pairs: Pairs = ()
     table: Table | None = None
     figures: tuple[Figure, ...] = ()
+    sheets: tuple[Sheet, ...] = ()
     sentences: tuple[str, ...] = ()
+    word: Word | None = None
+    beside: str = ""
+    lines: tuple[str, ...] = ()
     empty: str = ""
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing stands under the head."""
-        return not (self.pairs or (self.table and self.table.rows) or self.figures or self.sentences)
-
-    @property
-    def summary(self) -> str:
-        """What stands under it, in a few words."""
-        counts = (
-            (len(self.table.rows) if self.table else 0, "row"),
-            (len(self.figures), "picture"),
-            (len(self.pairs), "number"),
-            (len(self.sentences), "sentence"),
-        )
-        said = [f"{n} {word}{'' if n == 1 else 's'}" for n, word in counts if n]
-        return ", ".join(said) or self.empty
+        held = self.pairs, self.figures, self.sheets, self.sentences, self.word, self.lines
+        return not (any(held) or (self.table and self.table.rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,5 +128,5 @@ class Report:
     title: str
     below: str
     simulated: bool
-    facts: tuple[tuple[str, str], ...]
+    facts: Pairs
     sections: tuple[Section, ...]

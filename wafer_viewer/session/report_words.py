@@ -2,59 +2,44 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
-from wafer_viewer.draw.numbers import duration, number, share, size, value_and_u, with_unit
+from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.feature import limits_text
 from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
 from wafer_viewer.model.plan import Job, ScanPlan
-from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.verdict import Judged, WaferVerdict
+from wafer_viewer.session.finding_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.state import SurfaceInfo
 
-UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
 Pairs = tuple[tuple[str, str], ...]
 
 
-def spaced(name: str) -> str:
-    """A name of the program as words: ``StepHeight`` is Step height, ``n_frames`` is n frames."""
-    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("_", " ").lower()
-    words = re.sub(r" um$", ", µm", words)
-    return words[:1].upper() + words[1:]
-
-
-def quantity_text(quantity: Quantity) -> str:
-    """A value with its U and unit, ``11.86 ± 0.31 µm``; where there is no U, why."""
-    unit = UNITS.get(quantity.unit, quantity.unit)
-    value, u = value_and_u(quantity.value, quantity.expanded)
-    if quantity.expanded is None:
-        return (
-            f"{value}\u202f{unit}, {quantity.status if quantity.status == 'uncalibrated' else 'U ' + quantity.status}"
-        )
-    return f"{value} ± {u}\u202f{unit}"
-
-
 def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
     """Number, name, what it is, its value, where, and what was thought of it."""
-    thought = _thought(notebook.judgement(key_of_result(finding.number)))
-    kind = f"{spaced(type(finding).__name__)}{_terms(finding)}"
-    return (f"{finding.number}", finding.name, kind, quantity_text(finding.main), where(finding), thought)
+    said = thought(notebook.judgement(key_of_result(finding.number)))
+    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
+
+
+def kind_of(finding: AnyFinding) -> str:
+    """What kind of result it is, on which heights, from which zero."""
+    return f"{spaced(type(finding).__name__)}{_terms(finding)}"
 
 
 def feature_row(n: int, judged: Judged, judgement: Judgement) -> tuple[str, ...]:
-    """The same of a feature of the job, with its limits, the instrument's word and people's."""
-    limits = f"Feature, {limits_text(judged.feature)}"
+    """Number and name of a feature of the job, its limits, its value, the instrument's word and people's."""
+    feature = judged.feature
+    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
+    rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
     value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
-    thought = _thought(judgement, judged.word.upper())
-    return (f"F{n}", judged.name, limits, value, "", thought)
+    what = f", {title_of(feature.quantity)}" if feature.quantity else ""
+    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), thought(judgement))
 
 
 def verdict_text(verdict: WaferVerdict) -> str:
@@ -62,15 +47,15 @@ def verdict_text(verdict: WaferVerdict) -> str:
     return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
 
 
-def _thought(judgement: Judgement, first: str = "") -> str:
-    return " · ".join(part for part in (first, VERDICTS[judgement.verdict], judgement.note) if part)
+def thought(judgement: Judgement) -> str:
+    """What people think of a thing, and their note."""
+    return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
 
 
 def regions(finding: AnyFinding) -> tuple[Region, ...]:
     """The places a finding was measured at."""
-    held = [getattr(finding, name) for name in finding.__struct_fields__]
-    nested = [region for spec in held if isinstance(spec, Spec) for region in _regions_of(spec)]
-    return tuple(nested)
+    held = (getattr(finding, name) for name in finding.__struct_fields__)
+    return tuple(region for value in held for region in _regions_of(value))
 
 
 def bounds_um(finding: AnyFinding) -> tuple[float, float, float, float] | None:
@@ -163,11 +148,8 @@ def _terms(finding: AnyFinding) -> str:
     return f", {finding.surface}{levelled}"
 
 
-def _regions_of(spec: Spec) -> Iterator[Region]:
-    if isinstance(spec, Region):
-        yield spec
-    elif not isinstance(spec, Length | Quantity | Levelling):
-        for name in spec.__struct_fields__:
-            held: Any = getattr(spec, name)
-            if isinstance(held, Spec):
-                yield from _regions_of(held)
+def _regions_of(value: Any) -> Iterator[Region]:
+    if isinstance(value, Region):
+        yield value
+    elif isinstance(value, tuple):
+        yield from (item for item in cast(tuple[Any, ...], value) if isinstance(item, Region))

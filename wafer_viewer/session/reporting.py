@@ -5,64 +5,25 @@ No clock is read: the same dataset makes the same bytes. Whether lengths are cal
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from wafer_viewer import __version__
 from wafer_viewer.draw.numbers import number
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.notebook import Notebook, keys_of_features, keys_under_review
+from wafer_viewer.model.notebook import keys_of_features, keys_under_review
 from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
-from wafer_viewer.model.verdict import Judged, WaferVerdict
-from wafer_viewer.session.judging import kept_verdict
+from wafer_viewer.session.finding_numbers import not_evaluated
+from wafer_viewer.session.report_material import Material, gather
+from wafer_viewer.session.report_results import gauge, profiles, results, verdict
 from wafer_viewer.session.report_words import (
-    bounds_um,
     calibration_pairs,
-    feature_row,
     plan_pairs,
-    quantity_text,
     recipe_pairs,
-    result_row,
     surface_pairs,
     verdict_text,
 )
-from wafer_viewer.session.state import SurfaceInfo
 
-if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.result import Result
-
-MOST_PLACES = 24
-"""Results beyond that have no picture of their own: the report stays of a size to be sent."""
-RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
-
-
-@dataclass(frozen=True, slots=True)
-class Material:
-    """What the parts of a report are made from."""
-
-    dataset: Dataset
-    result: Result
-    info: SurfaceInfo | None
-    findings: tuple[AnyFinding, ...]
-    notebook: Notebook
-    verdict: WaferVerdict | None = None
-
-    @property
-    def day(self) -> str:
-        """The day of the scan, ISO 8601."""
-        return self.dataset.scan.taken[:10]
-
-    @property
-    def uncalibrated(self) -> str | None:
-        """Why lengths are not calibrated, or None."""
-        return self.dataset.calibration_problem(self.day)
-
-    @property
-    def features(self) -> tuple[Judged, ...]:
-        """The features of the verdict, if there is one."""
-        return self.verdict.items if self.verdict is not None else ()
+SIGNED_BY = ("Measured by", "Checked by", "Approved by")
 
 
 def report_of(folder: Path, result: str, order: ReportOrder) -> Report:
@@ -73,8 +34,19 @@ def report_of(folder: Path, result: str, order: ReportOrder) -> Report:
         below=_below(material, order),
         simulated=material.dataset.simulated,
         facts=_facts(material),
-        sections=tuple(_MADE[part](material) for part in order.parts if part != "pictures" or _taken(material)),
+        sections=tuple(_MADE[part](material) for part in order.parts if _goes_in(part, material)),
     )
+
+
+def _goes_in(part: Part, material: Material) -> bool:
+    """Parts of what this dataset has nothing to do with are left out, not told to be empty."""
+    held = {
+        "verdict": material.asks_for_a_verdict or material.verdict is not None,
+        "profiles": bool(material.lines),
+        "gauge": bool(material.gauge_checks),
+        "pictures": bool(material.pictures),
+    }
+    return held.get(part, True)
 
 
 def make_report(folder: Path, result: str, order: ReportOrder, out: Path) -> Path:
@@ -85,45 +57,49 @@ def make_report(folder: Path, result: str, order: ReportOrder, out: Path) -> Pat
     return out
 
 
-def gather(folder: Path, result_name: str) -> Material:
-    """Read what a report needs of a dataset. Raises DatasetError when the folder is none."""
-    from wafer_viewer.session.summary import load_summary
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.notebook import read_notebook
-
-    dataset = Dataset.open(folder)
-    result = dataset.result(result_name)
-    info = load_summary(result) if result.has_mosaic else None
-    return Material(dataset, result, info, result.findings().items, read_notebook(result.path), kept_verdict(result))
-
-
 def contents(folder: Path, result_name: str) -> Contents:
     """What each part would hold; nothing is drawn for it. Raises DatasetError when the folder is no dataset."""
     material = gather(folder, result_name)
     info, plan, why = material.info, material.dataset.scan.plan, material.uncalibrated
-    pictures, warnings = len(_taken(material)), len(_warnings(material).sentences)
+    pictures, warnings = len(material.pictures), len(_warnings(material).sentences)
     taken = _count(pictures, "picture") if pictures else "no pictures yet: key P takes one"
     points = f"{number(info.cols, 0)} × {number(info.rows, 0)} points" if info is not None else "not stitched yet"
     settled = info is not None and info.settled is not None
     return {
+        "verdict": _verdict_held(material),
         "results": _results_held(material),
+        "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
+        "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
         "pictures": Holds(taken, nothing=not pictures),
         "surface": Holds(points, nothing=info is None),
         "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
         "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
         "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
         "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
+        "checksums": Holds("SHA-256 of what the numbers come from, versions of the program"),
+        "signatures": Holds(", ".join(SIGNED_BY).lower()),
     }
 
 
+def _held(n: int, word: str, nothing: str) -> Holds:
+    return Holds(_count(n, word) if n else nothing, nothing=not n)
+
+
+def _verdict_held(material: Material) -> Holds:
+    """The word and the number of features, and how many of them people judged."""
+    if material.verdict is None:
+        why = "no verdict was kept" if material.asks_for_a_verdict else "the job has no feature with limits"
+        return Holds(why, nothing=True)
+    judged = material.notebook.judged(keys_of_features(material.verdict))
+    return Holds(f"{material.verdict.word.upper()}, {_count(len(material.features), 'feature')}, {judged} judged")
+
+
 def _results_held(material: Material) -> Holds:
-    """Counts of features and results, and how many of them people judged."""
-    counts = ((len(material.features), "feature"), (len(material.findings), "result"))
-    said = [_count(n, word) for n, word in counts if n]
-    if not said:
+    """How many results there are, and how many of them people judged."""
+    if not material.findings:
         return Holds("no results yet", nothing=True)
-    judged = material.notebook.judged(keys_under_review(material.verdict, material.findings))
-    return Holds(", ".join([*said, f"{judged} judged"]))
+    judged = material.notebook.judged(keys_under_review(None, material.findings))
+    return Holds(f"{_count(len(material.findings), 'result')}, {judged} judged")
 
 
 def _count(n: int, word: str) -> str:
@@ -152,46 +128,11 @@ def _facts(material: Material) -> tuple[tuple[str, str], ...]:
     return tuple((name, value) for name, value in named if value)
 
 
-def _results(material: Material) -> Section:
-    keyed = enumerate(zip(keys_of_features(material.verdict), material.features, strict=True), 1)
-    judged = [feature_row(n, feature, material.notebook.judgement(key)) for n, (key, feature) in keyed]
-    rows = (*judged, *(result_row(finding, material.notebook) for finding in material.findings))
-    figures = tuple(
-        figure for finding in material.findings[:MOST_PLACES] if (figure := _place(material, finding)) is not None
-    )
-    return Section(
-        PART_TITLES["results"],
-        table=Table(RESULT_HEADS, rows, "n"),
-        figures=figures,
-        empty="No results were kept.",
-    )
-
-
-def _place(material: Material, finding: AnyFinding) -> Figure | None:
-    """The surface round the place of a result, where it was measured on the stitched one."""
-    from wafer_viewer.session.report_pictures import place_picture
-
-    box, info = bounds_um(finding), material.info
-    if box is None or info is None or finding.show != 0:
-        return None
-    url = place_picture(material.result.mosaic(), box, info.low_um, info.high_um)
-    caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}"
-    return Figure(url, caption, small=True) if url else None
-
-
 def _pictures(material: Material) -> Section:
     from wafer_viewer.session.report_pictures import taken_picture
 
-    figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in _taken(material))
+    figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in material.pictures)
     return Section(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
-
-
-def _taken(material: Material) -> list[Path]:
-    """The pictures beside the dataset, in the order of their numbers."""
-    from wafer_viewer.store.files import natural
-
-    path = material.dataset.path
-    return sorted(path.parent.glob(f"{path.stem}-picture-*.png"), key=lambda p: natural(p.name))
 
 
 def _surface(material: Material) -> Section:
@@ -231,16 +172,53 @@ def _warnings(material: Material) -> Section:
     if info is not None:
         said += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
     said += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
-    told = tuple(dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in said))
+    told = tuple(dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*said, *_left_out(material))))
     return Section(PART_TITLES["warnings"], sentences=told, empty="None.")
 
 
+def _left_out(material: Material) -> Iterator[str]:
+    """What is not evaluated in U, and of which results."""
+    of: dict[tuple[str, ...], list[str]] = {}
+    for finding in material.findings:
+        if missing := not_evaluated(finding):
+            of.setdefault(tuple(what.rstrip(".") for what in missing), []).append(f"{finding.number}")
+    for missing, numbers in of.items():
+        results = f"{'result' if len(numbers) == 1 else 'results'} {', '.join(numbers)}"
+        yield f"Not evaluated in U of {results}: {'; '.join(missing)}."
+
+
+def _checksums(material: Material) -> Section:
+    from wafer_viewer.store.digests import digests_of_result, digests_of_scan
+
+    digests = (*digests_of_scan(material.dataset.path), *digests_of_result(material.result))
+    made = material.result.mosaic().provenance.software_version if material.result.has_mosaic else ""
+    versions = (
+        ("Taken with", material.dataset.scan.software_version),
+        ("Surface made with", made),
+        ("Reported with", __version__),
+    )
+    return Section(
+        PART_TITLES["checksums"],
+        pairs=tuple((name, f"Wafer Viewer {version}") for name, version in versions if version),
+        table=Table(("What", "Of which files", "SHA-256"), tuple((d.what, d.of, d.sha256) for d in digests)),
+    )
+
+
+def _signatures(material: Material) -> Section:
+    return Section(PART_TITLES["signatures"], lines=SIGNED_BY)
+
+
 _MADE: dict[Part, Callable[[Material], Section]] = {
-    "results": _results,
+    "verdict": verdict,
+    "results": results,
+    "profiles": profiles,
+    "gauge": gauge,
     "pictures": _pictures,
     "surface": _surface,
     "plan": _plan,
     "recipe": _recipe,
     "calibration": _calibration,
     "warnings": _warnings,
+    "checksums": _checksums,
+    "signatures": _signatures,
 }

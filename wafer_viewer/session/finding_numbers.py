@@ -1,0 +1,145 @@
+"""Every number that a result holds, in words: by what its fields are, whatever kind of result it is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from wafer_viewer.draw.numbers import number, share, value_and_u
+from wafer_viewer.model.finding import Finding
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.quantities import BudgetLine, Length, Quantity
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import Spec
+
+UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
+SUFFIXES = {"_um2": "µm²", "_um3": "µm³", "_um": "µm", "_deg": "°", "_mrad": "mrad", "_c": "°C"}
+"""How the name of a plain number ends that has a unit."""
+TITLES = {
+    "pt": "Pt",
+    "dz": "Δz",
+    "flt_t": "FLTt",
+    "flt_q": "FLTq",
+    "flt_t_minimum_zone": "FLTt, minimum zone",
+    "band_9973": "Band with 99.73 %",
+    "sdr_fraction": "Sdr",
+    "smr1_fraction": "Smr1",
+    "smr2_fraction": "Smr2",
+    "str_ratio": "Str",
+    "en": "En",
+}
+"""Names that are symbols; all others read as words."""
+OF_ALL = frozenset(Finding.__struct_fields__)
+TOLD_ELSEWHERE = frozenset({"not_evaluated", "budget", "zones", "verdict", "why"})
+MOST_WORDS = 160
+Pair = tuple[str, str]
+
+
+def spaced(name: str) -> str:
+    """A name of the program as words: ``StepHeight`` is Step height, ``n_frames`` is n frames."""
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).replace("_", " ").lower()
+    words = re.sub(r" um$", ", µm", words)
+    return words[:1].upper() + words[1:]
+
+
+def title_of(name: str) -> str:
+    """What a field is called: a symbol, or words without the unit at their end."""
+    bare = next((name.removesuffix(suffix) for suffix in SUFFIXES if name.endswith(suffix)), name)
+    return TITLES.get(name) or TITLES.get(bare) or spaced(bare)
+
+
+def quantity_text(quantity: Quantity) -> str:
+    """A value with its U and unit, ``11.86 ± 0.31 µm``; where there is no U, why."""
+    unit = UNITS.get(quantity.unit, quantity.unit)
+    value, u = value_and_u(quantity.value, quantity.expanded)
+    if quantity.expanded is None:
+        why = quantity.status if quantity.status == "uncalibrated" else f"U {quantity.status}"
+        return f"{value}\u202f{unit}, {why}"
+    return f"{value} ± {u}\u202f{unit}"
+
+
+def numbers_of(finding: AnyFinding) -> tuple[Pair, ...]:
+    """All but the main one, which stands above them: quantities first, then what else it holds."""
+    main = main_field(finding)
+    names = [name for name in finding.__struct_fields__ if name not in OF_ALL | TOLD_ELSEWHERE and name != main]
+    pairs = [(name, pair) for name in names for pair in _told(title_of(name), name, getattr(finding, name))]
+    quantities = [pair for name, pair in pairs if isinstance(getattr(finding, name), Length | Quantity)]
+    return (*quantities, *(pair for _, pair in pairs if pair not in quantities))
+
+
+def main_field(finding: AnyFinding) -> str:
+    """The name of the field that is its main quantity; empty where it is none of its own."""
+    main = finding.main
+    return next((name for name, quantity in quantities_of(finding).items() if quantity == main), "")
+
+
+def quantities_of(finding: AnyFinding) -> dict[str, Quantity]:
+    """The quantities with a unit and, where it was evaluated, U, by the names of their fields."""
+    held = {name: getattr(finding, name) for name in finding.__struct_fields__ if name not in OF_ALL}
+    quantities = {name: value for name, value in held.items() if isinstance(value, Length | Quantity)}
+    return {name: value.quantity if isinstance(value, Length) else value for name, value in quantities.items()}
+
+
+def budget_of(finding: AnyFinding) -> tuple[BudgetLine, ...]:
+    """The lines of the main quantity's uncertainty (k = 1), or those that the result holds for itself."""
+    if finding.main.budget:
+        return finding.main.budget
+    own: Any = getattr(finding, "budget", ())
+    return tuple(BudgetLine(name=line.name, u=line.u_um) for line in own)
+
+
+def not_evaluated(finding: AnyFinding) -> tuple[str, ...]:
+    """What is known to be missing from its uncertainty."""
+    return tuple(getattr(finding, "not_evaluated", ()))
+
+
+def _told(title: str, name: str, value: Any) -> Iterator[Pair]:
+    """A field in words; nothing of what is empty, or is a place, which is drawn."""
+    match value:
+        case None | "" | () | Region() | Point() | Levelling():
+            return
+        case Length():
+            yield title, quantity_text(value.quantity)
+        case Quantity():
+            yield title, quantity_text(value)
+        case Spec():
+            yield from _of_spec(title, value)
+        case tuple():
+            yield from _of_many(title, value)
+        case str() if len(value) > MOST_WORDS:
+            return
+        case _:
+            yield title, _plain(name, value)
+
+
+def _of_spec(title: str, spec: Spec) -> Iterator[Pair]:
+    """A group of settings or numbers in one line."""
+    told = [pair for name in spec.__struct_fields__ for pair in _told(title_of(name), name, getattr(spec, name))]
+    if told:
+        yield title, " · ".join(f"{name[:1].lower()}{name[1:]} {words}" for name, words in told)
+
+
+def _of_many(title: str, values: tuple[Any, ...]) -> Iterator[Pair]:
+    if all(isinstance(value, str) for value in values):
+        yield title, ", ".join(values)
+    elif all(isinstance(value, int | float) for value in values):
+        yield title, ", ".join(number(value, 2) for value in values)
+    elif not any(isinstance(value, Region | Point) for value in values):
+        yield title, f"{len(values)}"
+
+
+def _plain(name: str, value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return number(value, 0)
+    if isinstance(value, float):
+        unit = next((unit for suffix, unit in SUFFIXES.items() if name.endswith(suffix)), "")
+        if name.endswith("_fraction"):
+            return share(value)
+        if unit:
+            return f"{number(value, 2)}\u202f{unit}"
+        return f"{value:.3g}" if 0 < abs(value) < 0.01 else number(value, 3)
+    return f"{value}".replace("_", " ")
