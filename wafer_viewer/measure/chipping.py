@@ -19,6 +19,7 @@ from wafer_viewer.measure.line_fit import EdgeLine
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import Strip, read_strip, require_rectangle
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.options import ChippingOptions
 from wafer_viewer.model.quantities import Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.shape import Chip, Chipping, Side
@@ -112,6 +113,7 @@ def chipping(
     return Chipping(
         **reading.told(name, level, *notes(reading)),
         region=region,
+        options=ChippingOptions(limit_um=limit_um, die=die),
         deepest=between_edges(reading, depths.deepest_um, strip.pixel_um, u_deep),
         longest=between_edges(reading, max((chip.length_um for chip in chips), default=0.0), strip.pixel_um, None),
         area=_area(reading, chips, u_um, noise_um, strip.pixel_um),

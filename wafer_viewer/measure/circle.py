@@ -11,6 +11,7 @@ from wafer_viewer.measure.lateral import between_edges, notes
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import read_strip
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.options import CircleOptions
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.shape import CircleSize
 from wafer_viewer.model.surface import Mosaic
@@ -47,6 +48,7 @@ def circle_size(
     return CircleSize(
         **reading.told(name, level, *notes(reading, ROUNDNESS)),
         circle=circle,
+        options=CircleOptions(inside=inside),
         diameter=between_edges(reading, 2 * edge.radius_um, strip.pixel_um, None if u_um is None else 2 * u_um),
         radius=between_edges(reading, edge.radius_um, strip.pixel_um, u_um, 1),
         roundness=reading.length(edge.roundness_um, None),

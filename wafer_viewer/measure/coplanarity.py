@@ -15,6 +15,7 @@ from wafer_viewer.measure.heights import Floats, Layer, height_window, level_for
 from wafer_viewer.measure.lateral import together
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.options import CoplanarityOptions
 from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.shape import Bump, Coplanarity
@@ -82,8 +83,8 @@ def coplanarity(
     return Coplanarity(
         **reading.told(name, level, DEFINITIONS[reference], EXTREMES, *reading.not_in_budget()),
         region=region,
+        options=CoplanarityOptions(reference=reference),
         coplanarity=_coplanarity(reading, bumps.tops, fitted),
-        reference=reference,
         mean_height=_mean_height(reading, bumps.tops),
         height_range=reading.length(heights[-1].value_um - heights[0].value_um, None),
         n_bumps=len(listed),

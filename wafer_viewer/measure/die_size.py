@@ -10,6 +10,7 @@ from wafer_viewer.measure.heights import Layer
 from wafer_viewer.measure.lateral import angle, between_edges, notes
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import read_strip, require_rectangle
+from wafer_viewer.model.options import DieOptions
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.shape import DieSize
 from wafer_viewer.model.surface import Mosaic
@@ -45,6 +46,7 @@ def die_size(
     return DieSize(
         **reading.told(name, level, *notes(reading, TURN)),
         region=region,
+        options=DieOptions(die=die),
         width=width,
         height=height,
         rotation=angle(reading, edges.rotation_deg, None if u_turn is None else u_turn / 2),

@@ -45,12 +45,12 @@ def responses(
     grey: NDArray[np.floating], there: NDArray[np.bool_] | None = None, sigma_px: float = SIGMA_PX
 ) -> Responses:
     """How grey values rise along search lines, [line, place], grey values a pixel; 0 where pixels are missing."""
-    found: Responses = np.asarray(
-        gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, mode="nearest", truncate=4.0)
-    )
+    found: Responses = np.zeros(grey.shape, np.float32)
+    gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, output=found, mode="nearest", truncate=4.0)
     if there is not None and not there.all():
-        far: NDArray[np.bool_] = np.asarray(maximum_filter1d(~there, 2 * round(4 * sigma_px) + 1, axis=1))
-        found[far] = 0.0
+        near_missing: NDArray[np.bool_] = np.empty(there.shape, bool)
+        maximum_filter1d(~there, 2 * round(4 * sigma_px) + 1, axis=1, output=near_missing)
+        found[near_missing] = 0.0
     found[:, : REACH_PX // 2] = found[:, -(REACH_PX // 2) :] = 0.0
     return found
 

@@ -18,6 +18,7 @@ from wafer_viewer.measure.line_fit import lines_between
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import Strip, read_strip, require_rectangle
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.options import KerfOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.shape import KerfWidth
 from wafer_viewer.model.surface import Mosaic
@@ -99,6 +100,7 @@ def kerf_width(
     return KerfWidth(
         **reading.told(name, level, *notes(reading, EXTREMES)),
         region=region,
+        options=KerfOptions(kerf=kerf),
         width=between_edges(reading, edges.width_um, strip.pixel_um, edges.u_um),
         narrowest=between_edges(reading, lowest, strip.pixel_um, edges.u_extreme_um),
         widest=between_edges(reading, highest, strip.pixel_um, edges.u_extreme_um),

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from wafer_viewer.measure.angle import face_angle
+from wafer_viewer.measure.chipping import chipping
+from wafer_viewer.measure.circle import circle_size
+from wafer_viewer.measure.coplanarity import coplanarity
+from wafer_viewer.measure.die_size import die_size
 from wafer_viewer.measure.flatness import flatness
+from wafer_viewer.measure.kerf import kerf_width
 from wafer_viewer.measure.point import distance, point_height
 from wafer_viewer.measure.profile import profile
 from wafer_viewer.measure.radius import bump_radius
 from wafer_viewer.measure.roughness import roughness
 from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.step_profile import step_profile
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.measure.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
@@ -30,12 +36,18 @@ MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
     "point": point_height,
     "distance": distance,
     "step": step_height,
+    "groove": step_profile,
     "angle": face_angle,
     "radius": bump_radius,
     "volume": area_volume,
     "flatness": flatness,
     "texture": texture,
     "roughness": roughness,
+    "kerf": kerf_width,
+    "die": die_size,
+    "circle": circle_size,
+    "chipping": chipping,
+    "coplanarity": coplanarity,
 }
 """Each takes a surface and as many places as its tool asks for."""
 

@@ -16,6 +16,7 @@ from wafer_viewer.model.finding import Finding
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
 from wafer_viewer.model.step import StepHeight, StepProfile
 from wafer_viewer.model.texture import Roughness, Texture
@@ -189,6 +190,11 @@ AnyFinding = (
     | Roughness
     | GaugeCheck
     | Defect
+    | KerfWidth
+    | DieSize
+    | CircleSize
+    | Chipping
+    | Coplanarity
 )
 
 

@@ -8,7 +8,9 @@ from typing import Literal
 from wafer_viewer.model.region import RegionKind
 
 ToolName = Literal[
-    "profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture", "roughness"
+    "profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture", "roughness",
+    "groove",
+    "kerf", "die", "circle", "chipping", "coplanarity",
 ]
 
 
@@ -49,5 +51,11 @@ TOOLS: dict[ToolName, MeasuringTool] = {
     ),
     "flatness": MeasuringTool("Flatness", "Drag the region over the face.", _rectangles("face")),
     "texture": MeasuringTool("Texture", "Drag the region over the face.", _rectangles("face")),
+    "groove": MeasuringTool("Groove", "Drag the line across a groove or step.", (PlaceAsked("line", "line"),)),
     "roughness": MeasuringTool("Roughness", "Drag the line over the face.", (PlaceAsked("line", "line"),)),
+    "kerf": MeasuringTool("Kerf width", "Drag the region across a kerf.", _rectangles("kerf")),
+    "die": MeasuringTool("Die size", "Drag the region round a die.", _rectangles("die")),
+    "circle": MeasuringTool("Circle", "Drag the circle round something round.", (PlaceAsked("circle", "circle"),)),
+    "chipping": MeasuringTool("Chipping", "Drag the region along the edge of a die.", _rectangles("edge")),
+    "coplanarity": MeasuringTool("Coplanarity", "Drag the region over the bumps of a die.", _rectangles("bumps")),
 }

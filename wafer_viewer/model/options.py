@@ -74,14 +74,54 @@ class RoughnessOptions(OptionsSpec, frozen=True, kw_only=True):
             self.refuse("lambda_s_um", f"under lambda_c_um, which is {self.lambda_c_um:g}: else nothing is left")
 
 
+class KerfOptions(OptionsSpec, frozen=True, kw_only=True):
+    """kerf: whether it is brighter or darker on the picture than what lies beside it."""
+
+    kerf: Literal["either", "bright", "dark"] = "either"
+
+
+class DieOptions(OptionsSpec, frozen=True, kw_only=True):
+    """die: whether its rim is brighter or darker on the picture than what is round it."""
+
+    die: Literal["either", "bright", "dark"] = "either"
+
+
+class CircleOptions(OptionsSpec, frozen=True, kw_only=True):
+    """inside: whether the picture is brighter or darker inside of the round edge."""
+
+    inside: Literal["either", "bright", "dark"] = "either"
+
+
+class ChippingOptions(OptionsSpec, frozen=True, kw_only=True):
+    """limit_um: what is deeper is a chip; None: four robust deviations of the edge, two pixels at least.
+
+    die: on which side of the edge it lies; auto: on the higher one.
+    """
+
+    limit_um: Positive | None = None
+    die: Literal["auto", "bright", "dark"] = "auto"
+
+
+class CoplanarityOptions(OptionsSpec, frozen=True, kw_only=True):
+    """reference: the plane that tops are compared with, of least squares or the one that the part would stand on."""
+
+    reference: Literal["least_squares", "seating"] = "least_squares"
+
+
 class ToolOptions(Spec, frozen=True, kw_only=True):
     """The options of every tool that has some, by its name."""
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     step: StepOptions = StepOptions()
+    groove: GrooveOptions = GrooveOptions()
     volume: VolumeOptions = VolumeOptions()
     texture: TextureOptions = TextureOptions()
     roughness: RoughnessOptions = RoughnessOptions()
+    kerf: KerfOptions = KerfOptions()
+    die: DieOptions = DieOptions()
+    circle: CircleOptions = CircleOptions()
+    chipping: ChippingOptions = ChippingOptions()
+    coplanarity: CoplanarityOptions = CoplanarityOptions()
 
 
 def keywords(options: ToolOptions, tool: ToolName) -> dict[str, Any]:

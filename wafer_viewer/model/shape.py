@@ -6,6 +6,13 @@ from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.finding import Finding
+from wafer_viewer.model.options import (
+    ChippingOptions,
+    CircleOptions,
+    CoplanarityOptions,
+    DieOptions,
+    KerfOptions,
+)
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
@@ -20,6 +27,7 @@ class KerfWidth(Finding, frozen=True, kw_only=True, tag="kerf_width"):
     """
 
     region: Region
+    options: KerfOptions = KerfOptions()
     width: Length
     narrowest: Length
     widest: Length
@@ -43,6 +51,7 @@ class DieSize(Finding, frozen=True, kw_only=True, tag="die_size"):
     """
 
     region: Region
+    options: DieOptions = DieOptions()
     width: Length
     height: Length
     rotation: Quantity
@@ -65,6 +74,7 @@ class CircleSize(Finding, frozen=True, kw_only=True, tag="circle"):
     """
 
     circle: Region
+    options: CircleOptions = CircleOptions()
     diameter: Length
     radius: Length
     roundness: Length
@@ -97,6 +107,7 @@ class Chipping(Finding, frozen=True, kw_only=True, tag="chipping"):
     """
 
     region: Region
+    options: ChippingOptions = ChippingOptions()
     deepest: Length
     longest: Length
     area: Quantity
@@ -129,14 +140,14 @@ class Bump(Spec, frozen=True, kw_only=True):
 class Coplanarity(Finding, frozen=True, kw_only=True, tag="coplanarity"):
     """How far the tops of bumps lie from one plane, as JESD22-B108 has it.
 
-    reference: the plane of least squares through all tops, from which the range of deviations counts; or the seating
-    plane, on which the part would stand. mean_height, height_range: of the bumps over their own surroundings.
+    options.reference: the plane of least squares through all tops, from which the range of deviations counts; or the
+    seating plane, on which the part would stand. mean_height, height_range: of the bumps over their own surroundings.
     left_out: bumps that the region cuts or whose tops are not measured.
     """
 
     region: Region
+    options: CoplanarityOptions = CoplanarityOptions()
     coplanarity: Length
-    reference: Literal["least_squares", "seating"]
     mean_height: Length
     height_range: Length
     n_bumps: int
