@@ -13,8 +13,13 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.angle import face_angle
+    from wafer_viewer.measure.chipping import chipping
+    from wafer_viewer.measure.circle import circle_size
+    from wafer_viewer.measure.coplanarity import coplanarity
+    from wafer_viewer.measure.die_size import die_size
     from wafer_viewer.measure.find_faces import find_faces
     from wafer_viewer.measure.flatness import flatness
+    from wafer_viewer.measure.kerf import kerf_width
     from wafer_viewer.measure.levelled import levelled
     from wafer_viewer.measure.one_sided import site_ranges
     from wafer_viewer.measure.point import distance, point_height
@@ -24,9 +29,11 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.repeatability import gauge_rr, repeats_of, study_rr
     from wafer_viewer.measure.roughness import roughness
     from wafer_viewer.measure.step import step_height
+    from wafer_viewer.measure.step_profile import step_profile
     from wafer_viewer.measure.texture import texture
     from wafer_viewer.measure.volume import area_volume
     from wafer_viewer.model.calibration import Calibration
+    from wafer_viewer.model.conditions import Conditions
     from wafer_viewer.model.errors import WaferViewerError
     from wafer_viewer.model.evidence import FocusCurve
     from wafer_viewer.model.findings import (
@@ -47,8 +54,9 @@ if TYPE_CHECKING:
     from wafer_viewer.model.region import Region
     from wafer_viewer.model.repeatability import GaugeRR
     from wafer_viewer.model.sample import Sample
+    from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
     from wafer_viewer.model.stack import FieldStack
-    from wafer_viewer.model.step import StepHeight
+    from wafer_viewer.model.step import StepHeight, StepProfile
     from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
     from wafer_viewer.model.texture import Roughness, Texture
     from wafer_viewer.reconstruct.compare import compare
@@ -67,7 +75,12 @@ if TYPE_CHECKING:
 _HOMES = {
     "AreaVolume": "model.findings",
     "Calibration": "model.calibration",
+    "Chipping": "model.shape",
+    "CircleSize": "model.shape",
+    "Conditions": "model.conditions",
+    "Coplanarity": "model.shape",
     "Dataset": "store.dataset",
+    "DieSize": "model.shape",
     "Distance": "model.findings",
     "FaceAngle": "model.findings",
     "Field": "model.plan",
@@ -79,6 +92,7 @@ _HOMES = {
     "GaugeRR": "model.repeatability",
     "HeightMap": "model.surface",
     "Job": "model.plan",
+    "KerfWidth": "model.shape",
     "Length": "model.quantities",
     "Levelling": "model.levelling",
     "Mosaic": "model.surface",
@@ -98,12 +112,17 @@ _HOMES = {
     "ScanPlan": "model.plan",
     "Session": "session.session",
     "StepHeight": "model.step",
+    "StepProfile": "model.step",
     "Texture": "model.texture",
     "WaferViewerError": "model.errors",
     "area_volume": "measure.volume",
     "bump_radius": "measure.radius",
+    "chipping": "measure.chipping",
+    "circle_size": "measure.circle",
     "compare": "reconstruct.compare",
     "compare_with_truth": "measure.quality",
+    "coplanarity": "measure.coplanarity",
+    "die_size": "measure.die_size",
     "distance": "measure.point",
     "export": "store.exporters",
     "face_angle": "measure.angle",
@@ -112,6 +131,7 @@ _HOMES = {
     "focus_curve": "reconstruct.why",
     "gauge_rr": "measure.repeatability",
     "import_dataset": "store.importers",
+    "kerf_width": "measure.kerf",
     "levelled": "measure.levelled",
     "open_stack": "store.importers",
     "point_height": "measure.point",
@@ -123,9 +143,10 @@ _HOMES = {
     "roughness": "measure.roughness",
     "site_ranges": "measure.one_sided",
     "step_height": "measure.step",
+    "step_profile": "measure.step_profile",
+    "stitch": "reconstruct.stitch",
     "studies_of": "session.repeat_study",
     "study_rr": "measure.repeatability",
-    "stitch": "reconstruct.stitch",
     "texture": "measure.texture",
     "write_surface": "store.exporters",
 }
@@ -134,7 +155,12 @@ _HOMES = {
 __all__ = [
     "AreaVolume",
     "Calibration",
+    "Chipping",
+    "CircleSize",
+    "Conditions",
+    "Coplanarity",
     "Dataset",
+    "DieSize",
     "Distance",
     "FaceAngle",
     "Field",
@@ -146,6 +172,7 @@ __all__ = [
     "GaugeRR",
     "HeightMap",
     "Job",
+    "KerfWidth",
     "Length",
     "Levelling",
     "Mosaic",
@@ -165,13 +192,18 @@ __all__ = [
     "ScanPlan",
     "Session",
     "StepHeight",
+    "StepProfile",
     "Texture",
     "WaferViewerError",
     "__version__",
     "area_volume",
     "bump_radius",
+    "chipping",
+    "circle_size",
     "compare",
     "compare_with_truth",
+    "coplanarity",
+    "die_size",
     "distance",
     "export",
     "face_angle",
@@ -180,6 +212,7 @@ __all__ = [
     "focus_curve",
     "gauge_rr",
     "import_dataset",
+    "kerf_width",
     "levelled",
     "open_stack",
     "point_height",
@@ -191,6 +224,7 @@ __all__ = [
     "roughness",
     "site_ranges",
     "step_height",
+    "step_profile",
     "stitch",
     "studies_of",
     "study_rr",

@@ -5,20 +5,18 @@ A signature is the command's flags, its docstring the help.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import Circle, Level, Line, Place, Rectangle, Source, Um, levelling_from
+from wafer_viewer.arguments import Circle, Level, Line, Place, Rectangle, Source, Um
 from wafer_viewer.command_output import print_json
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.measure_answers import measure as _measure
+from wafer_viewer.measure_answers import print_finding as _print
+from wafer_viewer.measure_answers import surface_over as _surface
 from wafer_viewer.model.options import RoughnessOptions, TextureOptions, ToolOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
 
 
 def measure_point(src: Source, at: Place, level: Level = (), field: int = 0, result: str = "default") -> None:
@@ -48,22 +46,6 @@ def measure_distance(
         result: Name of the reconstruction.
     """
     _measure("distance", (Region.point(*start), Region.point(*end)), src, level, field, result)
-
-
-def measure_step(
-    src: Source, upper: Rectangle, lower: Rectangle, level: Level = (), field: int = 0, result: str = "default"
-) -> None:
-    """The height of one rectangle over another, with its uncertainty, as JSON. Stage um.
-
-    Args:
-        src: A NAME.wafer or a surface file, such as .x3p.
-        upper: Two opposite corners of the upper rectangle.
-        lower: Two opposite corners of the lower rectangle.
-        level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        field: A field of the dataset; 0 is the stitched surface.
-        result: Name of the reconstruction.
-    """
-    _measure("step", (Region.rectangle(*upper), Region.rectangle(*lower)), src, level, field, result)
 
 
 def measure_angle(
@@ -211,32 +193,3 @@ def measure_site_range(
     surface, calibrated = _surface(src, level, field, result)
     within = Region.rectangle(*region) if region is not None else None
     print_json(msgspec.to_builtins(site_ranges(surface, site, within, calibration_valid=calibrated)))
-
-
-def _measure(
-    tool: ToolName,
-    places: tuple[Region, ...],
-    src: Path,
-    level: tuple[str, ...],
-    field: int,
-    result: str,
-    options: ToolOptions | None = None,
-) -> None:
-    from wafer_viewer.measure.tools import measured
-
-    surface, calibrated = _surface(src, level, field, result)
-    _print(measured(surface, tool, places, calibrated, options), field)
-
-
-def _surface(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
-    """The surface with its heights over what --level says, and whether its calibration holds."""
-    from wafer_viewer.measure.levelled import levelled
-    from wafer_viewer.session.offline import measured_surface
-
-    levelling = levelling_from(level)
-    surface, calibrated = measured_surface(src, field, result)
-    return levelled(surface, levelling), calibrated
-
-
-def _print(found: AnyFinding, field: int) -> None:
-    print_json(msgspec.to_builtins(replace(found, show=field)))

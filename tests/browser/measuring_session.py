@@ -26,13 +26,14 @@ from wafer_viewer.session.sections import Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)
+GROOVE_UM = 9.0
 CALIBRATION = Calibration(
     pixel_um=PIXEL_UM, u_pixel_um=0.0004, u_z_scale=0.002, made="2026-01-12", due="2027-01-12", against="a step block"
 )
 
 
 class MeasuringSession(FakeSession):
-    """Dies over streets with a dome on one of them and a bevel at the right, all of it tilted; one field."""
+    """Dies over streets with a dome on one of them, a groove at its foot and a bevel at the right, all of it tilted; one field."""
 
     def __init__(self) -> None:
         job, plan = job_and_plan(grid(1, 1))
@@ -119,6 +120,7 @@ def a_die() -> HeightMap:
     bevel = np.clip((x - 60) / 70, 0, 1) * 10
     z = np.where(die, DIE_UM - bevel, 0.0)
     z = z + np.maximum(0, DOME_UM * (1 - ((x - DOME_AT[0]) ** 2 + (y - DOME_AT[1]) ** 2) / DOME_RADIUS_UM**2)) * die
+    z = z - GROOVE_UM * ((np.abs(x - 22) < 12) & (np.abs(y + 65) < 25))
     z = z + TILT * x + np.random.default_rng(1).normal(0, 0.15, z.shape)
     z[(np.abs(x + 40) < 12) & (np.abs(y + 60) < 8)] = np.nan
     made = height_map(z, PIXEL_UM, float(x[0, 0]), float(y[0, 0]))

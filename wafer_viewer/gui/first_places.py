@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from wafer_viewer.gui.first_groove import groove_line
 from wafer_viewer.gui.landmarks import (
     PATCH_SHARES,
     SAME_LEVEL,
@@ -80,6 +81,7 @@ FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "point": _point,
     "distance": _distance,
     "step": _step,
+    "groove": lambda land, near: (Region.line(*(v for end in groove_line(land, near) for v in end)),),
     "angle": _angle,
     "radius": _radius,
     "volume": _volume,

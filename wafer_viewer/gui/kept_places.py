@@ -14,6 +14,7 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
+    StepProfile,
 )
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
@@ -34,6 +35,8 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
             return "distance"
         case StepHeight():
             return "step"
+        case StepProfile():
+            return "groove"
         case FaceAngle():
             return "angle"
         case Radius():
@@ -53,7 +56,7 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
 def places_of(finding: AnyFinding) -> tuple[Region, ...]:
     """The places of a result, in the order in which its tool asks for them."""
     match finding:
-        case Profile() | Roughness():
+        case Profile() | Roughness() | StepProfile():
             return (finding.line,)
         case PointHeight():
             return (finding.place,)
@@ -74,7 +77,9 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
 
 
 def drawn_of(finding: AnyFinding) -> tuple[Region, ...]:
-    """What is drawn of a result: its places, and the way from one to the other of a distance."""
+    """What is drawn of a result: its places, all regions of a step, and the way from one to the other of a distance."""
+    if isinstance(finding, StepHeight):
+        return finding.regions
     return (
         (*places_of(finding), way_between(*places_of(finding))) if isinstance(finding, Distance) else places_of(finding)
     )

@@ -20,6 +20,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.gui.profile_section import ProfileSection
 from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.step_words import not_evaluated
 from wafer_viewer.gui.thumbnails import painted
 from wafer_viewer.gui.tool_icons import tool_cards
 from wafer_viewer.gui.view import Tool, View
@@ -68,7 +69,7 @@ class MeasurePanel:
         self._level.show(view)
         self._options.show(view, kept=chosen is not None)
         self._profiles.show(snapshot, view)
-        self._source.show(f"{source(finding)}{words.budget(finding.main)}{_GAP}" if finding is not None else "")
+        self._source.show(_rests_on(finding) if finding is not None else "")
         self._show_keep(snapshot, view, finding, chosen)
 
     def close(self) -> None:
@@ -146,6 +147,10 @@ class MeasurePanel:
 
 
 _GAP = '<div style="height:8px"></div>'
+
+
+def _rests_on(finding: AnyFinding) -> str:
+    return f"{source(finding)}{words.budget(finding.main)}{not_evaluated(finding)}{_GAP}"
 
 
 def _title(tool: Tool) -> str:

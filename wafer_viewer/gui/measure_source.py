@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from wafer_viewer.draw.numbers import number, share, with_unit
-from wafer_viewer.gui import html
+from wafer_viewer.gui import html, step_words
 from wafer_viewer.gui.measure_words import averaging, whole
 from wafer_viewer.gui.texture_words import roughness, texture
 from wafer_viewer.model.findings import (
@@ -19,6 +19,7 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
+    StepProfile,
 )
 from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
@@ -79,16 +80,6 @@ def _distance(finding: Distance) -> str:
     )
 
 
-def _step(finding: StepHeight) -> str:
-    rows = [
-        _region("Upper region", finding.upper_mean_um, finding.upper_sq_um, finding.upper_points),
-        _region("Lower region", finding.lower_mean_um, finding.lower_sq_um, finding.lower_points),
-    ]
-    tilt = html.pairs([("Relative tilt", with_unit(finding.relative_tilt_mrad, 2, "mrad"))])
-    table = html.table(["Region", "Mean", "Sq", "Points"], rows, " nnn")
-    return table + tilt + _small([f"Height: {finding.definition.rstrip('.')}."])
-
-
 def _face_angle(finding: FaceAngle) -> str:
     faces = (
         ("First face", finding.first_tilt_deg, finding.first_sq_um, finding.first_points),
@@ -145,7 +136,8 @@ _TOLD: dict[type, Callable[..., str]] = {
     Profile: _profile,
     PointHeight: _point,
     Distance: _distance,
-    StepHeight: _step,
+    StepHeight: step_words.step,
+    StepProfile: step_words.groove,
     FaceAngle: _face_angle,
     Radius: _radius,
     AreaVolume: _volume,
@@ -158,10 +150,6 @@ _TOLD: dict[type, Callable[..., str]] = {
 def _place(name: str, place: Region) -> tuple[str, str]:
     point = place.points[0]
     return f"{name} x, y", f"{number(point.x_um, 1)}, {number(point.y_um, 1)}"
-
-
-def _region(name: str, mean_um: float, sq_um: float, points: int) -> str:
-    return html.row([name, number(mean_um, 2, signed=True), number(sq_um, 2), number(points, 0)], " nnn")
 
 
 def _angle(profile: Profile) -> float:

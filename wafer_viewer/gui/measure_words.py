@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.findings import AnyFinding, AreaVolume, Defect, GaugeCheck, Profile
+from wafer_viewer.model.findings import AnyFinding, AreaVolume, Defect, GaugeCheck, Profile, StepProfile
 from wafer_viewer.model.quantities import Quantity
 
 REGION_COLOUR = "#15202B"
@@ -19,6 +19,7 @@ _LETTERS = {
     "point": "H",
     "distance": "L",
     "step_height": "S",
+    "step_profile": "K",
     "angle": "A",
     "radius": "R",
     "volume": "V",
@@ -144,7 +145,7 @@ def budget(quantity: Quantity) -> str:
     return html.head("Uncertainty", f"{read.unit}, k = 1") + html.table([], rows, " n")
 
 
-def averaging(profile: Profile) -> str:
+def averaging(profile: Profile | StepProfile) -> str:
     """How wide a strip across the line is averaged over."""
     return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
 

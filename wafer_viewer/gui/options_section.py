@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 from wafer_viewer.gui.kit import Field, set_prop
@@ -66,7 +67,30 @@ class Number:
 
 Control = Pick | Number
 FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
+CONDITIONS = (
+    Number("Repeats s, µm", "conditions.repeatability_um", 0.01, off="0: not known"),
+    Number("Drift u, µm", "conditions.drift_um", 0.01, off="0: not known"),
+    Number("Sample, °C", "conditions.temperature_c", 0.1, off="0: not known"),
+)
 CONTROLS: dict[ToolName, tuple[Control, ...]] = {
+    "step": (
+        Pick(
+            "Height taken",
+            "definition",
+            {
+                "Over a common plane": "common_plane",
+                "Over the lower face": "lower_face",
+                "Over the upper face": "upper_face",
+                "At the joint": "joint",
+            },
+            "Faces that are tilted against each other are differently far apart at every place",
+        ),
+        *CONDITIONS,
+    ),
+    "groove": (
+        Pick("It crosses", "shape", {"A groove or ridge": "groove", "A single step": "step"}, "Two edges or one"),
+        *CONDITIONS,
+    ),
     "volume": (
         Pick(
             "Reference",
@@ -85,7 +109,7 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
         Number("λs, µm", "lambda_s_um", 0.1, off="0: no filter"),
     ),
 }
-"""`field` is the field of the tool's options."""
+"""`field` is the field of the tool's options; with a full stop that of a spec in it."""
 
 
 class OptionsSection:
@@ -108,12 +132,18 @@ class OptionsSection:
             set_prop(folder, "visible", tool == view.tool and not kept)
         for (tool, name), (control, field) in self._fields.items():
             if tool == view.tool:
-                field.show(control.shown(getattr(getattr(view.options, tool), name)))
+                field.show(control.shown(attrgetter(name)(getattr(view.options, tool))))
 
     def _hear(self, tool: ToolName, control: Control) -> Callable[[Any], None]:
         def hear(event: Any) -> None:
             options = self._page.view.options
-            own = replace(getattr(options, tool), **{control.field: control.of(event.target.value)})
+            own = _with(getattr(options, tool), control.field, control.of(event.target.value))
             self._page.change(options=replace(options, **{tool: own}))
 
         return hear
+
+
+def _with(spec: Any, field: str, value: Any) -> Any:
+    """A copy of a spec with one field changed."""
+    outer, _, inner = field.partition(".")
+    return replace(spec, **{outer: _with(getattr(spec, outer), inner, value) if inner else value})

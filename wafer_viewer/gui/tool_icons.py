@@ -11,7 +11,7 @@ from wafer_viewer.gui.view import Tool
 from wafer_viewer.model.measuring import TOOLS, ToolName
 
 GROUPS: dict[str, tuple[ToolName, ...]] = {
-    "Sections and steps": ("profile", "step", "angle"),
+    "Sections and steps": ("profile", "step", "groove", "angle"),
     "Places": ("point", "distance"),
     "What stands out": ("radius", "volume"),
     "Faces": ("flatness", "texture", "roughness"),
@@ -26,6 +26,7 @@ ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
 ICONS: dict[ToolName, Any] = {
     "profile": viser.Icon.LINE,
     "step": viser.Icon.STAIRS_UP,
+    "groove": viser.Icon.WAVE_SQUARE,
     "angle": viser.Icon.ANGLE,
     "point": viser.Icon.POINT,
     "distance": viser.Icon.RULER_MEASURE,
@@ -38,6 +39,7 @@ ICONS: dict[ToolName, Any] = {
 SHORT: dict[ToolName, str] = {
     "profile": "Profile",
     "step": "Step",
+    "groove": "Groove",
     "angle": "Angle",
     "point": "Point",
     "distance": "Distance",
@@ -52,6 +54,7 @@ TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "point": ("X", None),
     "distance": ("M", None),
     "step": ("K", None),
+    "groove": ("K", "shift"),
     "angle": ("B", None),
     "radius": ("R", None),
     "volume": ("V", None),

@@ -23,6 +23,7 @@ from wafer_viewer.model.findings import (
     Profile,
     Radius,
     StepHeight,
+    StepProfile,
 )
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.texture import Roughness, Texture
@@ -35,6 +36,7 @@ NAMES: dict[type[AnyFinding], str] = {
     PointHeight: "Point",
     Distance: "Distance",
     StepHeight: "Step",
+    StepProfile: "Groove",
     FaceAngle: "Angle",
     Radius: "Radius",
     AreaVolume: "Volume",

@@ -1,0 +1,47 @@
+"""What the commands that measure have in common: the surface asked for, the answer of a tool, and how it is printed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from wafer_viewer.arguments import levelling_from
+from wafer_viewer.command_output import print_json
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import Mosaic
+
+
+def measure(
+    tool: ToolName,
+    places: tuple[Region, ...],
+    src: Path,
+    level: tuple[str, ...],
+    field: int,
+    result: str,
+    options: ToolOptions | None = None,
+) -> None:
+    """Print what a tool finds at its places."""
+    from wafer_viewer.measure.tools import measured
+
+    surface, calibrated = surface_over(src, level, field, result)
+    print_finding(measured(surface, tool, places, calibrated, options), field)
+
+
+def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
+    """The surface with its heights over what --level says, and whether its calibration holds."""
+    from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.session.offline import measured_surface
+
+    levelling = levelling_from(level)
+    surface, calibrated = measured_surface(src, field, result)
+    return levelled(surface, levelling), calibrated
+
+
+def print_finding(found: AnyFinding, field: int) -> None:
+    """As JSON on standard output."""
+    print_json(msgspec.to_builtins(replace(found, show=field)))
