@@ -23,6 +23,7 @@ PLACES = {
     "point": (POINT,),
     "distance": (POINT, Region.point(0.0, -20.0)),
     "step": (LEFT, RIGHT),
+    "groove": (Region.line(20, -39, 20, 39, 4),),
     "angle": (LEFT, RIGHT),
     "radius": (CIRCLE,),
     "volume": (Region.rectangle(3, -17, 37, 17),),
