@@ -12,9 +12,10 @@ import viser
 
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import Dialog, put_down
+from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell, outlined
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.gui.verdict_words import LOOKS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
@@ -40,7 +41,7 @@ class _Form:
 
 def certificate_dialog(page: Page) -> None:
     """Take a certificate from a file, or type it in."""
-    dialog = Dialog(page, "Certificate of the gauge blocks", "A file as the README describes it, TOML or JSON.")
+    dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
     with dialog.modal:
         path = page.gui.add_text("Path", "")
         upload = page.gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD)

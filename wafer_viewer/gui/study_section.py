@@ -8,10 +8,11 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import Dialog, put_down
+from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.gui.study_words import METHODS, study
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.repeatability import Method
