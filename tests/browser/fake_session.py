@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tests.browser.fake_control import fake_control
+from tests.browser.fake_exchange import FakeExchange
 from tests.browser.fake_notebook import FakeNotebook, FakePapers
 from tests.browser.fake_sections import FakeSections
 from tests.gui.made_up_poses import made_up_poses, stitching_of
@@ -55,6 +56,7 @@ class FakeSession:
         self.fails_with: Exception | None = None
         self._listeners: list[Callable[[Snapshot], None]] = []
         self.control = fake_control(self)
+        self.exchange = FakeExchange(self)
         self.sections = FakeSections()
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 

@@ -100,22 +100,34 @@ FAULTS = {
     "no unit.gsf": (gsf(ZUnits=None), "does not say the unit of its heights: give it, as in --z-unit um"),
     "no pixel.gsf": (gsf(XYUnits=None), "does not say its pixel size: give it, as in --pixel-um 0.5"),
     "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is no length"),
-    "twice.gsf": (gsf() .replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "says ZUnits twice, m and nm"),
+    "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "says ZUnits twice, m and nm"),
     "oblong.gsf": (gsf(YReal=4e-6), "has pixels of 1 x 1.33333 um: resample it to square pixels"),
     "no unit.csv": (TABLE.encode(), "does not say the unit of its heights"),
-    "two units.csv": (f"# unit: mm\nx_um,y_um,z_um\n{TABLE}".encode(), "says that its unit is mm and that its x is in um"),
+    "two units.csv": (
+        f"# unit: mm\nx_um,y_um,z_um\n{TABLE}".encode(),
+        "says that its unit is mm and that its x is in um",
+    ),
     "one unit.csv": (f"x_um,y,z\n{TABLE}".encode(), "gives no unit for y and z"),
     "no unit.ply": (ASCII_PLY.format(z="property float z\n").encode(), "does not say the unit of its heights"),
     "no unit.tif": (tiff(Z), "does not say the unit of its heights"),
-    "a screen's.tif": (tiff(Z, resolution=(72, 72), description='{"unit": "um"}', metadata=None), "does not say its pixel"),
-    "two pixels.tif": (tiff(Z, description=json.dumps({"unit": "um", "pixel_um": 2.0}), metadata=None, **CM), "says that a pixel is 2 um and 1 um by its resolution"),
+    "a screen's.tif": (
+        tiff(Z, resolution=(72, 72), description='{"unit": "um"}', metadata=None),
+        "does not say its pixel",
+    ),
+    "two pixels.tif": (
+        tiff(Z, description=json.dumps({"unit": "um", "pixel_um": 2.0}), metadata=None, **CM),
+        "says that a pixel is 2 um and 1 um by its resolution",
+    ),
     # z upside down, mirrored
     "depth.gsf": (gsf(Title="Depth map"), "holds depths, not heights .*--invert-z"),
     "depth.csv": (f"x_um,y_um,depth_um\n{TABLE}".encode(), "holds depths, not heights"),
     "depth.tif": (tiff(Z, description='{"quantity": "depth", "unit": "um"}', metadata=None, **CM), "holds depths"),
     "down.x3p": (in_main(rb"(<CZ>.*?<Increment>)1.0", rb"\g<1>-1.0"), "has z upside down, its increment is negative"),
     "mirrored.x3p": (in_main(rb"(<CX>.*?<Increment>)", rb"\g<1>-"), "is mirrored"),
-    "turned.tif": (tiff(Z, description=UM, metadata=None, extratags=[(274, 3, 1, 4, True)]), "stored turned or mirrored"),
+    "turned.tif": (
+        tiff(Z, description=UM, metadata=None, extratags=[(274, 3, 1, 4, True)]),
+        "stored turned or mirrored",
+    ),
     # cut off, changed
     "cut.x3p": (lambda p: written(p, ".x3p")[:4000], "is cut off or damaged: its zip archive"),
     "cut.gwy": (lambda p: written(p, ".gwy")[:4000], "is cut off or damaged"),
@@ -124,8 +136,14 @@ FAULTS = {
     "cut.pcd": (lambda p: written(p, ".pcd")[:-9], "is cut off: it has fewer points"),
     "cut.tif": (lambda p: written(p, ".tif")[:3000], "cannot be read as TIFF"),
     "changed.x3p": (changed_data, "was changed after it was written, the checksum of its heights is wrong"),
-    "main.x3p": (lambda p: x3p(p, lambda n, c: c.replace(b"SUR", b"PRF") if n == "main.xml" else c), "checksum of its main.xml"),
-    "no data.x3p": (lambda p: x3p(p, leave_out=("bindata/data.bin",)), "has no bindata/data.bin, which holds its heights"),
+    "main.x3p": (
+        lambda p: x3p(p, lambda n, c: c.replace(b"SUR", b"PRF") if n == "main.xml" else c),
+        "checksum of its main.xml",
+    ),
+    "no data.x3p": (
+        lambda p: x3p(p, leave_out=("bindata/data.bin",)),
+        "has no bindata/data.bin, which holds its heights",
+    ),
     "short.x3p": (in_main(rb"<SizeY>30", b"<SizeY>31"), "has fewer heights than it says"),
     # something else
     "text.gsf": (b"Gwyddion", "has no header of a GSF file"),
@@ -137,7 +155,10 @@ FAULTS = {
     "no z.ply": (ASCII_PLY.format(z="").encode(), "has no z among the properties of its points"),
     "text.ply": (b"hello", "has no header of a PLY file"),
     "no z.pcd": (lambda p: written(p, ".pcd").replace(b"FIELDS x y z", b"FIELDS x y i"), "has no z among its fields"),
-    "packed.pcd": (lambda p: written(p, ".pcd").replace(b"DATA binary", b"DATA binary_compressed"), "as binary_compressed"),
+    "packed.pcd": (
+        lambda p: written(p, ".pcd").replace(b"DATA binary", b"DATA binary_compressed"),
+        "as binary_compressed",
+    ),
     "no z.csv": (b"x_um,y_um,i\n1,2,3\n", "has no column z"),
     "two columns.xyz": (b"1 2\n3 4\n", "has fewer than three columns"),
     "words.csv": (b"x_um,y_um,z_um\n1,2,three\n", "has lines without numbers"),
@@ -151,7 +172,7 @@ FAULTS = {
     "nothing.csv": (b"# only words\n", "holds no points"),
     "nothing.gsf": (b"", "is empty: copy it again"),
     **{f"blind{e}": (blind(e), "holds no height") for e in (".npz", ".gwy", ".x3p", ".gsf", ".tif", ".ply", ".pcd")},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", FAULTS)

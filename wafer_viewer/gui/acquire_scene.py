@@ -38,7 +38,7 @@ _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, Field
 def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestFrame | None) -> Contents:
     """The fields of the open dataset as far as they are; without one, the plan."""
     data = snapshot.dataset
-    if data is None:
+    if data is None or not data.fields:
         return plan_contents(snapshot, view)
     size = data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um
     facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})

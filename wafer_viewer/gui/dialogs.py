@@ -13,18 +13,11 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.hints import add_hints
-from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
+from wafer_viewer.gui.kit import Cell, button, in_a_row
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.formats import Reading
 from wafer_viewer.session.state import DatasetEntry
-
-EXPORT_KINDS = {
-    "TIFF, heights as 32-bit float": ".tif",
-    "NumPy, all layers": ".npz",
-    "PLY, points with colour": ".ply",
-    "STL, a mesh": ".stl",
-    "CSV, x y z": ".csv",
-}
 
 
 class Dialog:
@@ -73,17 +66,20 @@ def _on_key(marker: str, handle: Any) -> str:
 
 
 def open_dialog(page: Page) -> None:
-    """Open a dataset: one of the data folder, or by its path."""
+    """Open a dataset: one of the data folder, or by its path; a surface file becomes one first."""
     snapshot = page.session.snapshot
-    dialog = Dialog(
-        page, "Open a dataset", f"A folder NAME.wafer, as a scan or an import makes it. In {snapshot.data_folder}:"
-    )
+    below = f"A folder NAME.wafer, or a surface file such as .x3p, .gwy or .ply. In {snapshot.data_folder}:"
+    dialog = Dialog(page, "Open a dataset", below)
     with dialog.modal:
         Cell(page.gui, dataset_table(snapshot.datasets, None, what="open-in-dialog"))
         path = page.gui.add_text("Path", "")
 
     def open_path(text: str) -> None:
-        open_dataset(page, _existing(text))
+        path = existing(text)
+        if page.session.exchange.is_surface(path):
+            open_surface(page, path, Reading(), None)
+        else:
+            open_dataset(page, path)
 
     def open_listed(text: str) -> None:
         dialog.close()
@@ -102,6 +98,13 @@ def open_dataset(page: Page, path: Path) -> None:
         page.change(step="acquire" if unfinished else "surface", show=0, range_um=None, selected=None, frame_k=None)
 
     page.ask("The dataset was not opened", page.session.open_dataset(path), look)
+
+
+def open_surface(page: Page, path: Path, says: Reading, name: str | None) -> None:
+    """Make a dataset of a surface file and look at it. says: what the file does not say."""
+    done = page.session.exchange.import_surface(path, says, name)
+    look = dict[str, Any](step="surface", show=0, range_um=None, selected=None, frame_k=None)
+    page.ask("The surface was not opened", done, lambda _: page.change(**look))
 
 
 def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> str:
@@ -134,44 +137,6 @@ def when(taken: str, now: datetime) -> str:
     return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
 
 
-def import_dialog(page: Page) -> None:
-    """Import images taken elsewhere: a folder, a multi-page TIFF, or a TIFF sent from this browser."""
-    dialog = Dialog(
-        page, "Import images", "A folder of images, one focus stack or a grid of them, or a multi-page TIFF."
-    )
-    gui = page.gui
-    with dialog.modal:
-        path = gui.add_text("Path", "")
-        upload = gui.add_upload_button("Or send a TIFF from here…", icon=viser.Icon.UPLOAD, mime_type="image/tiff")
-        outlined(gui, upload, 32)
-        sent = Cell(gui)
-        step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
-        pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)
-        pattern = gui.add_text("Grid pattern", "")
-        Cell(gui, '<div class="wv-lab">Only for a grid of fields, such as r{row}_c{col}_k{k}.tif</div>')
-        name = gui.add_text("Name", "")
-
-    @upload.on_upload
-    def _(event: Any) -> None:
-        path.value = str(put_down(event.target.value))
-        sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
-
-    def begin() -> None:
-        source = _existing(path.value)
-        _wanted("z step", step.value, "the distance between two images of the stack")
-        _wanted("pixel size", pixel.value, "the size of a pixel on the sample")
-        done = page.session.import_images(
-            (source,),
-            z_step_um=step.value,
-            pixel_um=pixel.value,
-            pattern=pattern.value.strip() or None,
-            name=name.value.strip() or None,
-        )
-        page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
-
-    dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")
-
-
 def load_plan_dialog(page: Page) -> None:
     """Load a plan from its file."""
     dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan writes it.")
@@ -180,32 +145,9 @@ def load_plan_dialog(page: Page) -> None:
     dialog.answers(
         "Load",
         viser.Icon.FOLDER_OPEN,
-        lambda: page.ask("The plan was not loaded", page.session.load_plan(_existing(path.value))),
+        lambda: page.ask("The plan was not loaded", page.session.load_plan(existing(path.value))),
         "The plan was not loaded",
     )
-
-
-def export_dialog(page: Page) -> None:
-    """Write the surface that is shown to a file."""
-    snapshot, field = page.session.snapshot, page.view.show or None
-    data = snapshot.dataset
-    stem = data.path.stem if data else "surface"
-    what = "the comparison" if field and field < 0 else f"field {field}" if field else "the stitched surface"
-    dialog = Dialog(page, "Export the surface", f"Writes {what} in full resolution.")
-    with dialog.modal:
-        kind = page.gui.add_dropdown("Format", tuple(EXPORT_KINDS))
-        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{_ending_of(field)}.tif"))
-        kind.on_update(lambda _: setattr(path, "value", str(Path(path.value).with_suffix(EXPORT_KINDS[kind.value]))))
-
-    def write() -> None:
-        target = Path(path.value).expanduser()
-        unless_there(page, target, lambda: export(target))
-
-    def export(target: Path) -> None:
-        done = page.session.export_surface(target, field)
-        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
-
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
 
 
 def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
@@ -228,11 +170,6 @@ def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
     below = "Its heights are made again by the recipe chosen. Frames and results stay; the heights of now are gone."
     dialog = Dialog(page, f"Replace the surface of {name}?", below)
     dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface stays")
-
-
-def _ending_of(field: int | None) -> str:
-    """What tells the file of a field, or of a comparison, from the dataset's."""
-    return "" if not field else f"-field{field}" if field > 0 else "-compared"
 
 
 def stop_dialog(page: Page) -> None:
@@ -259,18 +196,14 @@ def rename_dialog(page: Page, number: int, old: str) -> None:
     )
 
 
-def _existing(text: str) -> Path:
+def existing(text: str) -> Path:
+    """The path that a person typed. Raises DatasetError when there is none, or nothing lies there."""
     if not text.strip():
         raise DatasetError("No path is given: type one, or choose from the list.")
     path = Path(text.strip()).expanduser()
     if not path.exists():
         raise DatasetError(f"{path} is not there: check the path.")
     return path
-
-
-def _wanted(name: str, value: float, what: str) -> None:
-    if value <= 0:
-        raise DatasetError(f"The {name} is missing: give {what} in µm.")
 
 
 def put_down(file: viser.UploadedFile) -> Path:

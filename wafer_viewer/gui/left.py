@@ -8,7 +8,8 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
-from wafer_viewer.gui.dialogs import dataset_table, import_dialog, open_dataset, open_dialog
+from wafer_viewer.gui.dialogs import dataset_table, open_dataset, open_dialog
+from wafer_viewer.gui.exchange_dialogs import import_dialog
 from wafer_viewer.gui.field_map import FieldMap
 from wafer_viewer.gui.gauge_left import GaugeList
 from wafer_viewer.gui.job_list import job_list
@@ -29,7 +30,9 @@ class LeftPanel:
         self._page = page
         self.panel = panel = page.gui.add_panel()
         with panel.add_tab("Sample"):
-            self.map = FieldMap(page.gui)
+            self._where = page.gui.add_folder(None)
+            with self._where:
+                self.map = FieldMap(page.gui)
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self._review = Cell(page.gui)
@@ -44,9 +47,11 @@ class LeftPanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
+        checking = view.step == "gauge"  # its points and earlier checks need the room
+        set_prop(self._where, "visible", not checking)
         self.map.show(snapshot, view)
         self._works.show(job_list(snapshot, view))
-        self._views.show(views_html(snapshot, view))
+        self._views.show("" if checking else views_html(snapshot, view))
         self._review.show(review_list(snapshot, view))
         self._gauge.show(snapshot, view)
         self.compare.show(snapshot, view)

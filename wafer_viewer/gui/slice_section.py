@@ -26,7 +26,7 @@ class SliceSection:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
-        plan = snapshot.dataset.plan if snapshot.dataset else None
+        plan = snapshot.dataset.plan if snapshot.dataset and snapshot.dataset.fields else None
         single = view.show > 0
         on = view.frame_k is not None if single else view.slice_z_um is not None
         self._head.show(html.head("Pictures", _where(plan, view)))

@@ -11,7 +11,7 @@ import viser
 from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import export_dialog
+from wafer_viewer.gui.exchange_dialogs import export_dialog
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.pose_book import PoseBook
@@ -227,9 +227,11 @@ def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> st
     calibrated = "" if data.calibration_problem is None else " · uncalibrated"
     if info is None:
         return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
+    if not data.fields:
+        calibrated = f" · from a file{calibrated}"
     size = f"{number(info.cols, 0)} × {number(info.rows, 0)} points"
-    fields = "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
-    return f"{fields} · {size} · {share(info.measured_fraction)} measured{calibrated}"
+    fields = "" if not data.fields else "1 field · " if info.n_fields == 1 else f"{info.n_fields} fields · "
+    return f"{fields}{size} · {share(info.measured_fraction)} measured{calibrated}"
 
 
 def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:

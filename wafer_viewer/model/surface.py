@@ -140,8 +140,8 @@ class HeightMap:
             all_in_focus=self.all_in_focus[rows, cols],
             origin=self.origin[rows, cols],
             overlap_um=None if self.overlap_um is None else self.overlap_um[rows, cols],
-            x0_um=self.x0_um + (_start(cols)) * self.pixel_um,
-            y0_um=self.y0_um - (_start(rows)) * self.pixel_um,
+            x0_um=self.x0_um + int(cols.start or 0) * self.pixel_um,
+            y0_um=self.y0_um - int(rows.start or 0) * self.pixel_um,
         )
 
     def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
@@ -160,11 +160,6 @@ class HeightMap:
     def levels(self) -> int:
         """A plain map has one level."""
         return 1
-
-
-def _start(part: slice) -> int:
-    """The first index of a slice."""
-    return int(part.start or 0)
 
 
 class Outline(Protocol):

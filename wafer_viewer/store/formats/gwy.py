@@ -18,18 +18,13 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import HeightMap, Provenance
 from wafer_viewer.store.formats.about import OURS, about, title, told_by
+from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
 from wafer_viewer.store.formats.reading import Asked, heights_only, require_some, scaled
 from wafer_viewer.store.formats.strips import Strips
 
-MAGIC = b"GWYP"
 _M = 1e-6
 _LARGEST_BYTES = 2**32 - 1
 """Of an object: its size is said in 32 bits."""
-_DEEPEST = 16
-_SIZES = {"b": 1, "c": 1, "i": 4, "q": 8, "d": 8}
-_FORMS = {"b": "<?", "c": "<c", "i": "<i", "q": "<q", "d": "<d"}
-_ARRAYS = {"C": "u1", "I": "<i4", "Q": "<i8", "D": "<f8"}
-Tree = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +88,7 @@ def read_gwy(path: Path, asked: Asked) -> HeightMap:
     if not is_ours:
         raise asked.refuse("is no GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
     try:
-        tree = _Parser(np.memmap(path, np.uint8, "r")).whole()
+        tree = parsed(np.memmap(path, np.uint8, "r"))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as fault:
         raise asked.refuse("is cut off or damaged: copy it again, or save it again in Gwyddion.") from fault
     channels = {int(key.split("/")[1]): tree[key] for key in tree if _is_channel(key, tree[key])}
@@ -245,66 +240,3 @@ def _string(name: str, text: str) -> bytes:
 
 def _object(name: str, inside: bytes) -> bytes:
     return name.encode() + b"\0" + struct.pack("<I", len(inside)) + inside
-
-
-class _Parser:
-    """Reads components; arrays are views of the file. Raises ValueError or struct.error where it ends too early."""
-
-    def __init__(self, content: NDArray[np.uint8]) -> None:
-        self._content, self._at = content, len(MAGIC)
-
-    def whole(self) -> Tree:
-        """The container that a file is."""
-        return self._object(len(self._content), 0)
-
-    def _object(self, limit: int, depth: int) -> Tree:
-        if depth > _DEEPEST:
-            raise ValueError("objects lie too deep in each other")
-        self._text()
-        (n_bytes,) = struct.unpack("<I", self._bytes(4))
-        end = self._at + n_bytes
-        if end > limit:
-            raise ValueError("an object ends after the file")
-        found: Tree = {}
-        while self._at < end:
-            name, kind = self._text(), self._bytes(1).decode("ascii")
-            found[name] = self._value(kind, end, depth)
-        return found
-
-    def _value(self, kind: str, end: int, depth: int) -> Any:
-        if kind == "o":
-            return self._object(end, depth + 1)
-        if kind == "s":
-            return self._text()
-        if kind in _SIZES:
-            return struct.unpack(_FORMS[kind], self._bytes(_SIZES[kind]))[0]
-        (n_items,) = struct.unpack("<I", self._bytes(4))
-        if kind in _ARRAYS:
-            dtype = np.dtype(_ARRAYS[kind])
-            return np.frombuffer(self._view(n_items * dtype.itemsize), dtype)
-        if kind == "S":
-            return [self._text() for _ in range(n_items)]
-        if kind == "O":
-            return [self._object(end, depth + 1) for _ in range(n_items)]
-        raise ValueError(f"a component is of an unknown kind {kind!r}")
-
-    def _text(self) -> str:
-        end = self._at
-        while not (found := np.flatnonzero(self._content[end : end + 256] == 0)).size:
-            end += 256
-            if end >= len(self._content):
-                raise ValueError("a text has no end")
-        end += int(found[0])
-        text = bytes(self._content[self._at : end]).decode()
-        self._at = end + 1
-        return text
-
-    def _bytes(self, n: int) -> bytes:
-        return bytes(self._view(n))
-
-    def _view(self, n: int) -> NDArray[np.uint8]:
-        if self._at + n > len(self._content):
-            raise ValueError("the file ends too early")
-        view = self._content[self._at : self._at + n]
-        self._at += n
-        return view

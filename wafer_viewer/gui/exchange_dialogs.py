@@ -1,0 +1,127 @@
+"""Questions about files of other programs: which images or which surface come in, and as what a surface goes out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import Dialog, existing, open_surface, put_down, unless_there
+from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.page import Page
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.formats import FORMATS, MESH_POINTS, READ, Reading, every_for
+from wafer_viewer.session.state import SurfaceInfo
+
+_TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != ".tiff"}
+_FILES = ", ".join(ending for ending in READ if ending != ".tiff")
+
+
+def import_dialog(page: Page) -> None:
+    """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
+    below = f"A folder of images, one focus stack or a grid of them, a multi-page TIFF; or a surface file ({_FILES})."
+    dialog = Dialog(page, "Import images or a surface", below)
+    gui = page.gui
+    with dialog.modal:
+        path = gui.add_text("Path", "")
+        upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="*/*")
+        outlined(gui, upload, 32)
+        sent = Cell(gui)
+        pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)
+        Cell(gui, _label("For images. A surface file says it itself, as a rule."))
+        step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
+        pattern = gui.add_text("Grid pattern", "")
+        Cell(gui, _label("For images; a pattern only for a grid of fields, such as r{row}_c{col}_k{k}.tif"))
+        unit = gui.add_text("z unit", "")
+        depths = gui.add_checkbox("Depths", False)
+        Cell(gui, _label("For a surface file that does not say its unit, or whose numbers grow downward."))
+        name = gui.add_text("Name", "")
+
+    @upload.on_upload
+    def _(event: Any) -> None:
+        path.value = str(put_down(event.target.value))
+        sent.show(_label(f"{event.target.value.name} is here."))
+
+    def begin() -> None:
+        source, called = existing(path.value), name.value.strip() or None
+        if page.session.exchange.is_surface(source):
+            says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value or None, invert_z=depths.value)
+            open_surface(page, source, says, called)
+            return
+        _wanted("z step", step.value, "the distance between two images of the stack")
+        _wanted("pixel size", pixel.value, "the size of a pixel on the sample")
+        done = page.session.import_images(
+            (source,),
+            z_step_um=step.value,
+            pixel_um=pixel.value,
+            pattern=pattern.value.strip() or None,
+            name=called,
+        )
+        page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
+
+    dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")
+
+
+def export_dialog(page: Page) -> None:
+    """Write the surface that is shown to a file, and say before what the file cannot hold."""
+    snapshot, field = page.session.snapshot, page.view.show or None
+    data, info = snapshot.dataset, snapshot.surface if field is None else None
+    stem = data.path.stem if data else "surface"
+    what = "the comparison" if field and field < 0 else f"field {field}" if field else "the stitched surface"
+    dialog = Dialog(page, "Export the surface", f"Writes {what}.")
+    with dialog.modal:
+        kind = page.gui.add_dropdown("Format", tuple(_TITLES))
+        first = snapshot.data_folder / f"{stem}{_ending_of(field)}{_TITLES[kind.value]}"
+        path = page.gui.add_text("Path", str(first))
+        every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
+        said = Cell(page.gui, _said(_TITLES[kind.value], 1, info))
+
+    @kind.on_update
+    def _(_: Any) -> None:
+        ending = _TITLES[kind.value]
+        path.value = str(Path(path.value).with_suffix(ending))
+        every.value = every_for((info.rows, info.cols), MESH_POINTS) if info and FORMATS[ending].is_mesh else 1
+        said.show(_said(ending, every.value, info))
+
+    @every.on_update
+    def _(_: Any) -> None:
+        said.show(_said(_TITLES[kind.value], every.value, info))
+
+    def write() -> None:
+        target = Path(path.value).expanduser()
+        unless_there(page, target, lambda: export(target))
+
+    def export(target: Path) -> None:
+        done = page.session.export_surface(target, field, int(every.value))
+        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
+
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+
+
+def _said(ending: str, every: float, info: SurfaceInfo | None) -> str:
+    """How much is written, and what the format cannot hold."""
+    size = ""
+    if info is not None:
+        step = max(1, int(every))
+        cols, rows = -(-info.cols // step), -(-info.rows // step)
+        pixel_um = number(info.pixel_um * step, 3)
+        size = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
+    loses = FORMATS[ending].loses or "The file holds all there is of the surface."
+    return f'<div class="wv-lab">{html.safe(html.micro(size + loses))}</div>'
+
+
+def _label(text: str) -> str:
+    return f'<div class="wv-lab">{html.safe(text)}</div>'
+
+
+def _ending_of(field: int | None) -> str:
+    """What tells the file of a field, or of a comparison, from the dataset's."""
+    return "" if not field else f"-field{field}" if field > 0 else "-compared"
+
+
+def _wanted(name: str, value: float, what: str) -> None:
+    if value <= 0:
+        raise DatasetError(f"The {name} is missing: give {what} in µm.")
