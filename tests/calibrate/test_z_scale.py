@@ -38,11 +38,17 @@ def test_it_is_due_no_later_than_what_it_takes_the_place_of():
     assert scale_correction(check, replace(CALIBRATION, due="2026-06-15"), TODAY).calibration.due == "2026-06-15"
 
 
-@pytest.mark.parametrize(("u_z_scale", "said"), [(5e-4, "would be"), (1e-5, "nothing surer")])
-def test_an_error_within_its_u_is_said_to_be_none(u_z_scale, said):
-    used = replace(CALIBRATION, u_z_scale=u_z_scale)
+def test_an_error_within_its_u_may_make_the_scale_surer():
+    used = replace(CALIBRATION, u_z_scale=5e-4)
     check = signed("2026-06-01", 400.0, 400.01, 400.02, calibration=used)
-    assert said in scale_correction(check, used, TODAY).advice
+    assert "may be right as it is" in scale_correction(check, used, TODAY).advice
+
+
+def test_a_scale_that_is_surer_than_the_check_is_left_alone():
+    used = replace(CALIBRATION, u_z_scale=1e-5)
+    check = signed("2026-06-01", 400.0, 400.01, 400.02, calibration=used)
+    with pytest.raises(MeasureError, match="nothing to correct"):
+        scale_correction(check, used, TODAY)
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,25 @@ import pytest
 from tests.session.gauge_scans import CALIBRATION, LOWER, RESULT, RIG, UPPER, scan_of_blocks
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeTerms
+from wafer_viewer.model.plan import Field, FocusSweep, Job
 from wafer_viewer.model.spec import replace
+from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.desk import Desk
+from wafer_viewer.session.drafting import plan_of
 from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.gauge_keeper import GaugeKeeper
 from wafer_viewer.session.library import Library
+from wafer_viewer.session.messages import Scan
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.record_book import RecordBook
+from wafer_viewer.session.scanning import writer_of
 from wafer_viewer.session.state import RigStatus, Snapshot
-from wafer_viewer.store.calibrations import calibration_changes, calibration_in_force
+from wafer_viewer.store.calibrations import (
+    CalibrationChange,
+    calibration_changes,
+    calibration_in_force,
+    record_change,
+)
 from wafer_viewer.store.certificates import read_certificate
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.gauge_log import signed_checks
@@ -185,3 +195,15 @@ def test_repeats_can_be_dropped_and_points_ticked(bench, scans):
     assert (bench.state.repeats, bench.state.check, bench.state.ticks) == ((), None, ())
     with pytest.raises(MeasureError, match="measure a repeat first"):
         bench.gauge.sign("Ann").result()
+
+
+def test_the_next_scan_takes_the_corrected_calibration(tmp_path):
+    rig = VirtualRig("gauge_blocks")
+    corrected = replace(rig.calibration, z_scale=0.999, made="2026-06-01", z_against=("V-1",))
+    facts = {"rig": rig.name, "at": "2026-06-01T10:00:00", "by": "Ann", "why": "check"}
+    record_change(tmp_path, CalibrationChange(**facts, before=rig.calibration, after=corrected))
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
+    job = Job(fields=(field,), sweep=FocusSweep(z_step_um=4.0, n_frames=5))
+    writer_of(Scan(tmp_path / "next.wafer", plan_of(job, rig.limits), job), rig).close()
+    assert Dataset.open(tmp_path / "next.wafer").scan.calibration == corrected
+    rig.close()

@@ -18,7 +18,8 @@ def scale_correction(check: GaugeCheck, in_force: Calibration, today: str) -> Sc
 
     in_force: the rig's calibration, of which all but the z scale is kept; today: ISO 8601. The scale's uncertainty is
     that of the comparison. It is due after the check's interval, and no later than what it takes the place of.
-    Raises MeasureError with fewer than three repeats, without an uncertainty, or for another optical setup.
+    Raises MeasureError with fewer than three repeats, without an uncertainty, for another optical setup, and where the
+    scale is surer than the check and does not contradict it.
     """
     used = _require_fit(check, in_force)
     reference_um, u_um = check.reference.value_um, (check.deviation.expanded_um or 0.0) / 2
@@ -60,9 +61,12 @@ def _advice(check: GaugeCheck, before: Calibration, after: Calibration) -> str:
     error_um, expanded_um = check.deviation.value_um, check.deviation.expanded_um or 0.0
     if abs(error_um) > expanded_um:
         return f"The error of {error_um:+.3f} um is more than its U of {expanded_um:.2g} um: the scale is off."
-    if after.u_z_scale < before.u_z_scale:
-        return (
-            f"The error is within its U of {expanded_um:.2g} um, so the scale may be right as it is; "
-            f"set by the blocks, its u would be {after.u_z_scale:.2g} in place of {before.u_z_scale:.2g}."
+    if after.u_z_scale >= before.u_z_scale:
+        raise MeasureError(
+            f"The error of {error_um:+.3f} um is within its U of {expanded_um:.2g} um and the z scale is surer than "
+            "that: there is nothing to correct."
         )
-    return f"The error is within its U of {expanded_um:.2g} um: a correction would make nothing surer."
+    return (
+        f"The error is within its U of {expanded_um:.2g} um, so the scale may be right as it is; "
+        f"set by the blocks, its u would be {after.u_z_scale:.2g} in place of {before.u_z_scale:.2g}."
+    )
