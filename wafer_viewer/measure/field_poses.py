@@ -45,7 +45,7 @@ def poses_u_um(surface: Mosaic, pulls: Pulls) -> float | None:
     0 where all was seen in one field; None where nobody knows where the fields lie.
     """
     bare = surface
-    while isinstance(bare, ReadThrough):
+    while isinstance(bare, ReadThrough) and not isinstance(bare, HasPoses):
         bare = bare.surface
     if isinstance(bare, HeightMap):
         return 0.0 if bare.overlap_um is None else None
