@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from wafer_viewer.gui.first_edges import bumps_box, die_box, edge_box, kerf_box
 from wafer_viewer.gui.first_groove import groove_line
 from wafer_viewer.gui.landmarks import (
     PATCH_SHARES,
@@ -85,6 +86,11 @@ FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "angle": _angle,
     "radius": _radius,
     "volume": _volume,
+    "kerf": kerf_box,
+    "die": die_box,
+    "circle": _radius,
+    "chipping": edge_box,
+    "coplanarity": bumps_box,
     "flatness": _face,
     "texture": _face,
     "roughness": _across_face,

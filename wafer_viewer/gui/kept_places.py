@@ -18,6 +18,7 @@ from wafer_viewer.model.findings import (
 )
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.texture import Roughness, Texture
 
 Box = tuple[float, float, float, float]
@@ -49,6 +50,16 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
             return "texture"
         case Roughness():
             return "roughness"
+        case KerfWidth():
+            return "kerf"
+        case DieSize():
+            return "die"
+        case CircleSize():
+            return "circle"
+        case Chipping():
+            return "chipping"
+        case Coplanarity():
+            return "coplanarity"
         case GaugeCheck() | Defect():
             return None
 
@@ -66,9 +77,9 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
             return finding.upper, finding.lower
         case FaceAngle():
             return finding.first, finding.second
-        case Radius():
+        case Radius() | CircleSize():
             return (finding.circle,)
-        case AreaVolume() | Flatness() | Texture():
+        case AreaVolume() | Flatness() | Texture() | KerfWidth() | DieSize() | Chipping() | Coplanarity():
             return (finding.region,)
         case GaugeCheck():
             return finding.upper, finding.lower
@@ -77,12 +88,27 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
 
 
 def drawn_of(finding: AnyFinding) -> tuple[Region, ...]:
-    """What is drawn of a result: its places, all regions of a step, and the way from one to the other of a distance."""
+    """What is drawn of a result: its places, all regions of a step, the way of a distance, the edges found."""
     if isinstance(finding, StepHeight):
         return finding.regions
-    return (
-        (*places_of(finding), way_between(*places_of(finding))) if isinstance(finding, Distance) else places_of(finding)
-    )
+    if isinstance(finding, Distance):
+        return *places_of(finding), way_between(*places_of(finding))
+    return *places_of(finding), *found_of(finding)
+
+
+def found_of(finding: AnyFinding) -> tuple[Region, ...]:
+    """The edges that were found at the places of a result."""
+    match finding:
+        case KerfWidth():
+            return finding.first, finding.second
+        case DieSize():
+            return (finding.outline,)
+        case CircleSize():
+            return (finding.found,)
+        case Chipping():
+            return (finding.edge,)
+        case _:
+            return ()
 
 
 def way_between(start: Region, end: Region) -> Region:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from wafer_viewer.draw.numbers import number, share, with_unit
-from wafer_viewer.gui import html, step_words
+from wafer_viewer.gui import html, shape_words, step_words
 from wafer_viewer.gui.measure_words import averaging, whole
 from wafer_viewer.gui.texture_words import roughness, texture
 from wafer_viewer.model.findings import (
@@ -23,6 +23,7 @@ from wafer_viewer.model.findings import (
 )
 from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.texture import Roughness, Texture
 
 _SURFACES = {
@@ -144,7 +145,14 @@ _TOLD: dict[type, Callable[..., str]] = {
     Flatness: _flatness,
     Texture: texture,
     Roughness: roughness,
+    KerfWidth: shape_words.kerf,
+    DieSize: shape_words.die,
+    CircleSize: shape_words.circle,
+    Chipping: shape_words.chipping,
+    Coplanarity: shape_words.coplanarity,
 }
+_ON_PICTURE = (KerfWidth, DieSize, CircleSize, Chipping)
+"""Heights have no part in these."""
 
 
 def _place(name: str, place: Region) -> tuple[str, str]:
@@ -161,6 +169,8 @@ def _measured_on(finding: AnyFinding) -> str:
         f"On the {where(finding)}: {_SURFACES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",
     ]
+    if isinstance(finding, _ON_PICTURE):
+        lines = [f"On the {where(finding)}."]
     if finding.simulated:
         lines.append("SIMULATED: not a measurement of a real sample.")
     lines.extend(finding.notes)

@@ -26,6 +26,11 @@ _LETTERS = {
     "flatness": "F",
     "texture": "T",
     "roughness": "N",
+    "kerf_width": "W",
+    "die_size": "Z",
+    "circle": "O",
+    "chipping": "C",
+    "coplanarity": "B",
     "gauge_check": "G",
     "defect": "D",
 }
@@ -38,6 +43,11 @@ _MAIN = {
     "flatness": "FLTt",
     "texture": "Sa",
     "roughness": "Ra",
+    "kerf_width": "mean width",
+    "die_size": "width",
+    "circle": "diameter",
+    "chipping": "deepest",
+    "coplanarity": "from lowest to highest top",
 }
 """What the number is that stands for a result, where its tool's name does not say so."""
 _SIGNED = ("point",)

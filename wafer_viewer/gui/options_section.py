@@ -72,6 +72,7 @@ CONDITIONS = (
     Number("Drift u, µm", "conditions.drift_um", 0.01, off="0: not known"),
     Number("Sample, °C", "conditions.temperature_c", 0.1, off="0: not known"),
 )
+BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
 CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     "step": (
         Pick(
@@ -108,6 +109,14 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
         Number("λc, µm", "lambda_c_um", 0.5, off="0: no filter"),
         Number("λs, µm", "lambda_s_um", 0.1, off="0: no filter"),
     ),
+    "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Beside what is next to it, on the picture"),),
+    "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Beside what is round it, on the picture"),),
+    "circle": (Pick("Inside", "inside", BRIGHTNESS, "Beside what is outside, on the picture"),),
+    "chipping": (
+        Number("Chip over, µm", "limit_um", 0.5, off="0: four deviations of the edge"),
+        Pick("Die on the", "die", {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"}),
+    ),
+    "coplanarity": (Pick("Plane", "reference", {"Least squares": "least_squares", "Seating plane": "seating"}),),
 }
 """`field` is the field of the tool's options; with a full stop that of a spec in it."""
 
