@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.die_size import die_size
     from wafer_viewer.measure.find_faces import find_faces
     from wafer_viewer.measure.flatness import flatness
+    from wafer_viewer.measure.gauge import gauge_check, gauge_repeat
     from wafer_viewer.measure.kerf import kerf_width
     from wafer_viewer.measure.levelled import levelled
     from wafer_viewer.measure.one_sided import site_ranges
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
         ProfileCurve,
         Radius,
     )
+    from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeTerms
     from wafer_viewer.model.levelling import Levelling
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
     from wafer_viewer.model.poses import Poses
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
     from wafer_viewer.rigs.config import RigConfig
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session
+    from wafer_viewer.store.certificates import read_certificate
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export, write_surface
     from wafer_viewer.store.importers import import_dataset, open_stack
@@ -75,6 +78,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "AreaVolume": "model.findings",
     "Calibration": "model.calibration",
+    "Certificate": "model.gauge",
     "Chipping": "model.shape",
     "CircleSize": "model.shape",
     "Conditions": "model.conditions",
@@ -89,7 +93,9 @@ _HOMES = {
     "Flatness": "model.findings",
     "FocusCurve": "model.evidence",
     "FocusSweep": "model.plan",
+    "GaugeCheck": "model.gauge",
     "GaugeRR": "model.repeatability",
+    "GaugeTerms": "model.gauge",
     "HeightMap": "model.surface",
     "Job": "model.plan",
     "KerfWidth": "model.shape",
@@ -129,6 +135,8 @@ _HOMES = {
     "find_faces": "measure.find_faces",
     "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
+    "gauge_check": "measure.gauge",
+    "gauge_repeat": "measure.gauge",
     "gauge_rr": "measure.repeatability",
     "import_dataset": "store.importers",
     "kerf_width": "measure.kerf",
@@ -136,6 +144,7 @@ _HOMES = {
     "open_stack": "store.importers",
     "point_height": "measure.point",
     "profile": "measure.profile",
+    "read_certificate": "store.certificates",
     "read_npz": "store.npz",
     "read_surface": "store.readers",
     "reconstruct": "reconstruct.field",
@@ -155,6 +164,7 @@ _HOMES = {
 __all__ = [
     "AreaVolume",
     "Calibration",
+    "Certificate",
     "Chipping",
     "CircleSize",
     "Conditions",
@@ -169,7 +179,9 @@ __all__ = [
     "Flatness",
     "FocusCurve",
     "FocusSweep",
+    "GaugeCheck",
     "GaugeRR",
+    "GaugeTerms",
     "HeightMap",
     "Job",
     "KerfWidth",
@@ -210,6 +222,8 @@ __all__ = [
     "find_faces",
     "flatness",
     "focus_curve",
+    "gauge_check",
+    "gauge_repeat",
     "gauge_rr",
     "import_dataset",
     "kerf_width",
@@ -217,6 +231,7 @@ __all__ = [
     "open_stack",
     "point_height",
     "profile",
+    "read_certificate",
     "read_npz",
     "read_surface",
     "reconstruct",
