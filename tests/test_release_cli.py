@@ -48,7 +48,7 @@ def test_a_limit_that_changed_is_judged_on_the_height_that_was_kept(release, sto
     assert lines[1].startswith("w2.wafer: INCONCLUSIVE -> FAIL")
     assert lines[2].startswith("  die over street: INCONCLUSIVE -> FAIL (12.9")
     assert lines[3] == "    Limits: 11 to 13 um before, 11 to 12.5 um now."
-    assert lines[4] == "coupon B: 1 verdict of 2 change; 1 of 2 wafers gets another word."
+    assert lines[4] == "coupon B: 1 of 2 verdicts changes; 1 of 2 wafers gets another word."
     made = tmp_path / "jobs" / "coupon-B.toml"
     assert lines[5] == str(made)
     job = decode(made.read_bytes(), Job, made.name)
@@ -60,7 +60,7 @@ def test_a_decision_rule_that_changed_is_named_and_a_dry_run_releases_nothing(re
     _, lines = release(released_job(replace(STEP, decision_rule="simple_acceptance")), "--dry-run")
     assert lines[1].startswith("w2.wafer: INCONCLUSIVE -> PASS")
     assert lines[3] == "    Decision rule: guard band before, simple acceptance now."
-    assert lines[4] == "coupon B: 1 verdict of 2 change; 1 of 2 wafers gets another word."
+    assert lines[4] == "coupon B: 1 of 2 verdicts changes; 1 of 2 wafers gets another word."
     assert not (tmp_path / "jobs").exists()
 
 
@@ -94,7 +94,7 @@ def test_datasets_that_cannot_be_judged_are_named_with_the_reason(release, store
     assert lines[:2] == [
         f"{name}.wafer: not judged. It is of the product 'coupon', and the job of 'anchor'." for name in ("w1", "w2")
     ]
-    assert lines[2] == "anchor B: 0 verdicts of 0 change; 0 of 0 wafers get another word, 2 datasets not judged."
+    assert lines[2] == "anchor B: 0 of 0 verdicts change; 0 of 0 wafers get another word, 2 datasets not judged."
     recipe = replace(released_job().recipe, window=11)
     _, lines = release(replace(released_job(), recipe=recipe), "--dry-run")
     assert "no field with all its frames" in lines[0], "another recipe needs the frames, and these have none"

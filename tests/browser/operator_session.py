@@ -41,6 +41,7 @@ class OperatorSession(fake.FakeSession):
     def __init__(self, snapshot: Snapshot) -> None:
         super().__init__(snapshot)
         self.jobs = Verbs(self, "jobs")
+        self.trials = Verbs(self, "trials")
 
 
 def a_released_job(wafer_id: str = "", residual_um: float | None = None) -> Job:

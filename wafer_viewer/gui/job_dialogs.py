@@ -8,23 +8,19 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.verdict_words import RULES
-from wafer_viewer.model.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.alignment import Mark, Marks
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Feature
-from wafer_viewer.model.findings import StepHeight
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.operating import JobEntry
 from wafer_viewer.session.preflight import Check
-from wafer_viewer.session.state import Snapshot
 
 BY_HAND = "as typed below"
 
@@ -96,47 +92,22 @@ def corners_dialog(page: Page) -> None:
     dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners stay")
 
 
-def feature_dialog(page: Page, n: int | None = None) -> None:
-    """A step height to be judged: where, and between which limits. n: one of the job's features, to be changed."""
-    job = required_job(page)
-    old = job.features[n] if n is not None else None
-    dialog, gui = Dialog(page, "Feature", "A step height, and when a wafer is good by it."), page.gui
-    steps = steps_of(page.session.snapshot)
+def trial_dialog(page: Page) -> None:
+    """Judge wafers that were measured before by the plan, and say which verdicts it changes; nothing is released."""
+    required_job(page)
+    below = "Which verdicts would change, and why. Nothing kept is written over; a changed recipe takes its time."
+    dialog = Dialog(page, "Try on stored wafers", below)
     with dialog.modal:
-        name = gui.add_text("Name", old.name if old else "")
-        nominal = gui.add_number("Nominal, µm", old.nominal or 0.0 if old else 0.0, step=0.01)
-        limits = gui.add_vector2(
-            "Limits, µm", (old.lower_limit or 0.0, old.upper_limit or 0.0) if old else (0.0, 0.0), step=0.01
-        )
-        rule = gui.add_dropdown(
-            "Rule", tuple(RULES.values()), initial_value=RULES[old.decision_rule if old else "guard_band"]
-        )
-        source = gui.add_dropdown("Regions", (BY_HAND, *steps)) if steps else None
-        upper = _corners(gui, "Upper", old.places[0] if old and old.places else None)
-        lower = _corners(gui, "Lower", old.places[1] if old and old.places else None)
+        path = page.gui.add_text("Dataset or folder", str(page.session.snapshot.data_folder))
+        result = page.gui.add_text("Reconstruction", DEFAULT_RESULT)
 
-    def copy_step(_: Any) -> None:
-        if source is not None and (step := steps.get(source.value)) is not None:
-            _put(upper, step.upper)
-            _put(lower, step.lower)
-            nominal.value = round(step.height.value_um, 2)
+    def begin() -> None:
+        if not path.value.strip():
+            raise PlanError("No wafer is named: type the path of a dataset, or of a folder of them.")
+        paths = (Path(path.value.strip()).expanduser(),)
+        page.ask("The plan was not tried", page.session.trials.begin(paths, result.value.strip() or DEFAULT_RESULT))
 
-    if source is not None:
-        source.on_update(copy_step)
-
-    def keep() -> None:
-        made = Feature(
-            name=name.value.strip() or f"Step {len(job.features) + 1}",
-            nominal=nominal.value,
-            lower_limit=limits.value[0],
-            upper_limit=limits.value[1],
-            decision_rule=next(key for key, title in RULES.items() if title == rule.value),
-            places=(_region(upper), _region(lower)),
-        )
-        kept = (*job.features, made) if n is None else (*job.features[:n], made, *job.features[n + 1 :])
-        edit(page, features=kept)
-
-    dialog.answers("Keep", viser.Icon.CHECK, keep, "The feature stays")
+    dialog.answers("Try it", viser.Icon.HISTORY, begin, "The plan was not tried")
 
 
 def release_dialog(page: Page) -> None:
@@ -186,36 +157,3 @@ def suggested_marks(overview: Overview | None) -> Marks:
             Mark(name="rightmost die, lower right corner", x_um=round(right[2], 1), y_um=round(right[1], 1)),
         )
     )
-
-
-def steps_of(snapshot: Snapshot) -> dict[str, StepHeight]:
-    """The step heights kept on the open surface, in wafer um, by what they are called."""
-    lies = snapshot.dataset.job.alignment if snapshot.dataset is not None else None
-    steps = [f for f in snapshot.findings if isinstance(f, StepHeight)]
-    return {f"{s.name} ({number(s.height.value_um, 2)})": _on_wafer(s, lies) for s in steps}
-
-
-def _on_wafer(step: StepHeight, lies: Alignment | None) -> StepHeight:
-    if lies is None:
-        return step
-    return replace(step, upper=_turned(step.upper, lies), lower=_turned(step.lower, lies))
-
-
-def _turned(region: Region, lies: Alignment) -> Region:
-    x0, y0, x1, y1 = region.bounds_um
-    return Region.rectangle(*lies.to_wafer(x0, y0), *lies.to_wafer(x1, y1))
-
-
-def _corners(gui: Any, name: str, region: Region | None) -> tuple[Any, Any]:
-    """Two opposite corners of a rectangle."""
-    x0, y0, x1, y1 = region.bounds_um if region is not None else (0.0, 0.0, 0.0, 0.0)
-    return gui.add_vector2(f"{name}, µm", (x0, y0), step=0.5), gui.add_vector2("– to, µm", (x1, y1), step=0.5)
-
-
-def _put(handles: tuple[Any, Any], region: Region) -> None:
-    x0, y0, x1, y1 = region.bounds_um
-    handles[0].value, handles[1].value = (round(x0, 1), round(y0, 1)), (round(x1, 1), round(y1, 1))
-
-
-def _region(handles: tuple[Any, Any]) -> Region:
-    return Region.rectangle(*handles[0].value, *handles[1].value)

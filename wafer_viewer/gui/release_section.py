@@ -8,13 +8,17 @@ import viser
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
+from wafer_viewer.gui.feature_dialog import feature_dialog
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.job_dialogs import corners_dialog, edit, feature_dialog, release_dialog, required_job
+from wafer_viewer.gui.job_dialogs import corners_dialog, edit, release_dialog, required_job, trial_dialog
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.review_items import spoken
+from wafer_viewer.gui.trial_words import trial
 from wafer_viewer.gui.verdict_words import RULES, limits
 from wafer_viewer.model.alignment import Marks
 from wafer_viewer.model.feature import Feature
+from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.state import Snapshot
 
@@ -34,6 +38,9 @@ class ReleaseSection:
                 self._button("Release…", viser.Icon.LOCK, release_dialog),
             ]
             in_a_row(gui, self._buttons, 34)
+            self._tried = Cell(gui)
+            self._try = self._button("Try on stored wafers…", viser.Icon.HISTORY, trial_dialog)
+            in_a_row(gui, [self._try], 34)
             self._copy = self._button("Copy to a new plan", viser.Icon.COPY, self._to_copy)
             in_a_row(gui, [self._copy], 34)
         page.on_pick("feature", lambda key: feature_dialog(page, int(key)))
@@ -46,7 +53,8 @@ class ReleaseSection:
         if job is None:
             return
         self._words.show(_corners(job.marks) + _features(job))
-        for handle in self._buttons:
+        self._tried.show(trial(snapshot.operating.trial, snapshot.operating.trying))
+        for handle in (*self._buttons, self._try):
             set_prop(handle, "visible", not job.released)
         set_prop(self._copy, "visible", job.released)
 
@@ -71,14 +79,15 @@ def _corners(marks: Marks | None) -> str:
 
 def _features(job: Job) -> str:
     if not job.features:
-        return html.head("Features") + html.empty("A step height with its limits gives a verdict.")
+        return html.head("Features") + html.empty("Any quantity of a tool, with its limits, gives a verdict.")
     rows = [_feature(n, feature, job.released) for n, feature in enumerate(job.features)]
     return html.head("Features") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
 
 
 def _feature(n: int, feature: Feature, released: bool) -> str:
-    place = "" if feature.has_place else " · no place"
-    name = f"{html.safe(feature.name)}<small>{RULES[feature.decision_rule]}{place}</small>"
+    where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
+    what = " · ".join(part for part in (TOOLS[feature.tool].title, spoken(feature.quantity)) if part)
+    name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
     away = (
         f'<span class="wv-link" title="Take it off" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
     )

@@ -36,4 +36,4 @@ def _content(snapshot: Snapshot) -> str:
         return ""
     if verdict is None:
         return words.waiting(snapshot.operating.judging)
-    return words.card(verdict) + words.features(verdict) + '<div style="height:8px"></div>'
+    return words.card(verdict) + words.dies(verdict) + words.features(verdict) + '<div style="height:8px"></div>'

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import viser
 
+from wafer_viewer.draw.die_map import die_map_svg
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import reading, value_texts, with_unit_sign
@@ -42,10 +44,18 @@ def features(verdict: WaferVerdict) -> str:
     if not verdict.items:
         return ""
     rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
-    rows = [_row(item) for item in verdict.items]
+    rows = [_row(item) for item in verdict.items if not (item.die and item.word == "pass")] + list(_on_dies(verdict))
     return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
         ["", "Value ± U", "Limits", ""], rows, " nn "
     )
+
+
+def dies(verdict: WaferVerdict) -> str:
+    """The wafer with its dies coloured by their word, and how many have each."""
+    if not verdict.dies:
+        return ""
+    counts = ", ".join(f"{n} {word}" for word, n in verdict.die_counts.items())
+    return html.head("Dies", counts) + f'<div class="wv-map">{die_map_svg(verdict.dies)}</div>'
 
 
 def in_short(item: Judged) -> str:
@@ -81,6 +91,18 @@ def waiting(judging: bool) -> str:
     """What stands there until there is a verdict."""
     doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
     return html.empty(doing)
+
+
+def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
+    """Of each feature that is repeated over dies, on how many it is good: those where it is not have rows above."""
+    words: dict[str, list[Word]] = {}
+    for item in verdict.items:
+        if item.die:
+            words.setdefault(item.feature.name, []).append(item.word)
+    first = {item.feature.name: item.feature for item in verdict.items if item.die}
+    for name, of_dies in words.items():
+        good = f"{of_dies.count('pass')} of {len(of_dies)} dies pass"
+        yield html.row([html.safe(name), good, limits(first[name]), ""], " nn ")
 
 
 def _row(item: Judged) -> str:

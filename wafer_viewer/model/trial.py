@@ -66,7 +66,8 @@ class Trial(Spec, frozen=True, kw_only=True):
         same = sum(wafer.n_same for wafer in self.wafers)
         not_judged = f", {_count(len(self.not_tried), 'dataset')} not judged" if self.not_tried else ""
         wafers = f"{turned} of {_count(len(self.wafers), 'wafer')} {'gets' if turned == 1 else 'get'} another word"
-        return f"{_count(self.n_changes, 'verdict')} of {self.n_changes + same} change; {wafers}{not_judged}."
+        n = self.n_changes
+        return f"{n} of {_count(n + same, 'verdict')} {'changes' if n == 1 else 'change'}; {wafers}{not_judged}."
 
 
 def _count(n: int, word: str) -> str:

@@ -31,6 +31,7 @@ from wafer_viewer.session.reconstruction import Reconstruction
 from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.reopening import Reopening
 from wafer_viewer.session.state import FieldState, RigStatus, Snapshot
+from wafer_viewer.session.trials import TrialKeeper
 
 
 class Conductor:
@@ -51,6 +52,7 @@ class Conductor:
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
         self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
+        self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
         self.judge = Judge(desk, self.library, self.notices)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)

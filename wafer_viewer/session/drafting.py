@@ -15,7 +15,7 @@ from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.marking import Seen
-from wafer_viewer.session.releases import blank, released, require_as_released, write_released
+from wafer_viewer.session.releases import as_released, blank, require_as_released, write_released
 from wafer_viewer.session.state import Draft, Typed
 
 PLAN_ENDING = ".toml"
@@ -106,12 +106,7 @@ class Drafting:
 
     def release(self, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Path:
         """Write the job as a released one and take it up; settled: the recipe of the surface being looked at."""
-        job, plan = self.ready()
-        if settled is None:
-            raise PlanError(
-                "There is no surface whose recipe could be released: scan a good sample with this plan first."
-            )
-        ready = released(job, plan, settled, errors_um)
+        ready = as_released(*self.ready(), settled, errors_um)
         path = write_released(self._folder, ready)
         self._take_up(ready)
         return path

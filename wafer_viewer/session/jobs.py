@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting
 from wafer_viewer.session.releases import list_released
+from wafer_viewer.session.state import Snapshot
 
 
 class JobKeeper:
@@ -25,12 +27,17 @@ class JobKeeper:
 
     def release(self) -> Path:
         """Release the plan with the recipe of the surface being looked at."""
-        surface = self._desk.now.surface
-        stitched = surface.stitching if surface is not None else None
-        errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
-        path = self._drafting.release(surface.settled if surface is not None else None, errors_um)
+        path = self._drafting.release(*settled_by(self._desk.now))
         self.refresh()
         return path
+
+
+def settled_by(now: Snapshot) -> tuple[Recipe | None, tuple[float, float] | None]:
+    """The recipe that the surface on show came to, and the stage's errors in the plane and along z; None without."""
+    surface = now.surface
+    stitched = surface.stitching if surface is not None else None
+    errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
+    return surface.settled if surface is not None else None, errors_um
 
 
 class JobVerbs:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from wafer_viewer.model.trial import Trial
 from wafer_viewer.model.verdict import WaferVerdict
 
 
@@ -21,8 +22,13 @@ class JobEntry:
 
 @dataclass(frozen=True, slots=True)
 class Operating:
-    """judging: whether the open dataset's features are being measured for their verdict."""
+    """judging: whether the open dataset's features are being measured for their verdict.
+
+    trial: what the plan came to on stored wafers; trying: whether it is being tried.
+    """
 
     jobs: tuple[JobEntry, ...] = ()
     verdict: WaferVerdict | None = None
     judging: bool = False
+    trial: Trial | None = None
+    trying: bool = False

@@ -19,6 +19,18 @@ SEARCH_PX = 40
 """How far from the stage's word a neighbour is looked for, as long as nobody says otherwise."""
 
 
+def as_released(job: Job, plan: ScanPlan, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Job:
+    """A plan as the job that operators run: a recipe without ``auto`` is kept, else it is that of the surface on show.
+
+    Raises PlanError with what is missing.
+    """
+    if not job.recipe.has_auto:
+        return revised(replace(job, strategy=plan.strategy))
+    if settled is None:
+        raise PlanError("There is no surface whose recipe could be released: scan a good sample with this plan first.")
+    return released(job, plan, settled, errors_um)
+
+
 def released(job: Job, plan: ScanPlan, settled: Recipe, errors_um: tuple[float, float] | None) -> Job:
     """The job an operator can run: no ``auto`` in it, and nothing of a single wafer.
 

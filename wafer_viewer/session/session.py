@@ -30,6 +30,7 @@ from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.sections import Sections
 from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
 from wafer_viewer.session.studies import Studies
+from wafer_viewer.session.trials import TrialVerbs
 
 
 class Session(Asking):
@@ -48,6 +49,7 @@ class Session(Asking):
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
+        self.trials = TrialVerbs(self._do, rooms.trials)
         self.sections = Sections(self._questions, lambda: self.snapshot)
         self.studies = Studies()
         self.gauge = GaugeVerbs(self._do, rooms.gauge, self._questions, lambda: self.snapshot)

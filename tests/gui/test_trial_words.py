@@ -1,0 +1,85 @@
+"""A trial as the panel tells it, and dies coloured by their word."""
+
+from __future__ import annotations
+
+from tests.gui.test_operator_words import words
+from wafer_viewer.draw.die_map import die_map_svg
+from wafer_viewer.gui.kept_features import kept_features
+from wafer_viewer.gui.trial_words import MOST_CHANGES, trial
+from wafer_viewer.gui.verdict_words import dies, features
+from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.verdict import JudgedDie
+
+CHANGE = VerdictChange(
+    feature="die <over> street",
+    before="pass",
+    after="fail",
+    measured_before=Quantity(value=12.8, unit="um", expanded=0.02, status="evaluated"),
+    measured_after=Quantity(value=12.8, unit="um", expanded=0.02, status="evaluated"),
+    why=("Limits: 11 to 13 um before, 11 to 12.5 um now.",),
+)
+WAFER = TriedWafer(
+    dataset="w2.wafer", wafer_id="W2", result="default", before="pass", after="fail", changes=(CHANGE,), n_same=3
+)
+LEFT_OUT = NotTried(dataset="w3.wafer", why="The wafer was not aligned.")
+
+
+def test_each_change_is_told_with_its_reason_and_what_was_left_out():
+    done = Trial(job="coupon B", wafers=(WAFER,), not_tried=(LEFT_OUT,))
+    said = words(trial(done, trying=False))
+    assert "1 of 4 verdicts changes; 1 of 1 wafer gets another word, 1 dataset not judged." in said
+    assert "W2, die &lt;over&gt; street" in said
+    assert "Limits: 11 to 13 µm before, 11 to 12.5 µm now." in said
+    assert "PASS" in said
+    assert "FAIL" in said
+    assert "w3.wafer was not judged. The wafer was not aligned." in said
+    assert "<over>" not in trial(done, trying=False)
+    assert "12.80" not in said, "what did not change is not told twice"
+
+
+def test_many_changes_are_counted_and_nothing_stands_there_before_a_trial():
+    many = replace(WAFER, changes=(CHANGE,) * (MOST_CHANGES + 2))
+    assert "And 2 more" in words(trial(Trial(job="B", wafers=(many,)), trying=False))
+    assert trial(None, trying=False) == ""
+    assert "being judged" in words(trial(None, trying=True))
+
+
+def die(name, x_um, word):
+    return JudgedDie(name=name, x_um=x_um, y_um=0.0, width_um=8.0, height_um=8.0, word=word)
+
+
+def test_every_die_has_a_colour_and_all_but_the_good_ones_a_sign():
+    svg = die_map_svg([die("0,0", 0, "pass"), die("1,0", 10, "fail"), die("2,0", 20, "inconclusive")])
+    assert [svg.count(f"var(--{tone})") > 0 for tone in ("good", "fault", "attention")] == [True] * 3
+    assert svg.count("<text") == 2
+    assert "<title>Die 1,0: fail</title>" in svg
+    assert "<circle" not in svg
+    assert "<circle" in die_map_svg([die("0,0", 0, "pass")], across_um=30.0)
+
+
+def test_good_dies_are_counted_and_the_others_listed():
+    from tests.browser import operator_session as day
+
+    good, bad = day.PASS.items[0], day.FAIL.items[0]
+    items = (replace(good, die="0,0"), replace(good, die="1,0"), replace(bad, die="2,0"))
+    judged = (die("0,0", 0, "pass"), die("1,0", 10, "pass"), die("2,0", 20, "fail"))
+    verdict = replace(day.FAIL, items=items, dies=judged)
+    said = words(features(verdict))
+    assert "die over street, die 2,0" in said
+    assert "die over street, die 0,0" not in said
+    assert "2 of 3 dies pass" in said
+    assert "1 fail, 2 pass" in words(dies(verdict))
+    assert dies(day.FAIL) == ""
+
+
+def test_a_result_that_was_kept_can_be_a_feature():
+    from tests.browser import fake_session as fake
+
+    kept = kept_features(fake.measured())
+    steps = [feature for feature in kept.values() if feature.tool == "step"]
+    assert steps
+    assert len(steps[0].places) == 2
+    assert steps[0].unit("") == "um"
+    assert "height" in steps[0].quantities

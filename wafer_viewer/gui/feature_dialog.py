@@ -1,0 +1,145 @@
+"""The question what is judged on every sample: a quantity of a tool at its places, between limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.job_dialogs import edit, required_job
+from wafer_viewer.gui.kept_features import KeptFeature, kept_features
+from wafer_viewer.gui.kit import Cell, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.verdict_words import RULES
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.feature import Feature
+from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.quantities import Unit
+from wafer_viewer.model.region import Region
+
+AS_BEFORE, BY_HAND = "as before", "as typed below"
+MAIN = "the main one"
+BOTH, UPPER_ALONE, LOWER_ALONE = "both limits", "the upper one alone", "the lower one alone"
+HOW = "A step height as typed below, or any result kept on the surface on show; and when a wafer is good by it."
+
+
+def feature_dialog(page: Page, n: int | None = None) -> None:
+    """What is judged: which quantity, where, between which limits. n: one of the job's features, to be changed."""
+    features = required_job(page).features
+    FeatureDialog(page, features[n] if n is not None else None, n)
+
+
+class FeatureDialog:
+    """A feature as it is being put together; a kept result that is chosen brings tool, places and quantities."""
+
+    def __init__(self, page: Page, old: Feature | None, n: int | None) -> None:
+        self._page, self._old, self._n = page, old, n
+        self._tool: ToolName = old.tool if old else "step"
+        self._unit: Unit = old.unit if old else "um"
+        self._places: tuple[Region, ...] = old.places if old else ()
+        self._options: ToolOptions | None = old.options if old else None
+        self._kept = kept_features(page.session.snapshot)
+        dialog = Dialog(page, "Feature", HOW)
+        with dialog.modal:
+            self._ask_what()
+            self._ask_limits()
+        self._tell()
+        dialog.answers("Keep", viser.Icon.CHECK, self._keep, "The feature stays")
+
+    def _ask_what(self) -> None:
+        gui, old = self._page.gui, self._old
+        self._name = gui.add_text("Name", old.name if old else "")
+        self._source = gui.add_dropdown("Measured as", (AS_BEFORE if old else BY_HAND, *self._kept))
+        self._quantity = gui.add_dropdown("Quantity", ((old.quantity if old else "") or MAIN,))
+        self._what = Cell(gui)
+        self._upper = _corners(gui, "Upper", self._places[:1])
+        self._lower = _corners(gui, "Lower", self._places[1:2])
+        self._source.on_update(lambda _: self._take())
+        self._quantity.on_update(lambda _: self._take_quantity())
+
+    def _ask_limits(self) -> None:
+        gui, old = self._page.gui, self._old
+        low, high = (old.lower_limit, old.upper_limit) if old else (0.0, 0.0)
+        self._nominal = gui.add_number("Nominal, µm", (old.nominal if old else None) or 0.0, step=0.01)
+        self._limits = gui.add_vector2("Limits, µm", (low or 0.0, high or 0.0), step=0.01)
+        judged_by = UPPER_ALONE if low is None else LOWER_ALONE if high is None else BOTH
+        self._sides = gui.add_dropdown("Judged by", (BOTH, UPPER_ALONE, LOWER_ALONE), initial_value=judged_by)
+        rule = RULES[old.decision_rule if old else "guard_band"]
+        self._rule = gui.add_dropdown("Rule", tuple(RULES.values()), initial_value=rule)
+
+    def _take(self) -> None:
+        """A kept result was chosen: its tool, its places, its quantities."""
+        if (chosen := self._chosen()) is None:
+            return
+        self._tool, self._places, self._options = chosen.tool, chosen.places, chosen.options
+        self._quantity.options = (MAIN, *chosen.quantities)
+        if self._tool == "step":
+            for handles, place in zip((self._upper, self._lower), self._places, strict=True):
+                _put(handles, place)
+        self._take_quantity()
+
+    def _take_quantity(self) -> None:
+        """Another quantity of it: its unit, and what it came to as the nominal value."""
+        if (chosen := self._chosen()) is not None:
+            self._unit = chosen.unit(self._quantity_name)
+            self._nominal.value = round(chosen.value(self._quantity_name), 2)
+        self._tell()
+
+    def _tell(self) -> None:
+        """What is measured, in a line; regions can be typed of steps alone."""
+        for handle in (*self._upper, *self._lower):
+            set_prop(handle, "visible", self._tool == "step")
+        on_dies = ", on every die" if self._old is not None and self._old.per_die else ""
+        words = f"{TOOLS[self._tool].title}{on_dies}; its limits are in {self._unit}."
+        self._what.show(f'<div class="wv-lab">{html.safe(html.micro(words))}</div>')
+
+    def _chosen(self) -> KeptFeature | None:
+        return self._kept.get(self._source.value)
+
+    @property
+    def _quantity_name(self) -> str:
+        return "" if self._quantity.value == MAIN else self._quantity.value
+
+    def _keep(self) -> None:
+        page, features = self._page, required_job(self._page).features
+        made = self._made(f"{TOOLS[self._tool].title} {len(features) + 1}")
+        kept = (*features, made) if self._n is None else (*features[: self._n], made, *features[self._n + 1 :])
+        edit(page, features=kept)
+
+    def _made(self, unnamed: str) -> Feature:
+        """The feature as it stands there. Raises PlanError where it cannot be."""
+        places = tuple(_region(h) for h in (self._upper, self._lower)) if self._tool == "step" else self._places
+        if not places:
+            raise PlanError("The feature has no place: choose a result that was kept.")
+        low, high = self._limits.value
+        return Feature(
+            name=self._name.value.strip() or unnamed,
+            tool=self._tool,
+            quantity=self._quantity_name,
+            unit=self._unit,
+            nominal=self._nominal.value,
+            lower_limit=None if self._sides.value == UPPER_ALONE else low,
+            upper_limit=None if self._sides.value == LOWER_ALONE else high,
+            decision_rule=next(key for key, title in RULES.items() if title == self._rule.value),
+            per_die=self._old.per_die if self._old else False,
+            places=places,
+            options=self._options,
+        )
+
+
+def _corners(gui: Any, name: str, places: tuple[Region, ...]) -> tuple[Any, Any]:
+    """Two opposite corners of a rectangle."""
+    x0, y0, x1, y1 = places[0].bounds_um if places else (0.0, 0.0, 0.0, 0.0)
+    return gui.add_vector2(f"{name}, µm", (x0, y0), step=0.5), gui.add_vector2("– to, µm", (x1, y1), step=0.5)
+
+
+def _put(handles: tuple[Any, Any], region: Region) -> None:
+    x0, y0, x1, y1 = region.bounds_um
+    handles[0].value, handles[1].value = (round(x0, 1), round(y0, 1)), (round(x1, 1), round(y1, 1))
+
+
+def _region(handles: tuple[Any, Any]) -> Region:
+    return Region.rectangle(*handles[0].value, *handles[1].value)

@@ -1,0 +1,85 @@
+"""Results that were kept, as what a feature of a job could be: their tool, places on the wafer, quantities. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.quantities import Length, Quantity, Unit
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.state import Snapshot
+
+TOOL_OF: dict[str, ToolName] = {
+    **{tool: tool for tool in TOOLS},
+    "step_height": "step",
+    "step_profile": "groove",
+    "kerf_width": "kerf",
+    "die_size": "die",
+}
+"""The tool that makes results of a tag."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptFeature:
+    """What a feature would measure to measure the same again; places in wafer um where the wafer is aligned."""
+
+    tool: ToolName
+    places: tuple[Region, ...]
+    options: ToolOptions | None
+    main: Quantity
+    quantities: dict[str, Quantity]
+
+    def of(self, quantity: str) -> Quantity:
+        """A quantity by its name; the main one without."""
+        return self.quantities.get(quantity, self.main)
+
+    def value(self, quantity: str) -> float:
+        """What it came to."""
+        return self.of(quantity).value
+
+    def unit(self, quantity: str) -> Unit:
+        """Its unit."""
+        return self.of(quantity).unit
+
+
+def kept_features(snapshot: Snapshot) -> dict[str, KeptFeature]:
+    """The results kept on the stitched surface on show, by what they are called; comparisons make no feature."""
+    lies = snapshot.dataset.job.alignment if snapshot.dataset is not None else None
+    found = ((finding, _feature(finding, lies)) for finding in snapshot.findings if finding.show >= 0)
+    return {f"{finding.name} ({number(finding.main.value, 2)})": kept for finding, kept in found if kept is not None}
+
+
+def _feature(finding: AnyFinding, lies: Alignment | None) -> KeptFeature | None:
+    tool = TOOL_OF.get(str(finding.__struct_config__.tag))
+    if tool is None or (places := _places(finding, tool)) is None:
+        return None
+    held = {name: getattr(finding, name) for name in finding.__struct_fields__}
+    quantities = {name: q for name, value in held.items() if (q := _quantity(value)) is not None}
+    options = held.get("options")
+    own = replace(ToolOptions(), **{tool: options}) if options is not None and hasattr(ToolOptions(), tool) else None
+    return KeptFeature(tool, tuple(_on_wafer(place, lies) for place in places), own, finding.main, quantities)
+
+
+def _quantity(value: object) -> Quantity | None:
+    return value.quantity if isinstance(value, Length) else value if isinstance(value, Quantity) else None
+
+
+def _places(finding: AnyFinding, tool: ToolName) -> tuple[Region, ...] | None:
+    """The regions that the tool asks for, in its order; None where the result does not hold them."""
+    held = (getattr(finding, name) for name in finding.__struct_fields__)
+    regions = tuple(value for value in held if isinstance(value, Region))[: len(TOOLS[tool].places)]
+    kinds = tuple(place.kind for place in TOOLS[tool].places)
+    return regions if tuple(region.kind for region in regions) == kinds else None
+
+
+def _on_wafer(region: Region, lies: Alignment | None) -> Region:
+    """A region of the stage in wafer um; a rectangle stays one, for wafers lie nearly straight."""
+    if lies is None:
+        return region
+    points = (lies.to_wafer(point.x_um, point.y_um) for point in region.points)
+    return replace(region, points=tuple(Point(x_um=x, y_um=y) for x, y in points))
