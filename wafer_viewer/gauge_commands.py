@@ -34,6 +34,7 @@ def measure_gauge(
     sign: Text = None,
     log: Annotated[Path | None, arg(metavar="FOLDER")] = None,
     serial: Serials = (),
+    rig: Text = None,
     field: int = 0,
     result: str = "default",
 ) -> int:
@@ -48,12 +49,13 @@ def measure_gauge(
         limit_um: The largest error allowed.
         upper: Two opposite corners of the upper face; both faces are found by themselves by default.
         lower: The same of the lower face.
-        temperature_c: Of the blocks.
+        temperature_c: Of the blocks, known to 0.5 (k = 1).
         tolerance_um: The product's, upper limit less lower: Cg and Cgk are told for it.
         interval_days: The next check is due after them.
         sign: Who signs: the check goes to the log and into the results of the last SRC.
         log: The folder of gauge-checks.jsonl; that of the first SRC by default.
         serial: Of the history, the checks with these blocks alone.
+        rig: Of the history, those of this rig alone.
         field: A field of the datasets; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
@@ -65,7 +67,7 @@ def measure_gauge(
     if not src:
         if log is None:
             raise MeasureError("There is nothing to check: give scans and --certificate, or --log for the history.")
-        told = history(log, serial, terms.tolerance_um)
+        told = history(log, serial, rig, terms.tolerance_um)
         print_json(msgspec.to_builtins(told))
         return 1 if told.chart.warnings else 0
     if certificate is None:
@@ -73,7 +75,7 @@ def measure_gauge(
     faces = _faces(upper, lower)
     found = check_sources(src, certificate, terms, faces, log, field, result)
     if sign is not None:
-        found = sign_sources(found, src, sign, log, field, result)
+        found = sign_sources(found, src, sign, log, result)
     print_json(msgspec.to_builtins(found))
     return 0 if found.verdict == "pass" else 1
 

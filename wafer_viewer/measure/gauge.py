@@ -30,7 +30,14 @@ FAR_FRACTION, FAR_UM = 0.02, 1.0
 
 
 def gauge_repeat(
-    surface: Mosaic, upper: Region, lower: Region, *, dataset: str, taken: str = "", calibration_valid: bool = True
+    surface: Mosaic,
+    upper: Region,
+    lower: Region,
+    *,
+    dataset: str,
+    taken: str = "",
+    show: int = 0,
+    calibration_valid: bool = True,
 ) -> GaugeRepeat:
     """The step between two faces in one scan of the blocks. Raises MeasureError where `step_height` does."""
     found = step_height(surface, upper, lower, calibration_valid=calibration_valid)
@@ -42,6 +49,7 @@ def gauge_repeat(
         dataset=dataset,
         taken=taken,
         surface=surface_mark(surface),
+        show=show,
         upper=upper,
         lower=lower,
         height=found.height,
@@ -98,6 +106,7 @@ def gauge_check(
         why=why,
         budget=lines,
         not_evaluated=not_evaluated(repeats, certificate, terms, lines),
+        show=repeats[-1].show,
         simulated=any(repeat.simulated for repeat in repeats),
     )
 

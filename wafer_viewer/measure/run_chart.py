@@ -81,10 +81,10 @@ def errors_of_scans(checks: Iterable[GaugeCheck]) -> list[float]:
 
 
 def drift_of(checks: Sequence[GaugeCheck]) -> Length | None:
-    """The slope of the errors over time, um a day, with U by their scatter; None with fewer than three moments."""
-    days = _days(checks)
-    if len(np.unique(days)) < 3:
+    """The slope of the errors over time, um a day, with U by their scatter; None with fewer than three days."""
+    if len({check.at[:10] for check in checks}) < 3:
         return None
+    days = _days(checks)
     errors_um = np.array([check.deviation.value_um for check in checks])
     away = days - days.mean()
     slope = float(away @ errors_um / (away @ away))

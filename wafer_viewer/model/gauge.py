@@ -147,13 +147,14 @@ class GaugeTerms(Spec, frozen=True, kw_only=True):
 class GaugeRepeat(Spec, frozen=True, kw_only=True):
     """The step in one scan of the blocks; surface: the mark of the frames that its surface was made of.
 
-    not_evaluated: what the budget of this step leaves out.
+    show: 0 the stitched surface, else the number of a field; not_evaluated: what the budget of this step leaves out.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     dataset: str
     taken: str = ""
     surface: str = ""
+    show: int = 0
     upper: Region
     lower: Region
     height: Length

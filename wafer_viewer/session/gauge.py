@@ -89,7 +89,7 @@ class GaugeVerbs:
         if shown is None:
             raise DatasetError(NOTHING_OPEN)
         surface = self._questions.surface_source(show)
-        source = work.Source(surface, shown.name, shown.taken, shown.calibration_problem)
+        source = work.Source(surface, shown.name, shown.taken, shown.calibration_problem, show)
         return work.repeat_of(source, certificate, faces)
 
 

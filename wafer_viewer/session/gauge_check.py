@@ -19,12 +19,16 @@ from wafer_viewer.session.library import today
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A surface that a repeat is measured on. problem: why its lengths are uncalibrated, or None; taken: ISO 8601."""
+    """A surface that a repeat is measured on: show 0 the stitched one, else the field of that number.
+
+    problem: why its lengths are uncalibrated, or None; taken: ISO 8601.
+    """
 
     surface: Mosaic
     name: str
     taken: str = ""
     problem: str | None = None
+    show: int = 0
 
     @property
     def day(self) -> str:
@@ -45,7 +49,7 @@ def source_of(src: Path, field_number: int, result: str) -> Source:
     surface, calibrated = measured_surface(src, field_number, result)
     if is_dataset(src):
         data = Dataset.open(src)
-        return Source(surface, data.name, data.scan.taken, data.calibration_problem(today()))
+        return Source(surface, data.name, data.scan.taken, data.calibration_problem(today()), field_number)
     return Source(surface, src.stem, problem=None if calibrated else "the file has none that holds")
 
 
@@ -68,7 +72,7 @@ def repeat_of(source: Source, certificate: Certificate, faces: Faces | None = No
     if why is not None:
         raise MeasureError(why)
     upper, lower = faces or find_faces(source.surface)
-    return gauge_repeat(source.surface, upper, lower, dataset=source.name, taken=source.taken)
+    return gauge_repeat(source.surface, upper, lower, dataset=source.name, taken=source.taken, show=source.show)
 
 
 def check_of(
@@ -82,7 +86,7 @@ def check_of(
     return gauge_check(repeats, certificate, terms, known=pooled_scatter(others))
 
 
-def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord], show: int = 0) -> GaugeCheck:
+def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> GaugeCheck:
     """The check with who signed it and when. Raises MeasureError without a name, or where a scan counts already."""
     if not operator.strip():
         raise MeasureError("A check is signed with a name: say who made it.")
@@ -91,7 +95,7 @@ def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord], sho
             raise MeasureError(
                 f"{scan} is in the check that {before.signed_by} signed on {before.at[:10]}: check new scans."
             )
-    return replace(check, signed_by=operator.strip(), at=now(), show=show)
+    return replace(check, signed_by=operator.strip(), at=now())
 
 
 def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:

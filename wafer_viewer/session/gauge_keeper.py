@@ -10,7 +10,7 @@ from typing import Any
 
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
 from wafer_viewer.model.run_chart import RunChart
 from wafer_viewer.session import gauge_check as work
 from wafer_viewer.session.desk import Desk
@@ -106,13 +106,15 @@ class GaugeKeeper:
         """Put in force what the signed check offers; the rig's next scans have it."""
         from wafer_viewer.session.scales import correct
 
-        record, in_force = self._signed_record(), self._desk.now.rig.calibration
-        if record is None or in_force is None:
+        record, rig = self._signed_record(), self._desk.now.rig
+        if record is None:
             raise MeasureError("The z scale is corrected by a signed check: sign it first.")
+        if record.rig != rig.name or rig.calibration is None:
+            raise MeasureError(f"The check is of {record.rig or 'no rig'} and {rig.name} is here: correct it there.")
         if self._desk.now.scanning:
             raise MeasureError("A scan is running: correct the z scale when it has ended.")
-        after = correct(self._folder, record, in_force, operator, why).calibration
-        self._desk.change(rig=replace(self._desk.now.rig, calibration=after))
+        after = correct(self._folder, record, rig.calibration, operator, why).calibration
+        self._desk.change(rig=replace(rig, calibration=after))
         self._show()
         return after
 
@@ -161,8 +163,9 @@ class GaugeKeeper:
 
         if certificate is None:
             return ()
-        rig = self._desk.now.rig.name
-        return tuple(r for r in signed_checks(self._folder, certificate.serials) if r.rig == rig)
+        shown, records = self._desk.now.dataset, signed_checks(self._folder, certificate.serials)
+        rig = self._desk.now.rig.name if shown is None else self._library.dataset.scan.rig
+        return tuple(record for record in records if record.rig == rig)
 
     def _refusal(self, certificate: Certificate | None) -> str | None:
         from wafer_viewer.measure.gauge import refusal
@@ -177,11 +180,12 @@ class GaugeKeeper:
         signed = self.state.signed
         return next((r for r in reversed(self.state.records) if signed is not None and r.check.at == signed.at), None)
 
-    def _correction(self) -> Any:
+    def _correction(self) -> ScaleCorrection | None:
         from wafer_viewer.session.scales import offered
 
-        record, in_force = self._signed_record(), self._desk.now.rig.calibration
-        if record is None or in_force is None:
+        record, rig = self._signed_record(), self._desk.now.rig
+        in_force = rig.calibration
+        if record is None or in_force is None or record.rig != rig.name:
             return None
         try:
             correction = offered(record, in_force)

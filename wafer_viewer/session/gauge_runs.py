@@ -47,13 +47,11 @@ def check_sources(
     return work.check_of(repeats, certificate, terms, records)
 
 
-def sign_sources(
-    check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, field_number: int, result: str
-) -> GaugeCheck:
+def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, result: str) -> GaugeCheck:
     """Sign a check: it goes to the log, and into the results of the last scan where that is a dataset."""
     folder, rig = log or src[0].parent, _rig(src[-1])
     records = _of_rig(signed_checks(folder, check.certificate.serials), rig)
-    signed = work.signed(check, operator, records, field_number)
+    signed = work.signed(check, operator, records)
     record = work.record_of(signed, rig, result)
     if not is_dataset(src[-1]):
         sign(folder, record)
@@ -66,19 +64,20 @@ def sign_sources(
         lock.release()
 
 
-def history(folder: Path, serials: Sequence[str], tolerance_um: float | None) -> History:
+def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um: float | None) -> History:
     """The signed checks of a folder. Raises MeasureError where there are none, or of several pairs of blocks."""
     from wafer_viewer.measure.run_chart import run_chart
 
     records = signed_checks(folder, serials)
+    records = records if rig is None else _of_rig(records, rig)
     pairs = dict.fromkeys((record.rig, record.check.certificate.serials) for record in records)
     if len(pairs) > 1:
-        names = "; ".join(f"{' '.join(blocks)} on {rig or 'no rig'}" for rig, blocks in pairs)
-        raise MeasureError(f"{folder} has checks of several blocks or rigs ({names}): choose some with --serial.")
+        names = "; ".join(f"{' '.join(blocks)} on {name or 'no rig'}" for name, blocks in pairs)
+        raise MeasureError(f"{folder} has checks of several blocks or rigs ({names}): choose by --serial and --rig.")
     if (chart := run_chart(records)) is None:
         raise MeasureError(f"{folder} has no signed checks of these blocks: sign one with measure gauge … --sign NAME.")
-    (rig, blocks), *_ = pairs
-    return History(rig=rig, serial_numbers=blocks, chart=chart, capability=work.capability_of(records, tolerance_um))
+    (name, blocks), *_ = pairs
+    return History(rig=name, serial_numbers=blocks, chart=chart, capability=work.capability_of(records, tolerance_um))
 
 
 def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
