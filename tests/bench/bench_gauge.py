@@ -71,7 +71,7 @@ def measure(folder: Path, seed: int) -> dict[str, Any]:
         if done.surface is None:
             raise SystemExit(f"The scan failed: {done.faults}")
         surface_s = time.perf_counter() - began
-        found = session.step_height(UPPER, LOWER)
+        found = session.measure("step", (UPPER, LOWER))
         true_um = step_height(truth_of(session.mosaic()), UPPER, LOWER).height.value_um
     finally:
         session.close()
