@@ -61,13 +61,18 @@ class FakeNotebook:
 
 
 HELD: Contents = {
+    "verdict": Holds("the job has no feature with limits", nothing=True),
     "results": Holds("no results yet", nothing=True),
+    "profiles": Holds("1 profile"),
+    "gauge": Holds("no gauge-block check was kept", nothing=True),
     "pictures": Holds("no pictures yet: key P takes one", nothing=True),
     "surface": Holds("1 440 × 1 080 points"),
     "plan": Holds("9 fields of 61 frames"),
     "recipe": Holds("the settings that were used"),
     "calibration": Holds("lengths are calibrated"),
     "warnings": Holds("no warnings"),
+    "checksums": Holds("SHA-256 of what the numbers come from, versions of the program"),
+    "signatures": Holds("measured by, checked by, approved by"),
 }
 
 

@@ -8,11 +8,13 @@ from typing import Any
 
 from tests.browser import fake_session as fake
 from tests.session.released import DIE, MARKS, release_of
-from wafer_viewer.measure.verdict import judge, overall, what_next
+from wafer_viewer.measure.verdict import judge, judge_dies, overall, what_next
 from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.feature import Dies
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.quantities import Contribution, Length, Quantity
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.operating import JobEntry, Operating
 from wafer_viewer.session.state import Snapshot
@@ -101,6 +103,54 @@ def taking() -> Snapshot:
     return dataclasses.replace(now, dataset=dataclasses.replace(now.dataset, job=a_released_job("W07", 1.2)))
 
 
+def on_dies() -> WaferVerdict:
+    """A wafer of nine dies: one fails, of one nothing is decided."""
+    dies = Dies(width_um=620, height_um=560, rows=3, cols=3, pitch_x_um=700, pitch_y_um=640, x0_um=-1010, y0_um=-920)
+    heights_um = {"2,0": 31.2, "1,2": 30.42}
+    per_die = replace(DIE, per_die=True)
+    items = tuple(
+        replace(judge(per_die, height_of(heights_um.get(die.name, 30.03), 0.14)), die=die.name) for die in dies.all()
+    )
+    items = (*items, judge(PAD, height_of(2.01, 0.06)))
+    return replace(PASS, word=overall(items), next=what_next(items), items=items, dies=judge_dies(items, dies))
+
+
+def a_trial() -> Trial:
+    """The next revision on three wafers: one changes, one could not be judged."""
+    item = OPEN.items[0]
+    change = VerdictChange(
+        feature=DIE.name,
+        before="inconclusive",
+        after="fail",
+        measured_before=item.measured,
+        measured_after=item.measured,
+        why=("Limits: 29.5 to 30.5 um before, 29.5 to 30.2 um now.",),
+    )
+    wafers = (
+        TriedWafer(dataset="w06.wafer", wafer_id="W06", result="default", before="pass", after="pass", n_same=2),
+        TriedWafer(
+            dataset="w07.wafer",
+            wafer_id="W07",
+            result="default",
+            before="inconclusive",
+            after="fail",
+            changes=(change,),
+            n_same=1,
+        ),
+    )
+    left_out = NotTried(
+        dataset="w08.wafer", why="The wafer was not aligned, and the places of the job are in wafer um."
+    )
+    return Trial(job="Coupon 6 mm C", wafers=wafers, not_tried=(left_out,))
+
+
+def tried() -> Snapshot:
+    """An engineer's plan that was tried on stored wafers."""
+    job = replace(a_released_job(), released=False, revision="C")
+    now = released(job)
+    return dataclasses.replace(now, operating=Operating(jobs=JOBS, trial=a_trial()))
+
+
 PASS, FAIL, OPEN = a_verdict(30.03, 2.01), a_verdict(31.2, 2.01), a_verdict(30.42, 2.01)
 SCREENS = {
     "20-jobs": (lambda: dataclasses.replace(fake.empty(), operating=Operating(jobs=JOBS)), "plan"),
@@ -111,6 +161,7 @@ SCREENS = {
     "24-pass": (lambda: judged(PASS), "acquire"),
     "25-fail": (lambda: judged(FAIL), "acquire"),
     "26-inconclusive": (lambda: judged(OPEN), "acquire"),
+    "28-dies": (lambda: judged(on_dies()), "surface"),
     "27-pass-surface": (lambda: judged(PASS), "surface"),
 }
 """Name to snapshot and step, as in the list of all screens."""

@@ -16,12 +16,15 @@ from tests.browser import fake_session as fake
 from tests.browser import operator_session as operator
 from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
+from tests.browser.gauge_blocks import certificate
+from tests.browser.gauge_session import TERMS, GaugeSession, checked
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
+from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.notebook_state import NotebookState
 
 Act = Callable[[Page], None]
@@ -57,6 +60,16 @@ def press(*keys: str) -> Act:
 def click(selector: str) -> Act:
     """Click the first element of a kind."""
     return lambda page: page.locator(selector).first.click()
+
+
+def unfold(page: Page) -> None:
+    """Open what an engineer adds for operators."""
+    page.get_by_text("For operators").click()
+
+
+def press_button(name: str) -> Act:
+    """Press a button by what it says."""
+    return lambda page: page.get_by_role("button", name=name).click()
 
 
 def bring_into_sight(head: str) -> Act:
@@ -151,6 +164,17 @@ def read_from(zero: str) -> Act:
     return act
 
 
+def gauge(state: Callable[[], GaugeState], *then: Act) -> Screen:
+    """A check of gauge blocks."""
+    return Screen(lambda: GaugeSession(state()), "gauge", then=(see_blocks, *then))
+
+
+def see_blocks(page: Page) -> None:
+    """Wait for the figure in the scene."""
+    page.locator(".wv-gauge-glass").wait_for()
+    page.wait_for_timeout(3000)
+
+
 def moving() -> Any:
     """The stage is on its way."""
     return dataclasses.replace(fake.planned(), rig=dataclasses.replace(fake.RIG, state="moving"))
@@ -167,6 +191,7 @@ SCREENS: dict[str, Screen] = {
     "stop": still(fake.scanning, "acquire", press("Shift+Escape")),
     "moving": still(moving, "plan"),
     "import": still(fake.planned, "plan", press("Shift+I")),
+    "export": still(fake.measured, "surface", press("Shift+E")),
     "keys": still(fake.measured, "surface", press("F1")),
     "palette": still(fake.measured, "surface", press("Control+k")),
     "read-only": still(lambda: read_only(fake.measured()), "measure"),
@@ -189,6 +214,7 @@ SCREENS: dict[str, Screen] = {
     "why-not": Screen(lambda: explained(False), "surface", seen=True, then=(ask_why,)),
     "measure": measuring(press("Escape")),
     "step": measuring(press("k")),
+    "groove": measuring(press("Shift+K")),
     "profile": measuring(press("l")),
     "profiles": measuring(press("l"), press("Shift+L"), press("Shift+H")),
     "point": measuring(press("x")),
@@ -200,10 +226,20 @@ SCREENS: dict[str, Screen] = {
     "texture": measuring(press("Shift+T")),
     "results": measuring(*kept("k"), *kept("m"), *kept("r"), *kept("v"), *kept("b"), fly_to_result(3)),
     "levelled": measuring(*kept("x"), press("Shift+F"), read_from("Region")),
+    "gauge": gauge(checked),
+    "gauge-budget": gauge(checked, bring_into_sight("Uncertainty")),
+    "gauge-fail": gauge(lambda: checked(off_um=1.4)),
+    "gauge-first": gauge(lambda: GaugeState(certificate=certificate(), terms=TERMS)),
+    "gauge-record": gauge(checked, click("tr[data-pick=gauge-record]:nth-child(6)")),
+    "gauge-sign": gauge(checked, click("[data-dock-region=right] button:has-text('Sign and save')")),
+    "gauge-certificate": gauge(GaugeState, click("[data-dock-region=right] button:has-text('Load the certificate')")),
+    "gauge-empty": Screen(lambda: GaugeSession(with_surface=False), "gauge"),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),
     "report": Screen(noted, "report", seen=True),
+    "trial": operated(operator.tried, "plan", unfold, bring_into_sight("On stored wafers")),
+    "feature": operated(operator.tried, "plan", unfold, press_button("Feature…")),
     "report-of-nothing": Screen(lambda: StitchedSession(3, 3), "report", seen=True),
 }
 

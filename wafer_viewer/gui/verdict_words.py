@@ -44,7 +44,7 @@ def features(verdict: WaferVerdict) -> str:
     if not verdict.items:
         return ""
     rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
-    rows = [_row(item) for item in verdict.items if not (item.die and item.word == "pass")] + list(_on_dies(verdict))
+    rows = [*_on_dies(verdict), *(_row(item) for item in verdict.items if not (item.die and item.word == "pass"))]
     return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
         ["", "Value ± U", "Limits", ""], rows, " nn "
     )
@@ -94,7 +94,7 @@ def waiting(judging: bool) -> str:
 
 
 def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
-    """Of each feature that is repeated over dies, on how many it is good: those where it is not have rows above."""
+    """Of each feature that is repeated over dies, on how many it is good; the others have rows of their own."""
     words: dict[str, list[Word]] = {}
     for item in verdict.items:
         if item.die:

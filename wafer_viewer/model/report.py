@@ -35,7 +35,7 @@ PART_TITLES: dict[Part, str] = {
     "recipe": "Recipe",
     "calibration": "Calibration",
     "warnings": "Warnings",
-    "checksums": "Data and software",
+    "checksums": "Checksums",
     "signatures": "Signatures",
 }
 

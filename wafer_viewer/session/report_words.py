@@ -139,6 +139,7 @@ def calibration_pairs(calibration: Calibration) -> Pairs:
         ("Camera", setup.camera or "–"),
         ("Against", calibration.against),
         ("Made, due", f"{calibration.made}, {calibration.due}"),
+        *((("z scale set by gauge blocks", ", ".join(calibration.z_against)),) if calibration.z_against else ()),
     )
 
 
