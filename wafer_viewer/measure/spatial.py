@@ -17,8 +17,8 @@ WITH_LAY = 0.5
 """Where Str is under it the texture has a lay, and a direction."""
 STEP_PX = 0.25
 """Between samples along a ray."""
-FIRST_REACH_PX = 32
-"""The middle of the autocorrelation that is looked at first; it doubles until heights have decayed to all sides."""
+FIRST_REACH_PX, GROWTH = 32, 4
+"""The middle of the autocorrelation that is looked at first; it grows until heights have decayed to all sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +71,15 @@ def direction_deg(alike: Floats) -> float:
 def _ways(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """How far along each direction heights are alike, px, and whether that ends within what can be seen."""
     middle = np.array([n // 2 for n in alike.shape])
-    reach = FIRST_REACH_PX
+    ways, ends, reach = np.zeros(len(degrees)), np.zeros(len(degrees), bool), FIRST_REACH_PX
     while True:
         down, across = np.minimum(middle, reach)
         part = alike[middle[0] - down : middle[0] + down + 1, middle[1] - across : middle[1] + across + 1]
-        ways, ends = _ways_within(part, degrees)
+        going = np.flatnonzero(~ends)
+        ways[going], ends[going] = _ways_within(part, degrees[going])
         if ends.all() or reach >= middle.max():
             return ways, ends
-        reach *= 2
+        reach *= GROWTH
 
 
 def _ways_within(alike: Floats, degrees: Floats) -> tuple[Floats, NDArray[np.bool_]]:
@@ -114,9 +115,12 @@ def _finer(alike: Floats, degree: float, extreme: Any, *, ends_only: bool = Fals
 
 def _spectrum(alike: Floats) -> Floats:
     """Power [row, col], frequency 0 in the middle."""
+    from scipy.fft import fft2
+
     windows = [np.hanning(n + 2)[1:-1] for n in alike.shape]
     tapered = np.nan_to_num(alike) * np.outer(*windows)
-    return np.abs(np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(tapered)).real))
+    transformed: Any = fft2(np.fft.ifftshift(tapered))
+    return np.abs(np.fft.fftshift(transformed.real))
 
 
 def _angular(spectrum: Floats, shape: tuple[int, ...], degrees: Floats) -> Floats:

@@ -73,14 +73,15 @@ def texture(
 
 
 def _heights(reading: Reading, left: Floats, sq_um: float, flat: bool) -> dict[str, Any]:
+    squares, n = left * left, len(left)
     return {
         "sa": reading.length(float(np.mean(np.abs(left))), None),
         "sq": reading.length(sq_um, None),
         "sp": reading.length(float(left.max()), None),
         "sv": reading.length(float(-left.min()), None),
         "sz": reading.length(float(np.ptp(left)), None),
-        "ssk": None if flat else float(np.mean(left**3)) / sq_um**3,
-        "sku": None if flat else float(np.mean(left**4)) / sq_um**4,
+        "ssk": None if flat else float(squares @ left) / n / sq_um**3,
+        "sku": None if flat else float(squares @ squares) / n / sq_um**4,
     }
 
 

@@ -37,8 +37,10 @@ def _lagged(plane: Floats, reach: tuple[int, int]) -> Floats:
     spectrum: Any = rfft2(plane, padded)
     power = spectrum.real**2 + spectrum.imag**2
     lags: Any = irfft2(power, padded)
-    down, across = (np.arange(-r, r + 1) for r in reach)
-    return np.asarray(lags[np.ix_(down, across)], np.float64)
+    down, across = reach
+    middle = np.roll(lags[:, : across + 1], down, axis=0)[: 2 * down + 1]
+    # The same lag backwards has the same pairs.
+    return np.hstack([middle[::-1, :0:-1], middle])
 
 
 def _full_pairs(shape: tuple[int, int], reach: tuple[int, int]) -> Floats:
