@@ -88,7 +88,7 @@ class Drawing:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Have the scene drawn; it works on its own thread."""
-        self._scene.draw(snapshot, in_scene(view))
+        self._scene.draw(snapshot, in_scene(view, snapshot.surface))
 
 
 class PossibleStep:

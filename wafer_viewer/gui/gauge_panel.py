@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from typing import Any
 
 import viser
 
@@ -20,12 +21,15 @@ from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.obstacles import elsewhere
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.study_section import StudySection
+from wafer_viewer.gui.style import by_id
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.step import StepHeight
 from wafer_viewer.session.state import Snapshot
 
 ICON = viser.Icon
+LEAD_PX = 58
+"""Height of the leading button with what is round it."""
 NO_SURFACE = "No surface of the blocks yet.", "Wring them and scan them, or open their dataset."
 
 
@@ -95,7 +99,8 @@ class GaugePanel:
         self._why = Cell(gui)
         self._again = button(gui, "Measure again", ICON.REFRESH, lambda _: verbs.measure())
         self._other = button(gui, "Certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate())
-        in_a_row(gui, [self._again, self._other], 36)
+        in_a_row(gui, [self._again, self._other], 34)
+        gui.add_html(f"<style>{_at_foot(self._again)}{_at_foot(self._other)}</style>")
         self._leads = {
             "certificate": button(gui, "Load the certificate…", ICON.CERTIFICATE, lambda _: verbs.certificate()),
             "measure": button(gui, "Measure the step", ICON.RULER_MEASURE, lambda _: verbs.measure()),
@@ -161,6 +166,12 @@ class GaugePanel:
         set_prop(self._again, "disabled", not (may_measure and gauge.repeats))
         why = f'<div class="wv-why">Not yet: {html.safe(html.micro(why_not))}</div>' if why_not else ""
         self._why.show(why if own else "")
+
+
+def _at_foot(handle: Any) -> str:
+    """Stay in sight over the leading button however long the panel is."""
+    at, sticks = by_id(handle._impl.uuid), f"position:sticky;bottom:{LEAD_PX}px;z-index:3;padding-top:6px"
+    return f"div:has(>{at}){{{sticks};background:var(--panel);box-shadow:6px 0 0 var(--panel)}}"
 
 
 def _title(earlier: GaugeCheck | None) -> str:

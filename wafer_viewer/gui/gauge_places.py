@@ -16,8 +16,11 @@ _SHARE = 0.28
 """Side of a face laid without a look at the surface, of the surface's own."""
 
 
-def in_scene(view: View) -> View:
-    """A view as the scene has it; only that of Gauge check is another than the page's."""
+def in_scene(view: View, surface: SurfaceInfo | None = None) -> View:
+    """A view as the scene has it; only that of Gauge check is another than the page's.
+
+    surface: what is drawn, in colours that keep off both ends of their scale: a face is neither black nor white.
+    """
     if view.step != "gauge":
         return view
     dragged = bool(view.faces) and view.check is None
@@ -30,11 +33,17 @@ def in_scene(view: View) -> View:
         levelling=Levelling(),
         exaggeration=1.0,
         colour_by="height",
-        range_um=None,
+        range_um=_colours_of(surface) if surface is not None else None,
         frame_k=None,
         slice_z_um=None,
         selected=None,
     )
+
+
+def _colours_of(surface: SurfaceInfo) -> tuple[float, float]:
+    low, high = surface.low_um, surface.high_um
+    span = max(high - low, 1e-6)
+    return low - 0.55 * span, high + 0.25 * span
 
 
 def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:

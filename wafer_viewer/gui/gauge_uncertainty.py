@@ -73,4 +73,5 @@ def _part(role: Role, lines: Sequence[GaugeLine]) -> list[str]:
 
 
 def _name(name: str) -> str:
-    return f'<span class="wv-under">{html.safe(html.micro(name[:1].upper() + name[1:]))}</span>'
+    titled = name if name.startswith("z ") else name[:1].upper() + name[1:]
+    return f'<span class="wv-under">{html.safe(html.micro(titled))}</span>'

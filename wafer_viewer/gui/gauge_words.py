@@ -38,10 +38,11 @@ def verdict_card(check: GaugeCheck) -> str:
     word, sign, tone = LOOKS[check.verdict]
     simulated = '<em class="wv-sim">SIMULATED</em>' if check.simulated else ""
     size = ' class="long"' if len(word) > 6 else ""
-    why = f'<p class="wv-gauge-why">{html.safe(html.micro(check.why))}{simulated}</p>'
+    told = html.safe(html.micro(check.why)).replace(" µm", _MICRO)
+    why = f'<p class="wv-gauge-why">{told}</p>'
     return (
         f'<div class="wv-verdict wv-gauge {tone}" role="status" aria-label="Verdict">'
-        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b></div><p>{_in_short(check)}</p>{why}</div>"
+        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b>{simulated}</div><p>{_in_short(check)}</p>{why}</div>"
     )
 
 

@@ -58,5 +58,7 @@ if (!window.wvKeyboard) {
   /* A list that was chosen from with the mouse would keep all keys to itself. */
   document.addEventListener('click', event => {
     if (event.detail && event.target.closest?.('[role=option]')) setTimeout(() => document.activeElement?.blur(), 60);
+    /* And a button that was pressed with the mouse would keep Enter. */
+    else if (event.detail && event.target.closest?.('button')) document.activeElement?.blur?.();
   }, true);
 }

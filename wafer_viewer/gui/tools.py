@@ -102,7 +102,7 @@ class Tools:
             return
         direction = pose.look_at - pose.position
         share = land_nearby(self._read, land, pose.position, direction).reached(pose.position, direction)
-        if share is not None:
+        if share is not None and pose.is_same(self._eye.pose):  # reading took time, and the camera may be elsewhere
             self._eye.aim(pose.position + direction * share)
 
     def _show_tools(self, view: View, land: Land | None) -> None:

@@ -52,12 +52,14 @@ def site_ranges(
     MeasureError where no site fits, more than 10 000 do, or none has half of its area measured.
     """
     reading = Reading.of(surface, layer, calibration_valid)
-    boxes, rows, cols = _lattice(site_um, region.bounds_um if region is not None else _bounds_um(surface))
+    within = region or Region.rectangle(*_bounds_um(surface))
+    boxes, rows, cols = _lattice(site_um, within.bounds_um)
     sites = tuple(_site(reading, box) for box in boxes)
     ranges = [site.range for site in sites if site.range is not None]
     if not ranges:
         raise MeasureError(f"None of {len(sites)} sites has half of its area measured: choose a region that has.")
     return SiteRanges(
+        region=within,
         site_width_um=site_um[0],
         site_height_um=site_um[1],
         rows=rows,

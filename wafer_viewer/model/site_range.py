@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
-from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.finding import Finding
+from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Fraction, Positive, Spec
 
 
@@ -19,20 +17,21 @@ class Site(Spec, frozen=True, kw_only=True):
     measured_fraction: Fraction = 0.0
 
 
-class SiteRanges(Spec, frozen=True, kw_only=True):
+class SiteRanges(Finding, frozen=True, kw_only=True, tag="site_range"):
     """Front-surface site ranges, as mounted, row after row from the top left; `largest` of those that have one.
 
     Rows and columns count whole sites; what is left at the border belongs to none.
     """
 
-    error: ClassVar[type[WaferViewerError]] = MeasureError
+    region: Region
     site_width_um: Positive
     site_height_um: Positive
     rows: int
     cols: int
     sites: tuple[Site, ...]
     largest: Length
-    surface: str
-    levelling: Levelling
-    simulated: bool
-    notes: tuple[str, ...]
+
+    @property
+    def main(self) -> Quantity:
+        """The largest range of all sites."""
+        return self.largest.quantity

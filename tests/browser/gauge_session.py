@@ -1,0 +1,172 @@
+"""A session that stands still and checks gauge blocks: two blocks in memory, the true sums, a log of earlier checks."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.browser.fake_session import RIG, FakeSession
+from tests.browser.gauge_blocks import COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
+from tests.browser.measuring_session import done
+from tests.gui.stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
+from wafer_viewer.measure.run_chart import run_chart
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session import gauge_check as work
+from wafer_viewer.session.gauge_state import GaugeState, Tick
+from wafer_viewer.session.measuring import Measuring
+from wafer_viewer.session.studies import Studies
+
+UPPER = Region.rectangle(150, -40, 330, 190)
+LOWER = Region.rectangle(-330, -190, -150, 40)
+DAY = "2026-11-21T"
+TERMS = GaugeTerms(limit_um=0.5, temperature_c=20.4, u_temperature_c=0.2, tolerance_um=4.0)
+
+
+class FakeGauge:
+    """The verbs of a check; each repeat is a scan of its own, a little off the one before."""
+
+    def __init__(self, session: GaugeSession) -> None:
+        self._session = session
+
+    def load_certificate(self, path: Path) -> Future[Certificate]:
+        from wafer_viewer.store.certificates import read_certificate
+
+        try:
+            read = read_certificate(path)
+        except MeasureError as fault:
+            failed: Future[Any] = Future()
+            failed.set_exception(fault)
+            return failed
+        self._put(certificate=read)
+        return done(read)
+
+    def put_certificate(self, paper: Certificate | None) -> Future[None]:
+        self._put(certificate=paper)
+        return done(None)
+
+    def set_terms(self, terms: GaugeTerms) -> Future[None]:
+        self._put(terms=terms)
+        return done(None)
+
+    def tick(self, point: str, is_done: bool = True) -> Future[None]:
+        others = tuple(tick for tick in self._state.ticks if tick.point != point)
+        self._put(ticks=(*others, Tick(point, f"{DAY}09:33:00+00:00")) if is_done else others)
+        return done(None)
+
+    def add_repeat(self, upper: Region, lower: Region, show: int = 0) -> Future[GaugeRepeat]:
+        n = len(self._state.repeats)
+        made = repeat_of(blocks(STEP_UM + (0.0, 0.05, -0.04, 0.02)[n % 4], seed=n + 1), upper, lower, n)
+        self._put(repeats=(*self._state.repeats, made), signed=None)
+        return done(made)
+
+    def drop_repeat(self, n: int) -> Future[None]:
+        self._put(repeats=tuple(r for k, r in enumerate(self._state.repeats) if k != n))
+        return done(None)
+
+    def clear(self) -> Future[None]:
+        self._put(repeats=(), ticks=(), signed=None)
+        return done(None)
+
+    def sign(self, operator: str) -> Future[GaugeRecord]:
+        check = self._state.check
+        if check is None:
+            raise MeasureError("There is nothing to sign.")
+        record = GaugeRecord(check=replace(check, signed_by=operator, at=f"{DAY}09:41:00.000+00:00"), rig="Virtual rig")
+        self._put(signed=record.check, records=(*self._state.records, record))
+        return done(record)
+
+    def find_faces(self, show: int = 0) -> tuple[Region, Region]:
+        return UPPER, LOWER
+
+    @property
+    def _state(self) -> GaugeState:
+        return self._session.snapshot.gauge
+
+    def _put(self, **changes: Any) -> None:
+        self._session.change(gauge=worked_out(dataclasses.replace(self._state, **changes)))
+
+
+class GaugeSession(FakeSession):
+    """`state`: where the check stands; `with_surface`: whether the blocks were scanned."""
+
+    def __init__(self, state: GaugeState | None = None, with_surface: bool = True) -> None:
+        self.shelf = MemoryShelf({0: blocks(), 1: blocks()})
+        job, plan = job_and_plan(grid(1, 1))
+        plan = replace(plan, rows=ROWS, cols=COLS, pixel_um=PIXEL_UM)
+        whole = snapshot_of(self.shelf.surfaces[0], plan, job)
+        path, taken = Path("step-400-check.wafer"), f"{DAY}09:36:00"
+        data = dataclasses.replace(whole.dataset, name=path.stem, path=path, taken=taken)
+        now = dataclasses.replace(whole, rig=RIG, dataset=data, compute_ready=True)
+        if not with_surface:
+            now = dataclasses.replace(now, dataset=None, surface=None)
+        super().__init__(dataclasses.replace(now, gauge=worked_out(state or GaugeState())))
+        self._painter = StandIn(self.shelf)
+        self.paint = self._painter.paint
+        self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
+        self.gauge, self.studies = FakeGauge(self), Studies()
+
+    def surface_source(self, show: int) -> HeightMap:
+        return self.shelf.surfaces[show]
+
+    def measure(self, *asked: Any) -> AnyFinding:
+        return self._measuring.measure(*asked)
+
+    def close(self) -> None:
+        self._painter.close()
+
+
+def repeat_of(surface: HeightMap, upper: Region = UPPER, lower: Region = LOWER, n: int = 0) -> GaugeRepeat:
+    from wafer_viewer.measure.gauge import gauge_repeat
+
+    taken = f"{DAY}09:{20 + 8 * n:02d}:00"
+    return gauge_repeat(surface, upper, lower, dataset=f"step-400-check-{n + 1}.wafer", taken=taken)
+
+
+def worked_out(state: GaugeState) -> GaugeState:
+    """The state with what follows from it."""
+    records = state.records if state.certificate is not None else ()
+    check = None
+    if state.certificate is not None and state.repeats:
+        check = state.signed or work.check_of(state.repeats, state.certificate, state.terms, records)
+    return dataclasses.replace(
+        state,
+        check=check,
+        chart=run_chart(records),
+        capability=work.capability_of(records, state.terms.tolerance_um),
+    )
+
+
+def checked(off_um: float = 0.0, n_earlier: int = 29, expires: str = "2099-03-14") -> GaugeState:
+    """A check of three scans, all points done but the signature; earlier ones over a month."""
+    paper = certificate(expires)
+    taken = [repeat_of(blocks(STEP_UM + off_um + d, seed=k + 1), n=k) for k, d in enumerate((0.0, 0.05, -0.04))]
+    ticks = (Tick("clean", f"{DAY}09:12:00+00:00"), Tick("warm", f"{DAY}09:33:00+00:00"))
+    one = work.check_of(taken, paper, TERMS, ())
+    return GaugeState(
+        certificate=paper, terms=TERMS, ticks=ticks, repeats=tuple(taken), records=tuple(earlier(one, n_earlier))
+    )
+
+
+def earlier(like: GaugeCheck, n: int) -> list[GaugeRecord]:
+    """Checks over a month, a little scattered, slowly drifting, one of them failed."""
+    rng = np.random.default_rng(3)
+    start = datetime.datetime(2026, 10, 22, 8, 50, tzinfo=datetime.UTC)
+    records: list[GaugeRecord] = []
+    for k in range(n):
+        at = start + datetime.timedelta(days=k, minutes=int(rng.integers(0, 90)))
+        error = float(rng.normal(0.03, 0.07)) + 0.002 * k + (0.9 if k == n - 4 else 0.0)
+        deviation = replace(like.deviation, value_um=round(error, 4))
+        verdict = "fail" if error > 0.6 else "inconclusive" if k == 6 else "pass"
+        check = replace(like, deviation=deviation, verdict=verdict, signed_by="K. Adler", at=at.isoformat())
+        records.append(GaugeRecord(check=check, rig="Virtual rig"))
+    return records
