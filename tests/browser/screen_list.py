@@ -224,6 +224,7 @@ SCREENS: dict[str, Screen] = {
     "radius": measuring(press("r")),
     "volume": measuring(press("v")),
     "texture": measuring(press("Shift+T")),
+    "roughness": measuring(press("Shift+J")),
     "results": measuring(*kept("k"), *kept("m"), *kept("r"), *kept("v"), *kept("b"), fly_to_result(3)),
     "levelled": measuring(*kept("x"), press("Shift+F"), read_from("Region")),
     "gauge": gauge(checked),
