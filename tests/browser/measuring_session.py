@@ -11,6 +11,7 @@ import numpy as np
 
 from tests.browser.fake_session import FakeSession
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
+from wafer_viewer.measure.find_faces import find_faces
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Datum, Levelling
@@ -44,6 +45,7 @@ class MeasuringSession(FakeSession):
         self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
         questions = SimpleNamespace(surface_source=self.surface_source, measuring=self._measuring)
         self.sections = Sections(questions, lambda: self.snapshot)
+        self.gauge = SimpleNamespace(find_faces=lambda show=0: find_faces(self.shelf.surfaces[show], size_px=60)[:2])
         self._kept: History[tuple[AnyFinding, ...]] = History(())
 
     def surface_source(self, show: int) -> HeightMap:
@@ -120,7 +122,7 @@ def a_die() -> HeightMap:
     bevel = np.clip((x - 60) / 70, 0, 1) * 10
     z = np.where(die, DIE_UM - bevel, 0.0)
     z = z + np.maximum(0, DOME_UM * (1 - ((x - DOME_AT[0]) ** 2 + (y - DOME_AT[1]) ** 2) / DOME_RADIUS_UM**2)) * die
-    z = z - GROOVE_UM * ((np.abs(x - 22) < 12) & (np.abs(y + 65) < 25))
+    z = z - GROOVE_UM * ((np.abs(x + 102) < 8) & (np.abs(y + 65) < 25))
     z = z + TILT * x + np.random.default_rng(1).normal(0, 0.15, z.shape)
     z[(np.abs(x + 40) < 12) & (np.abs(y + 60) < 8)] = np.nan
     made = height_map(z, PIXEL_UM, float(x[0, 0]), float(y[0, 0]))

@@ -20,7 +20,7 @@ PLACES_OF: dict[ToolName, tuple[Region, ...]] = {
     "point": (Region.point(0, 0),),
     "distance": (Region.point(-20, -30), Region.point(40, 10)),
     "step": (Region.rectangle(0, -30, 30, 0), Region.rectangle(140, -30, 160, 0)),
-    "groove": (Region.line(-18, -65, 62, -65, 10),),
+    "groove": (Region.line(-127, -65, -77, -65, 10),),
     "angle": (Region.rectangle(80, -30, 110, 0), Region.rectangle(0, -30, 30, 0)),
     "radius": (Region.circle(-60, 40, 40),),
     "volume": (Region.rectangle(-120, -20, 0, 90),),

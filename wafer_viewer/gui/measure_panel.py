@@ -10,6 +10,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui import measure_words as words
 from wafer_viewer.gui.answering import Answer, Answering
 from wafer_viewer.gui.curves import Curves
+from wafer_viewer.gui.faces_section import FacesSection
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, set_prop
 from wafer_viewer.gui.levelling_section import LevellingSection
@@ -67,6 +68,7 @@ class MeasurePanel:
         self._tools.show(tool_cards() if view.tool == "none" and chosen is None else "")
         self._show_answer(view, finding, chosen)
         self._level.show(view)
+        self._faces.show(view, kept=chosen is not None)
         self._options.show(view, kept=chosen is not None)
         self._profiles.show(snapshot, view)
         self._source.show(_rests_on(finding) if finding is not None else "")
@@ -92,6 +94,7 @@ class MeasurePanel:
         self._answer = Cell(gui)
         self._name = gui.add_text("Name", "", visible=False)
         self._level = LevellingSection(self._page, scene)
+        self._faces = FacesSection(self._page)
         self._options = OptionsSection(self._page)
         self._profiles = ProfileSection(self._page, curves)
         self._source = Cell(gui)
