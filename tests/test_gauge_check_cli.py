@@ -7,12 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.measure.gauge_repeats import record
 from tests.session.gauge_scans import CALIBRATION, CORNERS, RIG, scan_of_blocks, surface
 from wafer_viewer.__main__ import main
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.calibrations import calibration_in_force
 from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.gauge_log import GAUGE_LOG
+from wafer_viewer.store.gauge_log import GAUGE_LOG, sign
 from wafer_viewer.store.npz import write_npz
 
 CERTIFICATE = Path(__file__).parents[1] / "assets" / "gauge" / "step.toml"
@@ -125,6 +126,22 @@ def test_what_is_no_check_is_refused_in_one_sentence(tmp_path, refused, change, 
 def test_the_same_scan_twice_is_no_repeat(tmp_path, refused):
     scan = str(scan_of_blocks(tmp_path, 1))
     assert "a repeat is a new scan" in refused("measure", "gauge", scan, scan, *CHECK)
+
+
+def test_a_history_is_of_one_pair_of_blocks_on_one_rig(tmp_path, told, refused):
+    for rig in ("Rig 1", "Rig 2"):
+        sign(tmp_path, replace(record("2026-06-01", 400.0), rig=rig))
+    assert "A1 A2 on Rig 1; A1 A2 on Rig 2" in refused("measure", "gauge", "--log", str(tmp_path))
+    assert told("measure", "gauge", "--log", str(tmp_path), "--rig", "Rig 2")[1]["rig"] == "Rig 2"
+    assert "no signed checks" in refused("measure", "gauge", "--log", str(tmp_path), "--serial", "A1")
+
+
+def test_a_drift_out_of_the_limit_is_told_with_status_1(tmp_path, told):
+    for day, error_um in enumerate([0.0, 0.021, 0.04, 0.059, 0.08], 1):
+        sign(tmp_path, record(f"2026-06-{day:02d}", 400.0 + error_um))
+    status, said = told("measure", "gauge", "--log", str(tmp_path))
+    assert status == 1
+    assert "before the next check is due" in said["chart"]["warnings"][0]
 
 
 def test_a_history_of_nothing_is_refused(tmp_path, refused):

@@ -83,7 +83,8 @@ def test_checks_of_another_z_scale_are_left_out_and_counted():
     after = [record(f"2026-07-0{n}", 400.0, calibration=corrected) for n in (1, 2)]
     chart = run_chart([*after, *before])
     assert [point.at[:10] for point in chart.points] == ["2026-07-01", "2026-07-02"]
-    assert chart.warnings == ("Made with another z scale and not in the chart: 2.",)
+    assert chart.notes == ("Made with another z scale and not in the chart: 2.",)
+    assert (chart.warnings, chart.due) == ((), "2026-08-01")
 
 
 def test_the_scatter_of_single_scans_is_pooled_within_checks():

@@ -11,6 +11,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.gauge import GaugeCheck, GaugeTerms
 from wafer_viewer.model.plan import Field, FocusSweep, Job
 from wafer_viewer.model.spec import replace
+from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import plan_of
@@ -21,8 +22,10 @@ from wafer_viewer.session.messages import Scan
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.scanning import writer_of
+from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import RigStatus, Snapshot
 from wafer_viewer.store.calibrations import (
+    CALIBRATIONS,
     CalibrationChange,
     calibration_changes,
     calibration_in_force,
@@ -207,3 +210,23 @@ def test_the_next_scan_takes_the_corrected_calibration(tmp_path):
     writer_of(Scan(tmp_path / "next.wafer", plan_of(job, rig.limits), job), rig).close()
     assert Dataset.open(tmp_path / "next.wafer").scan.calibration == corrected
     rig.close()
+
+
+@pytest.mark.slow
+def test_a_session_has_the_corrected_calibration_or_says_why_none(tmp_path, patience_s):
+    corrected = replace(RIGS_OWN, z_scale=0.999, made="2026-06-01")
+    facts = {"rig": RIG, "at": "2026-06-01T10:00:00", "by": "Ann", "why": "check"}
+    record_change(tmp_path, CalibrationChange(**facts, before=RIGS_OWN, after=corrected))
+    assert rig_of(tmp_path, patience_s).calibration == corrected
+    (tmp_path / CALIBRATIONS).write_text("{half\n")
+    assert rig_of(tmp_path, patience_s).calibration is None
+
+
+def rig_of(folder, patience_s):
+    session = Session(folder)
+    try:
+        now = session.wait_until(lambda s: s.rig.state == "ready", patience_s)
+        assert (now.rig.calibration is None) == any("line 1" in fault.text for fault in now.faults)
+        return now.rig
+    finally:
+        session.close()

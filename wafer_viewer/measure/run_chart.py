@@ -56,7 +56,9 @@ def run_chart(records: Sequence[GaugeRecord]) -> RunChart | None:
         high_um=high_um,
         limit_um=checks[-1].terms.limit_um,
         drift_um_per_day=drift,
-        warnings=(*_left_out(records, checks), *_broken(points), *_drifting(checks, drift)),
+        due=_due(checks[-1]),
+        warnings=(*_broken(points), *_drifting(checks, drift)),
+        notes=_left_out(records, checks),
     )
 
 
@@ -115,6 +117,11 @@ def _breaks(so_far: Sequence[float], mean: float, low: float | None, high: float
     return tuple(broken)
 
 
+def _due(last: GaugeCheck) -> str:
+    day = datetime.date.fromisoformat(last.at[:10]) + datetime.timedelta(days=last.terms.interval_days)
+    return day.isoformat()
+
+
 def _left_out(records: Sequence[GaugeRecord], checks: Sequence[GaugeCheck]) -> tuple[str, ...]:
     n = len(records) - len(checks)
     return (f"Made with another z scale and not in the chart: {n}.",) if n else ()
@@ -142,7 +149,8 @@ def _drifting(checks: Sequence[GaugeCheck], drift: Length | None) -> tuple[str, 
     if left_days > due_days:
         return (f"{said}; it stays within the limit of {limit_um:g} um until the next check.",)
     return (
-        f"{said} and leaves the limit of {limit_um:g} um in {max(0.0, left_days):.0f} days: the next check is late.",
+        f"{said}, and leaves the limit of {limit_um:g} um in {max(0.0, left_days):.0f} days, "
+        "before the next check is due.",
     )
 
 

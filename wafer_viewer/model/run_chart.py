@@ -25,7 +25,8 @@ class RunChart(Spec, frozen=True, kw_only=True):
     """The individuals chart of the errors of one pair of blocks, oldest first; lengths in um.
 
     s_um: from moving ranges (mean range / 1.128); low_um and high_um: the control limits, mean -+ 3 s. None with fewer
-    than the points they need. drift: um a day, with U. warnings: sentences.
+    than the points they need. drift: um a day, with U. due: the day of the next check, ISO 8601. warnings, notes:
+    sentences.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -36,7 +37,9 @@ class RunChart(Spec, frozen=True, kw_only=True):
     high_um: float | None = None
     limit_um: Positive | None = None
     drift_um_per_day: Length | None = None
+    due: str = ""
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 class Capability(Spec, frozen=True, kw_only=True):
