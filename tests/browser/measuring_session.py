@@ -34,7 +34,7 @@ CALIBRATION = Calibration(
 
 
 class MeasuringSession(FakeSession):
-    """Dies over streets with a dome on one of them, a groove at its foot and a bevel at the right, all of it tilted; one field."""
+    """A die over streets with a dome and a groove in it and a bevel at the right, all of it tilted; one field."""
 
     def __init__(self) -> None:
         job, plan = job_and_plan(grid(1, 1))
