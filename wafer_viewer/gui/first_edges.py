@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.gui.landmarks import plateaus
-from wafer_viewer.gui.lie_of_land import Box, Land, Place
+from wafer_viewer.gui.landmarks import bump, plateaus, span_um
+from wafer_viewer.gui.lie_of_land import Box, Floats, Land, Place
 from wafer_viewer.model.region import Region
 
 LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
@@ -16,6 +16,9 @@ LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
 ROUND, OVER, ALONG, INSIDE = 0.4, 0.3, 0.7, 0.04
 """Of the street beside a die: how far a region reaches round it, over its edge; of the die: how much of an edge, and
 how far inside of it bumps are looked for."""
+STANDS_OUT, ROUND_FILL, ASPECT, ROOM = 0.05, (0.6, 0.9), 0.75, 1.24
+"""Of the range of heights: how far a round thing stands out; how much of its box it fills, how long its box may be; how
+much larger the circle round it is drawn."""
 NO_STREET = 0.15
 """Of a die that stands alone: the street beside it."""
 
@@ -32,6 +35,11 @@ class Die:
         """Width and height."""
         x0, y0, x1, y1 = self.box
         return x1 - x0, y1 - y0
+
+    def away(self, at: Place) -> float:
+        """From its middle to a place."""
+        x0, y0, x1, y1 = self.box
+        return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
 
     @property
     def street(self) -> float:
@@ -79,6 +87,21 @@ def bumps_box(land: Land, near: Place) -> tuple[Region, ...]:
     return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
 
 
+def round_thing(land: Land, near: Place) -> tuple[Region, ...]:
+    """Round the nearest of what stands round on the upper level; round what stands out most elsewhere."""
+    _, high = _levels(land, near)
+    out = _evened(land) > high + STANDS_OUT * span_um(land)
+    found = [_in_um(land, out, *box) for box in _boxes(out, 0.0) if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]]
+    disc = [die for die in found if min(die.size) >= ASPECT * max(die.size)]
+    if not disc:
+        middle, radius_um = bump(land, near)
+        return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
+    at = land.inner(near)
+    nearest = min(disc, key=lambda die: die.away(at))
+    (x0, y0, x1, y1), radius_um = nearest.box, ROOM * max(nearest.size) / 2
+    return (Region.circle(*land.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
+
+
 def _rectangle(land: Land, box: Box) -> Region:
     x0, y0, x1, y1 = box
     return Region.rectangle(*land.clamped((x0, y0)), *land.clamped((x1, y1)))
@@ -86,54 +109,66 @@ def _rectangle(land: Land, box: Box) -> Region:
 
 def _die(land: Land, near: Place) -> Die:
     """The whole die nearest to a place; the middle half of what is in sight where there is none."""
-    high = _high(land, near)
-    found = _boxes(high)
+    low, high = _levels(land, near)
+    over = _evened(land) > (low + high) / 2
+    found = [_in_um(land, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
     if not found:
         x0, y0, x1, y1 = land.bounds_um
         x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
         return Die((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
     at = land.inner(near)
-    return min((_in_um(land, high, *box) for box in found), key=lambda die: _away(die, at))
+    return min(found, key=lambda die: die.away(at))
 
 
-def _away(die: Die, at: Place) -> float:
-    x0, y0, x1, y1 = die.box
-    return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
+def _evened(land: Land) -> Floats:
+    """Heights without the tilt that most of the surface has."""
+    z = land.heights
+    along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
+    row, col = np.indices(z.shape)
+    return z - along_x * col - along_y * row
 
 
-def _high(land: Land, near: Place) -> NDArray[np.bool_]:
-    """What lies nearer to the upper than to the lower of the two levels of a surface."""
+def _levels(land: Land, near: Place) -> tuple[float, float]:
+    """The lower and the upper level of a surface, its tilt apart."""
     upper, lower, _ = plateaus(land, near)
-    x, y = (np.array([upper[k], lower[k]]) for k in (0, 1))
-    return land.heights > float(land.z_um(x, y).mean())
+    z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
+    rows, cols = z.shape
+    found = [
+        float(z[round((y1 - y) / (y1 - y0) * (rows - 1)), round((x - x0) / (x1 - x0) * (cols - 1))])
+        for x, y in (land.clamped(lower), land.clamped(upper))
+    ]
+    return found[0], found[1]
 
 
-def _boxes(high: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Boxes round what is high, not cut by the border, as large and as full as a die."""
+def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
+    """Boxes round what stands out and is not cut by the border, that large at least."""
     from scipy.ndimage import binary_fill_holes, binary_opening, find_objects, label
 
-    numbers = np.zeros(high.shape, np.int32)
-    label(binary_opening(binary_fill_holes(high), np.ones((3, 3), bool)), output=numbers)
+    numbers = np.zeros(over.shape, np.int32)
+    label(binary_opening(binary_fill_holes(over), np.ones((3, 3), bool)), output=numbers)
     found: list[tuple[slice, slice]] = []
-    for number, (rows, cols) in enumerate(find_objects(numbers), 1):
-        inside = numbers[rows, cols] == number
-        whole = rows.start > 0 and cols.start > 0 and rows.stop < high.shape[0] and cols.stop < high.shape[1]
-        large = min(inside.shape) >= LEAST_PX and inside.sum() >= LEAST_SHARE * high.size
-        if whole and large and inside.mean() >= FILLED:
+    for rows, cols in find_objects(numbers):
+        whole = rows.start > 0 and cols.start > 0 and rows.stop < over.shape[0] and cols.stop < over.shape[1]
+        sides = rows.stop - rows.start, cols.stop - cols.start
+        if whole and min(sides) >= LEAST_PX and sides[0] * sides[1] >= share * over.size:
             found.append((rows, cols))
     return found
 
 
-def _in_um(land: Land, high: NDArray[np.bool_], rows: slice, cols: slice) -> Die:
+def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
+    """How much of a box stands out."""
+    return float(over[rows, cols].mean())
+
+
+def _in_um(land: Land, over: NDArray[np.bool_], rows: slice, cols: slice) -> Die:
     x0, y1 = land.place(rows.start - 0.5, cols.start - 0.5)
     x1, y0 = land.place(rows.stop - 0.5, cols.stop - 0.5)
     row, col = (rows.start + rows.stop) // 2, (cols.start + cols.stop) // 2
     ways = (
-        high[row, : cols.start][::-1],
-        high[rows.stop :, col],
-        high[row, cols.stop :],
-        high[: rows.start, col][::-1],
+        over[row, : cols.start][::-1],
+        over[rows.stop :, col],
+        over[row, cols.stop :],
+        over[: rows.start, col][::-1],
     )
-    streets = tuple(float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
-    left, lower, right, upper = streets
+    left, lower, right, upper = (float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
     return Die((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.gui.first_edges import bumps_box, die_box, edge_box, kerf_box
+from wafer_viewer.gui.first_edges import bumps_box, die_box, edge_box, kerf_box, round_thing
 from wafer_viewer.gui.first_groove import groove_line
 from wafer_viewer.gui.landmarks import (
     PATCH_SHARES,
@@ -24,6 +24,8 @@ from wafer_viewer.model.levelling import LevelBy, Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 
+_BORDER = 0.06
+"""Of a side of the surface."""
 _WELL_INSIDE = 0.8
 """The side of a region to begin with, of the square that was found to be even."""
 
@@ -77,6 +79,13 @@ def _across_face(land: Land, near: Place) -> tuple[Region, ...]:
     return (Region.line(x0, (y0 + y1) / 2, x1, (y0 + y1) / 2),)
 
 
+def _most_of_it(land: Land, near: Place) -> tuple[Region, ...]:
+    """Of what is in sight, all but its border."""
+    x0, y0, x1, y1 = land.bounds_um
+    in_x, in_y = _BORDER * (x1 - x0), _BORDER * (y1 - y0)
+    return (Region.rectangle(*(round(um, 2) for um in (x0 + in_x, y0 + in_y, x1 - in_x, y1 - in_y))),)
+
+
 FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "profile": lambda land, near: (Region.line(*(v for end in first_line(land, near) for v in end)),),
     "point": _point,
@@ -88,9 +97,10 @@ FIRST: dict[ToolName, Callable[[Land, Place], tuple[Region, ...]]] = {
     "volume": _volume,
     "kerf": kerf_box,
     "die": die_box,
-    "circle": _radius,
+    "circle": round_thing,
     "chipping": edge_box,
     "coplanarity": bumps_box,
+    "site_range": _most_of_it,
     "flatness": _face,
     "texture": _face,
     "roughness": _across_face,

@@ -20,6 +20,8 @@ STANDS_OUT = 6.0
 """Deviations of the ground by which a bump stands out of it."""
 HALF_WAY, CAP_FROM = 0.5, 0.7
 """Of a bump's height: where its width is taken, and from where up its top is fitted."""
+ALIKE = 4.0
+"""How much larger or smaller in area than most of what stands out a bump may be."""
 LEAST_PX = 12
 """A bump has at least so many pixels over half of its height."""
 LEAST_MEASURED = 0.5
@@ -56,20 +58,21 @@ class Bumps:
 
 
 def find_bumps(part: Heights, within: Mask) -> Bumps:
-    """The bumps within a part of a surface, from left to right and from top to bottom.
+    """The bumps within a part of a surface, from top to bottom.
 
+    Bumps are alike: what is less than half or more than twice as wide as most of what stands out is none of them.
     within: bool [row, col], what of the part is looked at. Raises MeasureError when nothing stands out of the ground.
     """
     z_um = np.where(within, part.z_um, np.nan).astype(np.float64)
     over, noise_um = _over_ground(part, z_um)
-    outlines, boxes = _outlines(over, noise_um)
+    numbers, boxes = _outlines(over, noise_um)
+    outlines = [numbers[box] == number for number, box in enumerate(boxes, 1)]
+    usual_px = _usual([(float(outline.sum()), int(outline.sum())) for outline in outlines])
     found, left_out = list[Top](), 0
-    for number, box in enumerate(boxes, 1):
-        outline: Mask = outlines[box] == number
-        if np.count_nonzero(outline) < LEAST_PX:
-            continue
-        top = _top(part, z_um, over, box, outline) if _whole(outline, box, within, z_um) else None
-        found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
+    for box, outline in zip(boxes, outlines, strict=True):
+        if max(usual_px / ALIKE, LEAST_PX) <= outline.sum() <= ALIKE * usual_px:
+            top = _top(part, z_um, over, box, outline) if _whole(outline, box, within, z_um) else None
+            found, left_out = (found, left_out + 1) if top is None else ([*found, top], left_out)
     return Bumps(tuple(found), left_out)
 
 
@@ -108,13 +111,20 @@ def _outlines(over: Floats, noise_um: float) -> tuple[NDArray[np.int32], list[Bo
     """Numbers of what stands out over half of the usual height, [row, col], and the box round each."""
     numbers, boxes = _labelled(over > STANDS_OUT * max(noise_um, 1e-6))
     inside = [over[box][numbers[box] == k] for k, box in enumerate(boxes, 1)]
-    tops = [float(np.nanmax(heights)) for heights in inside if len(heights) >= LEAST_PX]
+    tops = [(float(np.nanmax(heights)), len(heights)) for heights in inside if len(heights) >= LEAST_PX]
     if not tops:
         raise MeasureError(
             f"No bump stands out of the ground by {STANDS_OUT:g} of its deviations ({STANDS_OUT * noise_um:.2f} um): "
             "draw the region over bumps that are measured."
         )
-    return _labelled(over > max(HALF_WAY * float(np.median(tops)), STANDS_OUT * noise_um))
+    return _labelled(over > max(HALF_WAY * _usual(tops), STANDS_OUT * noise_um))
+
+
+def _usual(values: list[tuple[float, int]]) -> float:
+    """The median of values, each counted as often as it has pixels: specks do not weigh."""
+    ordered = sorted(values)
+    weights = np.cumsum([weight for _, weight in ordered])
+    return ordered[int(np.searchsorted(weights, weights[-1] / 2))][0]
 
 
 def _labelled(mask: Mask) -> tuple[NDArray[np.int32], list[Box]]:

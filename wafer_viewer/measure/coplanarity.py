@@ -96,9 +96,9 @@ def coplanarity(
 
 def _require_enough(bumps: Bumps) -> None:
     if len(bumps.tops) < LEAST_BUMPS:
-        more = f" ({bumps.left_out} more are cut by its border or not measured)" if bumps.left_out else ""
+        more = f", {bumps.left_out} more are cut or not measured" if bumps.left_out else ""
         raise MeasureError(
-            f"The region has {len(bumps.tops)} whole, measured bumps{more} and coplanarity needs {LEAST_BUMPS}: "
+            f"Coplanarity needs {LEAST_BUMPS} whole, measured bumps and the region has {len(bumps.tops)}{more}: "
             "draw it larger."
         )
 

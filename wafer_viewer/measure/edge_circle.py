@@ -121,9 +121,8 @@ class _Rays:
     def elsewhere(self, ring: Ring) -> float:
         """How steep it is apart from a circle, root mean square; 0 where nothing else is."""
         step = np.arange(self.response.shape[1], dtype=np.float64)
-        apart = (
-            np.abs(ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))) > 1.5 * BESIDE_PX
-        )
+        off = ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))
+        apart = np.abs(off) > 1.5 * BESIDE_PX
         return float(np.sqrt(np.mean(self.response[apart].astype(np.float64) ** 2))) if apart.any() else 0.0
 
     def points(self, ray: NDArray[np.intp], step: Floats) -> tuple[Floats, Floats]:
