@@ -50,7 +50,7 @@ def measure_gauge(
         upper: Two opposite corners of the upper face; both faces are found by themselves by default.
         lower: The same of the lower face.
         temperature_c: Of the blocks, known to 0.5 (k = 1).
-        tolerance_um: The product's, upper limit less lower: Cg and Cgk are told for it.
+        tolerance_um: The product's, upper limit less lower: Cg and Cgk are told for it, over all scans so far.
         interval_days: The next check is due after them.
         sign: Who signs: the check goes to the log and into the results of the last SRC.
         log: The folder of gauge-checks.jsonl; that of the first SRC by default.
@@ -73,10 +73,10 @@ def measure_gauge(
     if certificate is None:
         raise MeasureError("There is no check without a certificate: give --certificate FILE.toml.")
     faces = _faces(upper, lower)
-    found = check_sources(src, certificate, terms, faces, log, field, result)
+    found, capable = check_sources(src, certificate, terms, faces, log, field, result)
     if sign is not None:
         found = sign_sources(found, src, sign, log, result)
-    print_json(msgspec.to_builtins(found))
+    print_json({**msgspec.to_builtins(found), "capability": msgspec.to_builtins(capable)})
     return 0 if found.verdict == "pass" else 1
 
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from tests.gui.test_operator_words import words
+from tests.session.conftest import small_job
 from wafer_viewer.draw.die_map import die_map_svg
+from wafer_viewer.gui.job_dialogs import trial_is_old
 from wafer_viewer.gui.kept_features import kept_features
-from wafer_viewer.gui.trial_words import MOST_CHANGES, trial
+from wafer_viewer.gui.trial_words import MOST_CHANGES, before_release, trial
 from wafer_viewer.gui.verdict_words import dies, features
 from wafer_viewer.model.quantities import Quantity
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.verdict import JudgedDie
+from wafer_viewer.session.operating import Operating
+from wafer_viewer.session.state import Snapshot
 
 CHANGE = VerdictChange(
     feature="die <over> street",
@@ -44,6 +50,21 @@ def test_many_changes_are_counted_and_nothing_stands_there_before_a_trial():
     assert "And 2 more" in words(trial(Trial(job="B", wafers=(many,)), trying=False))
     assert trial(None, trying=False) == ""
     assert "being judged" in words(trial(None, trying=True))
+
+
+def test_a_release_says_what_is_known_of_stored_wafers_and_an_old_trial_is_called_old():
+    done = Trial(job="coupon B", wafers=(WAFER,))
+    now = Operating(trial=done)
+    assert "1 of 4 verdicts changes" in words(before_release(now, outdated=False))
+    assert "since it was changed" in words(before_release(now, outdated=True))
+    assert "Not tried on stored wafers yet" in words(before_release(Operating(), outdated=False))
+    assert "Try it again" in words(trial(done, trying=False, outdated=True))
+    job = small_job()
+    draft = dataclasses.replace(Snapshot().draft, job=replace(job, revision="B"))
+    snapshot = Snapshot(draft=draft, operating=dataclasses.replace(now, trial_of=job))
+    assert not trial_is_old(snapshot), "another name of its revision changes no verdict"
+    draft = dataclasses.replace(draft, job=replace(job, z_start_um=1.0))
+    assert trial_is_old(dataclasses.replace(snapshot, draft=draft))
 
 
 def die(name, x_um, word):

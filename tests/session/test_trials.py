@@ -7,7 +7,7 @@ from concurrent.futures import Future
 import pytest
 
 from tests.session.conftest import small_job
-from tests.session.judged_datasets import judged_dataset, released_job
+from tests.session.judged_datasets import STEP, judged_dataset, released_job
 from tests.session.released import SETTLED, engineered
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
 from wafer_viewer.model.recipe import Stitching
@@ -17,6 +17,7 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.revision import try_job
+from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import RigStatus, Snapshot
 from wafer_viewer.session.trials import TrialKeeper
 
@@ -67,6 +68,7 @@ def test_the_plan_is_tried_as_it_would_be_released_and_the_outcome_is_shown(tria
     assert done.result(PATIENCE_S) == trial
     now = trials.desk.wait_until(lambda now: not now.operating.trying, PATIENCE_S)
     assert (now.operating.trial, now.works) == (trial, ())
+    assert now.operating.trial_of == trials.desk.now.draft.job
 
 
 def test_a_trial_can_be_cancelled_and_only_one_runs_at_a_time(trials, tmp_path):
@@ -93,6 +95,26 @@ def test_what_cannot_be_released_cannot_be_tried(trials, tmp_path):
     with pytest.raises(DatasetError, match="There is no dataset"):
         trials.desk.do(trials.begin, (tmp_path,), "default").result(PATIENCE_S)
     assert not trials.desk.now.operating.trying
+
+
+@pytest.mark.slow
+def test_a_true_session_tries_a_plan_in_its_compute_process(tmp_path):
+    for name, height_um in (("w1", 30.0), ("w2", 30.9)):
+        judged_dataset(tmp_path / f"{name}.wafer", height_um, replace(released_job(), product="wafer"), wafer=name)
+    session = Session(tmp_path)
+    try:
+        session.wait_until(lambda now: now.rig.state == "ready", PATIENCE_S * 12)
+        wide = replace(STEP, nominal=30.0, lower_limit=29.5, upper_limit=30.5)
+        session.edit_job(plan(features=(wide,))).result(PATIENCE_S)
+        session.wait_until(lambda now: now.draft.plan is not None, PATIENCE_S * 12)
+        trial = session.trials.begin((tmp_path,)).result(PATIENCE_S * 12)
+    finally:
+        session.close()
+    assert [(wafer.wafer_id, wafer.before, wafer.after) for wafer in trial.wafers] == [
+        ("w1", "fail", "pass"),
+        ("w2", "fail", "fail"),
+    ]
+    assert trial.n_changes == 1
 
 
 def test_a_trial_that_is_stopped_ends_and_one_bad_dataset_does_not(tmp_path):

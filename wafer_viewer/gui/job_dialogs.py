@@ -12,6 +12,7 @@ from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.trial_words import before_release
 from wafer_viewer.model.alignment import Mark, Marks
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import PlanError
@@ -21,6 +22,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.operating import JobEntry
 from wafer_viewer.session.preflight import Check
+from wafer_viewer.session.state import Snapshot
 
 BY_HAND = "as typed below"
 
@@ -114,8 +116,9 @@ def release_dialog(page: Page) -> None:
     """Release the plan under a product and a revision: from then on it stays as it is."""
     job = required_job(page)
     below = "Operators run it with four actions. Nothing of it can be changed any more; a change is another revision."
-    dialog = Dialog(page, "Release the job", below)
+    dialog, now = Dialog(page, "Release the job", below), page.session.snapshot
     with dialog.modal:
+        Cell(page.gui, before_release(now.operating, trial_is_old(now)))
         product = page.gui.add_text("Product", job.product or job.sample.product)
         revision = page.gui.add_text("Revision", job.revision)
 
@@ -129,6 +132,14 @@ def release_dialog(page: Page) -> None:
         page.ask(told, page.session.jobs.release(), lambda path: page.say("Released", str(path)))
 
     dialog.answers("Release", viser.Icon.LOCK, release, "The job was not released")
+
+
+def trial_is_old(now: Snapshot) -> bool:
+    """Whether the plan is not the one that was tried any more; another name of its revision makes no difference."""
+    tried, job = now.operating.trial_of, now.draft.job
+    if tried is None or job is None or now.operating.trial is None:
+        return False
+    return replace(tried, product=job.product, revision=job.revision) != job
 
 
 def edit(page: Page, then: Callable[[Any], None] | None = None, **changes: Any) -> None:

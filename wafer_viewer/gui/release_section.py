@@ -10,7 +10,14 @@ from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.feature_dialog import feature_dialog
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.job_dialogs import corners_dialog, edit, release_dialog, required_job, trial_dialog
+from wafer_viewer.gui.job_dialogs import (
+    corners_dialog,
+    edit,
+    release_dialog,
+    required_job,
+    trial_dialog,
+    trial_is_old,
+)
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.review_items import spoken
@@ -53,7 +60,7 @@ class ReleaseSection:
         if job is None:
             return
         self._words.show(_corners(job.marks) + _features(job))
-        self._tried.show(trial(snapshot.operating.trial, snapshot.operating.trying))
+        self._tried.show(trial(snapshot.operating.trial, snapshot.operating.trying, trial_is_old(snapshot)))
         for handle in (*self._buttons, self._try):
             set_prop(handle, "visible", not job.released)
         set_prop(self._copy, "visible", job.released)

@@ -7,28 +7,38 @@ from wafer_viewer.gui.measure_words import whole
 from wafer_viewer.gui.verdict_words import LOOKS, state
 from wafer_viewer.model.decision import Word
 from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.session.operating import Operating
 
 MOST_CHANGES = 40
 """More than that are counted: a panel is no file."""
 
 
-def trial(done: Trial | None, trying: bool) -> str:
-    """The last trial; nothing where there was none."""
+def trial(done: Trial | None, trying: bool, outdated: bool = False) -> str:
+    """The last trial; nothing where there was none. outdated: the plan has changed since."""
     if trying:
         return html.head("On stored wafers") + html.empty("Stored wafers are being judged by this plan.")
     if done is None:
         return ""
     head = html.head("On stored wafers", done.job)
-    said = f'<div class="wv-note {_tone(done)}" role="status" aria-label="Trial">{html.safe(done.summary)}</div>'
+    said = html.note(_tone(done), "Verdicts change" if done.n_changes else "No verdict changes", done.summary)
     changes = [(wafer, change) for wafer in done.wafers for change in wafer.changes]
     rows = [_change(wafer, change) for wafer, change in changes[:MOST_CHANGES]]
     more = len(changes) - len(rows)
     rest = html.empty(f"And {more} more: wafer-viewer release --against lists them all.") if more else ""
     table = html.table(["Wafer, feature", "Before", "Now"], rows, "   ") if rows else ""
-    return head + said + table + rest + "".join(_left_out(item) for item in done.not_tried)
+    since = html.note("attention", "The plan has changed since", "Try it again.") if outdated else ""
+    return head + since + said + table + rest + "".join(_left_out(item) for item in done.not_tried)
 
 
-def _tone(done: Trial) -> str:
+def before_release(now: Operating, outdated: bool) -> str:
+    """What is known of the plan on stored wafers, for the question whether to release it."""
+    if now.trial is None or outdated:
+        since = "since it was changed" if now.trial is not None else "yet"
+        return html.note("busy", f"Not tried on stored wafers {since}", "Whether verdicts change is not known.")
+    return html.note(_tone(now.trial), "On stored wafers", now.trial.summary)
+
+
+def _tone(done: Trial) -> html.Tone:
     return "attention" if done.n_changes or done.not_tried else "good"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from wafer_viewer.measure.budget import LESS_WITH_REPEATS
@@ -105,6 +106,9 @@ def limits_of(feature: Feature) -> tuple[float, float]:
 
 def judge_dies(items: Sequence[Judged], dies: Dies | None) -> tuple[JudgedDie, ...]:
     """The word of every die that anything was judged on, by the gravest word of its features."""
+    of_die: dict[str, list[Judged]] = defaultdict(list)
+    for item in items:
+        of_die[item.die].append(item)
     return tuple(
         JudgedDie(
             name=die.name,
@@ -112,10 +116,10 @@ def judge_dies(items: Sequence[Judged], dies: Dies | None) -> tuple[JudgedDie, .
             y_um=die.y_um,
             width_um=dies.width_um if dies else 0.0,
             height_um=dies.height_um if dies else 0.0,
-            word=overall(on_it),
+            word=overall(of_die[die.name]),
         )
         for die in (dies.all() if dies else ())
-        if (on_it := [item for item in items if item.die == die.name])
+        if die.name in of_die
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from wafer_viewer.model.plan import Job
 from wafer_viewer.model.trial import Trial
 from wafer_viewer.model.verdict import WaferVerdict
 
@@ -24,11 +25,12 @@ class JobEntry:
 class Operating:
     """judging: whether the open dataset's features are being measured for their verdict.
 
-    trial: what the plan came to on stored wafers; trying: whether it is being tried.
+    trial: what a plan came to on stored wafers, `trial_of` that plan; trying: whether one is being tried.
     """
 
     jobs: tuple[JobEntry, ...] = ()
     verdict: WaferVerdict | None = None
     judging: bool = False
     trial: Trial | None = None
+    trial_of: Job | None = None
     trying: bool = False

@@ -91,12 +91,13 @@ class _Led(Hire):
 
 @dataclass(frozen=True, slots=True)
 class _Before:
-    """How a dataset was judged: every feature's word, and on which surface."""
+    """How a dataset was judged: every feature's word, on which surface, and the dies by their names."""
 
     job: Job
     kept: Result
     surface: Mosaic
     items: dict[Key, Judged]
+    dies: dict[str, Die]
 
 
 def _tried(job: Job, path: Path, result: str, hire: Hire, tell: Progress) -> TriedWafer:
@@ -140,7 +141,8 @@ def _judged_before(data: Dataset, result: str) -> _Before:
         if verdict is not None
         else judge_features(surface, job.features, job.alignment, calibration_valid=_calibrated(data), dies=job.dies)
     )
-    return _Before(job, kept, surface, {_key(item): item for item in items})
+    dies = {die.name: die for die in job.dies.all()} if job.dies is not None else {}
+    return _Before(job, kept, surface, {_key(item): item for item in items}, dies)
 
 
 def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[Judged]:
@@ -160,9 +162,7 @@ def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: 
 
 def _same_number(then: Judged, before: _Before, feature: Feature, die: Die | None) -> bool:
     """Whether what was measured then is what the feature measures now."""
-    dies = before.job.dies.all() if before.job.dies is not None and then.die else ()
-    was_on = next((other for other in dies if other.name == then.die), None)
-    return then.feature.measures == feature.measures and was_on == die
+    return then.feature.measures == feature.measures and before.dies.get(then.die) == die
 
 
 def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:

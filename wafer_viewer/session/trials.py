@@ -40,7 +40,7 @@ class TrialKeeper:
         datasets = datasets_of(paths)
         title = f"Trial of {job.product} {job.revision}".strip()
         work = self._notices.begin(title, lambda: self._compute.cancel(work))
-        self._show(trial=None, trying=True)
+        self._show(trial=None, trial_of=self._desk.now.draft.job, trying=True)
         done = self._compute.lead(work, try_job, job, datasets, result)
         done.add_done_callback(lambda done: self._desk.note(self._over, work, done))
         return done
