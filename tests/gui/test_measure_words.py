@@ -27,6 +27,7 @@ PLACES_OF: dict[ToolName, tuple[Region, ...]] = {
     "flatness": (Region.rectangle(0, -30, 30, 0),),
     "texture": (Region.rectangle(0, -30, 30, 0),),
     "roughness": (Region.line(0, -15, 30, -15),),
+    "site_range": (Region.rectangle(-120, -80, 120, 80),),
 }
 
 

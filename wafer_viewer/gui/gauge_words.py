@@ -113,6 +113,16 @@ def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region 
     return html.head("Conditions") + html.pairs(pairs) if pairs else ""
 
 
+def told(check: GaugeCheck) -> str:
+    """A kept check in the words of a result: verdict, result, repeats, certificate."""
+    word, _, tone = LOOKS[check.verdict]
+    signed = f"signed by {check.signed_by}, {day_and_time(check.at)}" if check.signed_by else "not signed"
+    head = f'<div><b style="color:var(--{tone})">{word}</b> · {html.safe(signed)}</div>'
+    paper = check.certificate
+    blocks = [("Blocks", " / ".join(paper.serials)), ("Certificate", f"{paper.number}, {paper.laboratory}")]
+    return head + result(check) + repeats(check.repeats, check, may_drop=False) + html.pairs(blocks)
+
+
 def refused(sentence: str) -> str:
     """Why there can be no check now."""
     sign = html.icon(viser.Icon.HAND_STOP, 18)

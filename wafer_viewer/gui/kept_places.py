@@ -19,8 +19,11 @@ from wafer_viewer.model.findings import (
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.site_range import SiteRanges
 from wafer_viewer.model.texture import Roughness, Texture
 
+MOST_SITES = 400
+"""Of more sites the region alone is drawn."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 
@@ -60,6 +63,8 @@ def tool_of(finding: AnyFinding) -> ToolName | None:
             return "chipping"
         case Coplanarity():
             return "coplanarity"
+        case SiteRanges():
+            return "site_range"
         case GaugeCheck() | Defect():
             return None
 
@@ -79,7 +84,9 @@ def places_of(finding: AnyFinding) -> tuple[Region, ...]:
             return finding.first, finding.second
         case Radius() | CircleSize():
             return (finding.circle,)
-        case AreaVolume() | Flatness() | Texture() | KerfWidth() | DieSize() | Chipping() | Coplanarity():
+        case (
+            AreaVolume() | Flatness() | Texture() | KerfWidth() | DieSize() | Chipping() | Coplanarity() | SiteRanges()
+        ):
             return (finding.region,)
         case GaugeCheck():
             return finding.upper, finding.lower
@@ -107,6 +114,8 @@ def found_of(finding: AnyFinding) -> tuple[Region, ...]:
             return (finding.found,)
         case Chipping():
             return (finding.edge,)
+        case SiteRanges() if len(finding.sites) <= MOST_SITES:
+            return finding.outlines
         case _:
             return ()
 

@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html, shape_words, step_words
+from wafer_viewer.gui.gauge_words import told as gauge_told
 from wafer_viewer.gui.measure_words import averaging, whole
+from wafer_viewer.gui.site_words import sites
 from wafer_viewer.gui.texture_words import roughness, texture
 from wafer_viewer.model.findings import (
     AnyFinding,
@@ -21,9 +23,11 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.site_range import SiteRanges
 from wafer_viewer.model.texture import Roughness, Texture
 
 _SURFACES = {
@@ -150,6 +154,8 @@ _TOLD: dict[type, Callable[..., str]] = {
     CircleSize: shape_words.circle,
     Chipping: shape_words.chipping,
     Coplanarity: shape_words.coplanarity,
+    SiteRanges: sites,
+    GaugeCheck: gauge_told,
 }
 _ON_PICTURE = (KerfWidth, DieSize, CircleSize, Chipping)
 """Heights have no part in these."""

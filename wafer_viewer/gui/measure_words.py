@@ -31,6 +31,7 @@ _LETTERS = {
     "circle": "O",
     "chipping": "C",
     "coplanarity": "B",
+    "site_range": "U",
     "gauge_check": "G",
     "defect": "D",
 }
@@ -48,9 +49,11 @@ _MAIN = {
     "circle": "diameter",
     "chipping": "deepest",
     "coplanarity": "from lowest to highest top",
+    "site_range": "largest, front surface, as mounted",
+    "gauge_check": "error",
 }
 """What the number is that stands for a result, where its tool's name does not say so."""
-_SIGNED = ("point",)
+_SIGNED = ("point", "gauge_check")
 _UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
 """By unit: from which value on, by which factor, as what it reads."""
@@ -76,7 +79,7 @@ def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, 
     """Value, U to two figures (a dash where there is none) and unit."""
     read = reading(quantity)
     expanded = None if quantity.expanded is None else quantity.expanded * read.factor
-    digits = 2 if read.factor == 1 else _digits(quantity.value * read.factor)
+    digits = _plain_digits(quantity) if read.factor == 1 else _digits(quantity.value * read.factor)
     value, u = value_and_u(quantity.value * read.factor, expanded, digits, signed=signed)
     return value, u, read.unit
 
@@ -158,6 +161,12 @@ def budget(quantity: Quantity) -> str:
 def averaging(profile: Profile | StepProfile) -> str:
     """How wide a strip across the line is averaged over."""
     return with_unit(profile.line.width_um, 1) if profile.line.width_um else "one pixel"
+
+
+def _plain_digits(quantity: Quantity) -> int:
+    """Decimals of a value as it was measured: two, but lengths under 1 um keep three figures, up to four decimals."""
+    small = quantity.unit == "um" and 0 < abs(quantity.value) < 1
+    return min(4, max(2, _digits(quantity.value) - 1)) if small else 2
 
 
 def _digits(value: float) -> int:

@@ -116,6 +116,10 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
         Number("Chip over, µm", "limit_um", 0.5, off="0: four deviations of the edge"),
         Pick("Die on the", "die", {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"}),
     ),
+    "site_range": (
+        Number("Site width, µm", "width_um", 10.0, off="0: a quarter of the region"),
+        Number("Site height, µm", "height_um", 10.0, off="0: a quarter of the region"),
+    ),
     "coplanarity": (Pick("Plane", "reference", {"Least squares": "least_squares", "Seating plane": "seating"}),),
 }
 """`field` is the field of the tool's options; with a full stop that of a spec in it."""

@@ -15,7 +15,7 @@ GROUPS: dict[str, tuple[ToolName, ...]] = {
     "Places": ("point", "distance"),
     "What stands out": ("radius", "volume", "coplanarity"),
     "On the picture": ("die", "kerf", "chipping", "circle"),
-    "Faces": ("flatness", "texture", "roughness"),
+    "Faces": ("flatness", "texture", "roughness", "site_range"),
 }
 ON_TOOLBAR: tuple[tuple[ToolName, ...], ...] = (
     ("profile", "step", "angle"),
@@ -38,6 +38,7 @@ ICONS: dict[ToolName, Any] = {
     "circle": viser.Icon.CIRCLE_DASHED,
     "chipping": viser.Icon.PUZZLE,
     "coplanarity": viser.Icon.LAYOUT_ALIGN_BOTTOM,
+    "site_range": viser.Icon.GRID_3X3,
     "flatness": viser.Icon.LAYERS_SUBTRACT,
     "texture": viser.Icon.GRAIN,
     "roughness": viser.Icon.WAVE_SAW_TOOL,
@@ -56,6 +57,7 @@ SHORT: dict[ToolName, str] = {
     "circle": "Circle",
     "chipping": "Chipping",
     "coplanarity": "Coplanar",
+    "site_range": "Sites",
     "flatness": "Flatness",
     "texture": "Texture",
     "roughness": "Roughness",
@@ -74,6 +76,7 @@ TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "circle": ("Y", "shift"),
     "chipping": ("X", "shift"),
     "coplanarity": ("Q", "shift"),
+    "site_range": ("U", "shift"),
     "flatness": ("F", "shift"),
     "texture": ("T", "shift"),
     "roughness": ("J", "shift"),

@@ -27,6 +27,8 @@ REFUSED = {
 }
 """Terms of SEMI that would be wrong here, and why."""
 MOST_SITES = 10_000
+QUARTER = 0.25
+"""Of the region's side, where nobody has said how large a site is."""
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""
 AS_MOUNTED = "Front-surface site range, as mounted: highest over lowest about each site's plane of least squares."
@@ -71,6 +73,21 @@ def site_ranges(
         simulated=surface.provenance.simulated,
         notes=(AS_MOUNTED, NO_OTHER, *_left_out(len(sites) - len(ranges))),
     )
+
+
+def sites_of_region(
+    surface: Mosaic,
+    region: Region,
+    *,
+    calibration_valid: bool = True,
+    width_um: float | None = None,
+    height_um: float | None = None,
+    layer: Layer | None = None,
+) -> SiteRanges:
+    """`site_ranges` in a region; a side that is not said is a quarter of the region's. Raises as that does."""
+    x0, y0, x1, y1 = region.bounds_um
+    site_um = width_um or (x1 - x0) * QUARTER, height_um or (y1 - y0) * QUARTER
+    return site_ranges(surface, site_um, region, calibration_valid=calibration_valid, layer=layer)
 
 
 def _bounds_um(surface: Mosaic) -> Box:

@@ -11,6 +11,7 @@ from wafer_viewer.measure.coplanarity import coplanarity
 from wafer_viewer.measure.die_size import die_size
 from wafer_viewer.measure.flatness import flatness
 from wafer_viewer.measure.kerf import kerf_width
+from wafer_viewer.measure.one_sided import sites_of_region
 from wafer_viewer.measure.point import distance, point_height
 from wafer_viewer.measure.profile import profile
 from wafer_viewer.measure.radius import bump_radius
@@ -48,6 +49,7 @@ MEASUREMENTS: dict[ToolName, Callable[..., AnyFinding]] = {
     "circle": circle_size,
     "chipping": chipping,
     "coplanarity": coplanarity,
+    "site_range": sites_of_region,
 }
 """Each takes a surface and as many places as its tool asks for."""
 

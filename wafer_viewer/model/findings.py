@@ -17,6 +17,7 @@ from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.site_range import SiteRanges
 from wafer_viewer.model.spec import Fraction, NonNegative, Spec
 from wafer_viewer.model.step import StepHeight, StepProfile
 from wafer_viewer.model.texture import Roughness, Texture
@@ -195,6 +196,7 @@ AnyFinding = (
     | CircleSize
     | Chipping
     | Coplanarity
+    | SiteRanges
 )
 
 

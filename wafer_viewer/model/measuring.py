@@ -10,7 +10,7 @@ from wafer_viewer.model.region import RegionKind
 ToolName = Literal[
     "profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture", "roughness",
     "groove",
-    "kerf", "die", "circle", "chipping", "coplanarity",
+    "kerf", "die", "circle", "chipping", "coplanarity", "site_range",
 ]
 
 
@@ -58,4 +58,7 @@ TOOLS: dict[ToolName, MeasuringTool] = {
     "circle": MeasuringTool("Circle", "Drag the circle round something round.", (PlaceAsked("circle", "circle"),)),
     "chipping": MeasuringTool("Chipping", "Drag the region along the edge of a die.", _rectangles("edge")),
     "coplanarity": MeasuringTool("Coplanarity", "Drag the region over the bumps of a die.", _rectangles("bumps")),
+    "site_range": MeasuringTool(
+        "Site range", "Drag the region over the sites: front surface, as mounted.", _rectangles("sites")
+    ),
 }

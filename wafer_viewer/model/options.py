@@ -108,6 +108,13 @@ class CoplanarityOptions(OptionsSpec, frozen=True, kw_only=True):
     reference: Literal["least_squares", "seating"] = "least_squares"
 
 
+class SiteRangeOptions(OptionsSpec, frozen=True, kw_only=True):
+    """width_um, height_um: of a site; None: a quarter of the region's side."""
+
+    width_um: Positive | None = None
+    height_um: Positive | None = None
+
+
 class ToolOptions(Spec, frozen=True, kw_only=True):
     """The options of every tool that has some, by its name."""
 
@@ -122,6 +129,7 @@ class ToolOptions(Spec, frozen=True, kw_only=True):
     circle: CircleOptions = CircleOptions()
     chipping: ChippingOptions = ChippingOptions()
     coplanarity: CoplanarityOptions = CoplanarityOptions()
+    site_range: SiteRangeOptions = SiteRangeOptions()
 
 
 def keywords(options: ToolOptions, tool: ToolName) -> dict[str, Any]:

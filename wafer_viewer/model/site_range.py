@@ -32,6 +32,12 @@ class SiteRanges(Finding, frozen=True, kw_only=True, tag="site_range"):
     largest: Length
 
     @property
+    def outlines(self) -> tuple[Region, ...]:
+        """The rectangle of every site, in their order."""
+        x, y = self.site_width_um / 2, self.site_height_um / 2
+        return tuple(Region.rectangle(s.x_um - x, s.y_um - y, s.x_um + x, s.y_um + y) for s in self.sites)
+
+    @property
     def main(self) -> Quantity:
         """The largest range of all sites."""
         return self.largest.quantity

@@ -25,6 +25,7 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
+from wafer_viewer.model.site_range import SiteRanges
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.texture import Roughness, Texture
 from wafer_viewer.session.desk import Desk
@@ -44,6 +45,7 @@ NAMES: dict[type[AnyFinding], str] = {
     Texture: "Texture",
     Roughness: "Roughness",
     GaugeCheck: "Gauge check",
+    SiteRanges: "Site range",
     Defect: "Defect",
 }
 """What results are called that nobody named, before their count."""
