@@ -77,7 +77,7 @@ def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path,
     folder, terms = str(tmp_path), ("--limit-um", "1", "--tolerance-um", "10")
     for name, of in (("Ann", scans[:1]), ("Bob", scans[1:])):
         _, said = told("measure", "gauge", *of, *CHECK, *terms, "--sign", name)
-        assert said["signed_by"] == name
+        assert (said["signed_by"], said["capability"]["n"]) == (name, 1 if name == "Ann" else 3)
     assert "is in the check that Ann signed" in refused("measure", "gauge", *scans, *CHECK, "--sign", "Cy")
     assert (tmp_path / GAUGE_LOG).read_text().count("\n") == 2
     (kept,) = Dataset.open(scans[-1]).result("default").findings().items
@@ -126,6 +126,12 @@ def test_what_is_no_check_is_refused_in_one_sentence(tmp_path, refused, change, 
 def test_the_same_scan_twice_is_no_repeat(tmp_path, refused):
     scan = str(scan_of_blocks(tmp_path, 1))
     assert "a repeat is a new scan" in refused("measure", "gauge", scan, scan, *CHECK)
+
+
+def test_scans_of_two_rigs_are_no_repeats(tmp_path, refused):
+    write_npz(surface(1), tmp_path / "other.npz")
+    scan = str(scan_of_blocks(tmp_path, 2))
+    assert "several rigs" in refused("measure", "gauge", scan, str(tmp_path / "other.npz"), *CHECK)
 
 
 def test_a_history_is_of_one_pair_of_blocks_on_one_rig(tmp_path, told, refused):

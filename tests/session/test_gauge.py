@@ -98,6 +98,7 @@ def test_from_the_certificate_to_a_signed_check_in_log_and_results(bench, scans)
     assert check.deviation.value_um == pytest.approx(0.3, abs=0.05)
     assert check.verdict == "pass"
     assert check.simulated
+    assert (state.capability.n, state.capability.capable) == (3, None)
     assert (check.signed_by, state.signed, state.records) == ("", None, ())
 
     record = bench.gauge.sign(" Ann ").result()

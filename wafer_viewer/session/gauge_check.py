@@ -82,8 +82,7 @@ def check_of(
     from wafer_viewer.measure.gauge import gauge_check
     from wafer_viewer.measure.run_chart import pooled_scatter
 
-    others = [record for record in records if _in_common(record.check, repeats) is None]
-    return gauge_check(repeats, certificate, terms, known=pooled_scatter(others))
+    return gauge_check(repeats, certificate, terms, known=pooled_scatter(_others(records, repeats)))
 
 
 def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> GaugeCheck:
@@ -105,17 +104,28 @@ def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
     return GaugeRecord(check=check, rig=rig, result=result, software_version=__version__)
 
 
+def _others(records: Sequence[GaugeRecord], repeats: Sequence[GaugeRepeat]) -> list[GaugeRecord]:
+    """The records of checks that have no scan in common with some repeats."""
+    return [record for record in records if _in_common(record.check, repeats) is None]
+
+
 def _in_common(check: GaugeCheck, repeats: Sequence[GaugeRepeat]) -> str | None:
     """The first scan that a check has with some repeats."""
     return next((new.dataset for new in repeats if any(old.is_scan_of(new) for old in check.repeats)), None)
 
 
-def capability_of(records: Sequence[GaugeRecord], tolerance_um: float | None) -> Capability | None:
-    """Cg and Cgk over every scan of signed checks; None without a tolerance."""
+def capability_of(
+    records: Sequence[GaugeRecord], tolerance_um: float | None, latest: GaugeCheck | None = None
+) -> Capability | None:
+    """Cg and Cgk over every scan of signed checks and of the latest, signed or not; None without a tolerance."""
     from wafer_viewer.measure.capability import capability
     from wafer_viewer.measure.run_chart import errors_of_scans, same_scale
 
-    return capability(errors_of_scans(same_scale(records)), tolerance_um) if tolerance_um else None
+    if tolerance_um is None:
+        return None
+    if latest is not None:
+        records = [*_others(records, latest.repeats), GaugeRecord(check=replace(latest, at=now()))]
+    return capability(errors_of_scans(same_scale(records)), tolerance_um)
 
 
 def now() -> str:

@@ -147,13 +147,14 @@ class GaugeKeeper:
         state = replace(self.state, **changes)
         records = self._records(state.certificate)
         self._desk.change(gauge=replace(state, records=records))
+        check = _check(state, records)
         self._desk.change(
             gauge=replace(
                 self.state,
                 refusal=self._refusal(state.certificate),
-                check=_check(state, records),
+                check=check,
                 chart=_chart(records),
-                capability=work.capability_of(records, state.terms.tolerance_um),
+                capability=work.capability_of(records, state.terms.tolerance_um, check),
                 correction=self._correction(),
             )
         )

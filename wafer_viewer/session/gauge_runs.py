@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.findings import Findings
-from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord, GaugeTerms
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeTerms
 from wafer_viewer.model.run_chart import Capability, RunChart
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session import gauge_check as work
@@ -38,21 +38,27 @@ def check_sources(
     log: Path | None,
     field_number: int,
     result: str,
-) -> GaugeCheck:
-    """What scans come to as repeats of one check. Raises MeasureError where there is no check of one of them."""
+) -> tuple[GaugeCheck, Capability | None]:
+    """What scans come to as repeats of one check, and Cg, Cgk with those before.
+
+    Raises MeasureError where there is no check of one of them, or they are of several rigs.
+    """
     certificate = read_certificate(certificate_file)
+    rigs = dict.fromkeys(_rig(path) for path in src)
+    if len(rigs) > 1:
+        raise MeasureError(f"The scans are of several rigs ({', '.join(rigs)}): check one at a time.")
+    records = _records(src, certificate, log)
     sources = [work.source_of(path, field_number, result) for path in src]
     repeats = [work.repeat_of(source, certificate, faces) for source in sources]
-    records = _of_rig(signed_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
-    return work.check_of(repeats, certificate, terms, records)
+    check = work.check_of(repeats, certificate, terms, records)
+    return check, work.capability_of(records, terms.tolerance_um, check)
 
 
 def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Path | None, result: str) -> GaugeCheck:
     """Sign a check: it goes to the log, and into the results of the last scan where that is a dataset."""
-    folder, rig = log or src[0].parent, _rig(src[-1])
-    records = _of_rig(signed_checks(folder, check.certificate.serials), rig)
-    signed = work.signed(check, operator, records)
-    record = work.record_of(signed, rig, result)
+    folder = log or src[0].parent
+    signed = work.signed(check, operator, _records(src, check.certificate, log))
+    record = work.record_of(signed, _rig(src[0]), result)
     if not is_dataset(src[-1]):
         sign(folder, record)
         return signed
@@ -89,6 +95,11 @@ def _keep(data: Dataset, name: str, check: GaugeCheck) -> GaugeCheck:
     kept = replace(check, number=number, name=f"Gauge check {nth}")
     result.save_findings(Findings(items=(*items, kept)))
     return kept
+
+
+def _records(src: Sequence[Path], certificate: Certificate, log: Path | None) -> tuple[GaugeRecord, ...]:
+    """The signed checks of the same blocks on the same rig."""
+    return _of_rig(signed_checks(log or src[0].parent, certificate.serials), _rig(src[0]))
 
 
 def _rig(src: Path) -> str:
