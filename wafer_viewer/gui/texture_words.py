@@ -11,6 +11,7 @@ from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.texture import Roughness, Texture
 
 Cells = Sequence[tuple[str, str]]
+COLUMNS = 3
 FIGURES, MOST_DECIMALS = 3, 4
 """Heights of a texture are small: three figures of them, and no more decimals than that."""
 
@@ -49,8 +50,13 @@ def figures(value: float | None) -> str:
 
 
 def _table(families: Sequence[tuple[str, Cells]]) -> str:
-    rows = [html.row([html.safe(family), *(_cell(*cell) for cell in cells)]) for family, cells in families]
+    rows = [html.row([html.safe(family), *_padded(cells)]) for family, cells in families]
     return html.table([], rows)
+
+
+def _padded(cells: Cells) -> list[str]:
+    """Cells of a row, as many in each, so that the lines under rows are of one length."""
+    return [*(_cell(*cell) for cell in cells), *[""] * (COLUMNS - len(cells))]
 
 
 def _cell(name: str, value: str) -> str:
