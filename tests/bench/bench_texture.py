@@ -16,13 +16,16 @@ from functools import partial
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from tests.bench.big_mosaic import BLOCKS_PX, big_dataset
 from tests.bench.tables import show
 from tests.bench.texture_peers import PIXEL_UM, as_map
 from wafer_viewer.measure.roughness import roughness
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.model.region import Region
+from wafer_viewer.store.dataset import Dataset
 
 ROUNDS = 5
+QUICK_PX = 2048
 SETTINGS: dict[str, dict[str, float]] = {
     "no filter": {},
     "form of order 4": {"form_order": 4},
@@ -35,7 +38,8 @@ SETTINGS: dict[str, dict[str, float]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="a region of a quarter of a million pixels")
-    side_px = 600 if parser.parse_args().quick else 1024
+    quick = parser.parse_args().quick
+    side_px = 600 if quick else 1024
     rng = np.random.default_rng(1)
     z_um = 5 * gaussian_filter(rng.normal(size=(side_px, side_px)), 4)
     holed = np.where(rng.random(z_um.shape) < 0.1, np.nan, z_um)
@@ -49,9 +53,19 @@ def main() -> None:
     ]
     title = f"Texture of {side_px**2 / 1e6:.2f} million pixels, s"
     show(title, ["settings", "whole", "10 % holes", "grating"], rows)
+    _on_a_stored_surface(QUICK_PX if quick else BLOCKS_PX, side_px)
     surface = as_map(z_um)
     lines = [[f"lambda-c {um:g} um", _timed(partial(roughness, surface, line, lambda_c_um=um))] for um in (25.0, 50.0)]
     show("Roughness of a line across it, s", ["settings", ""], lines)
+
+
+def _on_a_stored_surface(whole_px: int, side_px: int) -> None:
+    """The same as an operator has it: a part of a stitched surface, read from disk."""
+    surface = Dataset.open(big_dataset(whole_px)).result().mosaic()
+    half_um = (side_px - 1) / 2 * surface.pixel_um
+    face = Region.rectangle(-half_um, -half_um, half_um, half_um)
+    rows = [[name, _timed(partial(texture, surface, face, **options))] for name, options in SETTINGS.items()]
+    show(f"The same part of a stored surface of {whole_px**2 / 1e6:.0f} million points, s", ["settings", ""], rows)
 
 
 def _timed(work: Callable[[], object]) -> str:
