@@ -9,8 +9,10 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.steps import go_to, press, title_is, type_into
+from wafer_viewer.gui.tool_icons import ON_TOOLBAR, TOOL_KEYS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 
 pytestmark = [
@@ -21,7 +23,7 @@ pytestmark = [
 ]
 UNITS = {"angle": "°", "volume": "pl"}
 KEYS = {"point": "x", "distance": "m", "step": "k", "radius": "r", "flatness": "Shift+F"}
-"""The other tools are taken from the toolbar."""
+"""The other tools are taken from the toolbar, or by their key where it has no room for them."""
 
 
 @pytest.fixture
@@ -57,6 +59,9 @@ def take(page: Page, tool: str) -> None:
     """Take a tool by its key or on the toolbar, and wait for its answer."""
     if tool in KEYS:
         page.keyboard.press(KEYS[tool])
+    elif not any(tool in group for group in ON_TOOLBAR):
+        key, held = TOOL_KEYS[tool]
+        page.keyboard.press(f"{held.title()}+{key}" if held else key.lower())
     else:
         page.locator(".wv-tools").locator(f"[data-pick=tool][data-k={tool}]").click()
     expect(page.locator(".wv-title").first).to_contain_text(TOOLS[tool].title)
@@ -90,7 +95,7 @@ def test_every_tool_answers_with_its_uncertainty_and_is_kept(page: Page, session
     assert step.main.expanded is not None
     page.locator(f"tr[data-pick=finding][data-k='{step.number}']").click()
     expect(answer(page)).to_contain_text("expanded, k = 2")
-    expect(page.locator("[data-dock-region=right]")).to_contain_text("Upper region")
+    expect(page.locator("[data-dock-region=right]")).to_contain_text("Step at the joint")
 
 
 def test_all_tools_are_offered_by_name_and_left_by_escape(page: Page):
@@ -185,3 +190,25 @@ def test_what_is_set_of_a_tool_is_measured_with_at_once_and_stays_over_a_reload(
     expect(panel).to_contain_text("Above and below the zero of heights")
     take(page, "flatness")
     expect(page.get_by_label("Reference")).to_be_hidden()
+
+
+def test_what_is_known_of_a_step_is_in_its_budget_and_the_rest_is_listed(page: Page):
+    take(page, "step")
+    panel = page.locator("[data-dock-region=right]")
+    expect(panel).to_contain_text("Not evaluated: z linearity, drift during the scan, repeatability")
+    type_into(page, "Repeats s, µm", "0.05")
+    expect(panel).to_contain_text("Not evaluated: z linearity, drift during the scan, temperature")
+    choose(page, "Height taken", "At the joint")
+    expect(panel).to_contain_text("Both faces extended to the middle between the regions.")
+
+
+def test_faces_are_looked_for_and_where_there_are_none_it_says_so(page: Page, session: MeasuringSession):
+    take(page, "step")
+    press(page, "Find the faces")
+    expect(page.locator(".wv-why", has_text="draw the two regions by hand")).to_be_visible()
+    at = Region.rectangle(0, -30, 30, 0), Region.rectangle(140, -30, 160, 0)
+    session.gauge.find_faces = lambda show=0: at
+    press(page, "Find the faces")
+    expect(page.locator(".wv-why", has_text="by hand")).to_be_hidden()
+    keep(page, "Found")
+    assert (session.snapshot.findings[-1].upper, session.snapshot.findings[-1].lower) == at
