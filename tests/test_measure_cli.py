@@ -93,6 +93,18 @@ def test_flatness_and_texture_of_a_face(measured):
     assert measured("texture", *face)["sq"]["value_um"] == pytest.approx(0.02, rel=0.1)
 
 
+def test_texture_and_roughness_through_filters(measured):
+    face = ["--region", -70, -70, -30, -30]
+    found = measured("texture", *face, "--form-order", 3, "--s-filter-um", 2, "--l-filter-um", 20)
+    assert found["filter"] == "Gaussian (ISO 16610-61), S 2 um, L 20 um"
+    assert found["options"] == {"form_order": 3, "s_filter_um": 2.0, "l_filter_um": 20.0}
+    assert found["sq"]["value_um"] < 0.015, "noise of single pixels is taken off"
+    line = measured("roughness", "--line", -70, -50, -30, -50, "--lambda-c-um", 10, "--lambda-s-um", 2)
+    assert (line["sections"], line["section_um"]) == (4, 10.0)
+    assert "4 of 5 sampling lengths" in " ".join(line["notes"])
+    assert 0 < line["ra"]["value_um"] < 0.02
+
+
 @pytest.mark.parametrize(
     ("level", "by"),
     [
@@ -122,6 +134,12 @@ def test_heights_are_read_from_another_zero(measured, level, by):
         ("point", ["--at", 0, 0, "--level", "form", "two"], "--level takes numbers after its first word, not 'two'"),
         ("point", ["--at", 0, 0, "--level", "form", 9], "between 1 and 4"),
         ("texture", ["--region", 0, 0, 3, 3], "needs at least 200"),
+        ("texture", ["--region", -70, -70, -30, -30, "--l-filter-um", 50], "L-filter of 50 um is longer than the face"),
+        ("texture", ["--region", -70, -70, -30, -30, "--s-filter-um", 0], "s_filter_um is 0.0: it must be over 0"),
+        ("texture", ["--region", -70, -70, -30, -30, "--form-order", 9], "form_order is 9: it must be between 0 and 8"),
+        ("roughness", ["--line", 900, 0, 950, 0], "lies outside of the surface"),
+        ("roughness", ["--line", 0, 0, 20, 0, "--lambda-c-um", 80], "lambda-c of 80 um is longer than the line"),
+        ("roughness", ["--line", -70, 0, 70, 0, "--lambda-c-um", 8, "--lambda-s-um", 9], "must be under lambda_c_um"),
         ("flatness", ["--region", 0, 0, 300, 300], "of the face is measured and flatness needs 50 %"),
         ("radius", ["--circle", -50, 40, 15], "Nothing stands out of the surroundings"),
         ("distance", ["--start", 1, 1, "--end", 1, 1], "Both points are at"),
