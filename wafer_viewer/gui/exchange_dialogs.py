@@ -30,15 +30,15 @@ def import_dialog(page: Page) -> None:
         upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="*/*")
         outlined(gui, upload, 32)
         sent = Cell(gui)
+        name = gui.add_text("Name", "")
         pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)
-        Cell(gui, _label("For images. A surface file says it itself, as a rule."))
+        Cell(gui, html.head("Images"))
         step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
         pattern = gui.add_text("Grid pattern", "")
-        Cell(gui, _label("For images; a pattern only for a grid of fields, such as r{row}_c{col}_k{k}.tif"))
+        Cell(gui, _label("Only for a grid of fields, such as r{row}_c{col}_k{k}.tif"))
+        Cell(gui, html.head("Surface file", "where it does not say it itself"))
         unit = gui.add_text("z unit", "")
         depths = gui.add_checkbox("Depths", False)
-        Cell(gui, _label("For a surface file that does not say its unit, or whose numbers grow downward."))
-        name = gui.add_text("Name", "")
 
     @upload.on_upload
     def _(event: Any) -> None:
@@ -73,11 +73,11 @@ def export_dialog(page: Page) -> None:
     what = "the comparison" if field and field < 0 else f"field {field}" if field else "the stitched surface"
     dialog = Dialog(page, "Export the surface", f"Writes {what}.")
     with dialog.modal:
+        first = next(iter(_TITLES.values()))
+        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{_ending_of(field)}{first}"))
         kind = page.gui.add_dropdown("Format", tuple(_TITLES))
-        first = snapshot.data_folder / f"{stem}{_ending_of(field)}{_TITLES[kind.value]}"
-        path = page.gui.add_text("Path", str(first))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
-        said = Cell(page.gui, _said(_TITLES[kind.value], 1, info))
+        said = Cell(page.gui, _said(first, 1, info))
 
     @kind.on_update
     def _(_: Any) -> None:

@@ -15,6 +15,7 @@ from wafer_viewer.store.formats.strips import Strips
 
 OURS = "WaferViewer"
 """What the text for programs is called where a format gives texts a name."""
+LINE_LETTERS = 200
 
 
 class About(msgspec.Struct, frozen=True):
@@ -46,7 +47,7 @@ def title(surface: HeightMap | Mosaic) -> str:
 
 
 def heading(strips: Strips) -> list[str]:
-    """What stands above numbers in a text, a line each; the last is for programs."""
+    """What stands above numbers in a text, a line each; the last ones are for programs, cut into pieces."""
     surface, (rows, cols) = strips.surface, strips.shape
     return [
         f"Wafer Viewer {surface.provenance.software_version}: heights in um, stage coordinates",
@@ -55,12 +56,17 @@ def heading(strips: Strips) -> list[str]:
         f"{rows} rows, {cols} columns",
         f"origin: {', '.join(f'{o.value} {o.name.lower()}' for o in Origin if o < Origin.NOT_COVERED)}",
         f"input checksum: {surface.provenance.input_checksum or 'none'}",
-        f"{OURS}: {about(strips)}",
+        *(f"{OURS}: {part}" for part in _in_short_lines(about(strips))),
     ]
 
 
+def _in_short_lines(text: str) -> list[str]:
+    """JSON cut into lines without blanks: some programs end at a line, or a word, of more than some hundred letters."""
+    return [text[at : at + LINE_LETTERS] for at in range(0, len(text), LINE_LETTERS)]
+
+
 def about(strips: Strips) -> str:
-    """The text for programs: JSON in one line, ASCII."""
+    """The text for programs: JSON in one line, ASCII, without a blank."""
     surface, provenance = strips.surface, strips.surface.provenance
     facts = {
         "software": f"Wafer Viewer {provenance.software_version}",
@@ -73,7 +79,7 @@ def about(strips: Strips) -> str:
         "cols": strips.shape[1],
         "provenance": json.loads(encode(provenance, "json")),
     }
-    return json.dumps(facts, ensure_ascii=True)
+    return json.dumps(facts, ensure_ascii=True, separators=(",", ":")).replace(" ", "\\u0020")
 
 
 def told_by(text: str | None) -> About | None:

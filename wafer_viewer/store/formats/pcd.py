@@ -77,7 +77,7 @@ def _head(path: Path, asked: Asked) -> _Head:
             begin += len(line)
             if line.startswith(b"#"):
                 name, _, value = line[1:].decode("utf-8", "replace").partition(":")
-                comments[name.strip()] = value.strip()
+                comments[name.strip()] = comments.get(name.strip(), "") + value.strip()
             elif words := line.decode("ascii", "replace").split():
                 said[words[0]] = words[1:]
     names, sizes, kinds = (said.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))

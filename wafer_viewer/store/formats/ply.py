@@ -92,7 +92,7 @@ def _head(path: Path, asked: Asked) -> _Head:
                 raise asked.refuse("has a list among the properties of its points: write it with plain numbers.")
             case ["comment", *words]:
                 name, _, value = " ".join(words).partition(":")
-                comments[name.strip()] = value.strip()
+                comments[name.strip()] = comments.get(name.strip(), "") + value.strip()
             case _:
                 pass
     n_points = elements[0].split()[-1] if elements and elements[0].split()[1:2] == ["vertex"] else ""

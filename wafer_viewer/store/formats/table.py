@@ -83,7 +83,8 @@ def _head(path: Path, asked: Asked) -> _Head:
                 break
             begin += len(raw)
             name, _, value = line.lstrip("# ").partition(":")
-            comments[name.strip().lower()] = value.strip()
+            key = name.strip().lower()
+            comments[key] = comments.get(key, "") + value.strip()
         else:
             raise asked.refuse("holds no points: give a table with the columns x, y and z.")
     delimiter = next((d for d in _DELIMITERS if d in line), " ")

@@ -85,8 +85,8 @@ def _main(strips: Strips, digest: str) -> bytes:
             "Instrument": {
                 "Manufacturer": "Wafer Viewer",
                 "Model": "virtual rig" if provenance.simulated else "shape from focus",
-                "Serial": "",
-                "Version": provenance.software_version,
+                "Serial": "not available",
+                "Version": provenance.software_version or "unknown",
             },
             **({"CalibrationDate": f"{calibration.made}T00:00:00Z"} if calibration is not None else {}),
             "ProbingSystem": {
