@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from wafer_viewer.measure.edge_circle import NEIGHBOURS, find_circle
+from wafer_viewer.measure.edge_circle import NEIGHBOURS, ROOM_PX, find_circle
 from wafer_viewer.measure.edge_search import Sign
 from wafer_viewer.measure.heights import Layer
 from wafer_viewer.measure.lateral import between_edges, notes
@@ -19,6 +19,8 @@ from wafer_viewer.model.surface import Mosaic
 Inside = Literal["either", "bright", "dark"]
 SIGNS: dict[Inside, tuple[Sign, ...]] = {"either": (1, -1), "bright": (-1,), "dark": (1,)}
 """Which way brightness goes from inside to outside."""
+ROOM = 1.2
+"""The picture is read so much further than the circle drawn, for an edge near to it is found by both its sides."""
 ROUNDNESS = f"Roundness is that of medians of {NEIGHBOURS} neighbouring rays; noise makes it larger."
 
 
@@ -40,8 +42,9 @@ def circle_size(
     if circle.kind != "circle":
         raise MeasureError(f"A diameter is measured in a circle, this region is a {circle.kind}: draw a circle.")
     reading = Reading.of(surface, layer, calibration_valid)
-    strip, level = read_strip(surface, circle, "a diameter")
     drawn = circle.points[0]
+    room = Region.circle(drawn.x_um, drawn.y_um, ROOM * circle.radius_um + ROOM_PX * surface.pixel_um)
+    strip, level = read_strip(surface, room, "a diameter")
     edge = find_circle(strip, drawn.x_um, drawn.y_um, circle.radius_um, SIGNS[inside])
     u_um = edge.u_radius_um
     x_um, y_um, radius_um = (round(v, 4) for v in (edge.x_um, edge.y_um, edge.radius_um))

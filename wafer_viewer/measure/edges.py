@@ -19,8 +19,8 @@ SIGMA_PX = 2.0
 """Standard deviation of the Gaussian whose derivative finds edges."""
 SEARCH_SIGMA_PX = 4.0
 """The same while edges are looked for: thin lines count less then than the ragged edge of something large."""
-REACH_PX = 6
-"""So far from it a pixel has a say in the response."""
+REACH, REACH_PX = 3.0, 6
+"""So far from it a pixel has a say in the response: in standard deviations, and in pixels."""
 AS_STEEP = 0.5
 """Of an edge's typical steepness: what is less steep is no part of the edge."""
 U_SUBPIXEL_PX = 0.002
@@ -49,7 +49,7 @@ def responses(
     gaussian_filter1d(grey.astype(np.float32), sigma_px, axis=1, order=1, output=found, mode="nearest", truncate=4.0)
     if there is not None and not there.all():
         near_missing: NDArray[np.bool_] = np.empty(there.shape, bool)
-        maximum_filter1d(~there, 2 * round(4 * sigma_px) + 1, axis=1, output=near_missing)
+        maximum_filter1d(~there, 2 * round(REACH * sigma_px) + 1, axis=1, output=near_missing)
         found[near_missing] = 0.0
     found[:, : REACH_PX // 2] = found[:, -(REACH_PX // 2) :] = 0.0
     return found

@@ -5,11 +5,12 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from wafer_viewer.model.findings import AnyFinding, Finding, Findings
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.shape import Bump, Chip, Chipping, Coplanarity
 
 COLUMNS = (
     *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),
@@ -39,6 +40,8 @@ def findings_csv(findings: Findings) -> str:
     for finding in findings.items:
         for number in _numbers(finding):
             table.writerow([*_who(finding), *_cells(number), *_where(finding), *_on_what(finding)])
+        for number, place in _parts(finding):
+            table.writerow([*_who(finding), *_cells(number), *place, *_on_what(finding)])
     return text.getvalue()
 
 
@@ -49,7 +52,21 @@ def _numbers(finding: AnyFinding) -> Iterator[Number]:
     return iter(sorted(found, key=lambda n: (n.value, n.unit, n.status) != (main.value, main.unit, main.status)))
 
 
-def _number(finding: AnyFinding, name: str) -> Number | None:
+def _parts(finding: AnyFinding) -> Iterator[tuple[Number, list[str]]]:
+    """The numbers of each chip or bump of a result, with its place."""
+    parts: dict[str, tuple[Chip | Bump, ...]] = {}
+    if isinstance(finding, Chipping):
+        parts["chip"] = finding.chips
+    if isinstance(finding, Coplanarity):
+        parts["bump"] = finding.bumps
+    for kind, found in parts.items():
+        for k, part in enumerate(found, 1):
+            at = [f"{part.place.x_um:.2f}", f"{part.place.y_um:.2f}"]
+            numbers = (n for name in part.__struct_fields__ if (n := _number(part, name)))
+            yield from ((replace(n, name=f"{kind} {k} {n.name}"), at) for n in numbers)
+
+
+def _number(finding: AnyFinding | Chip | Bump, name: str) -> Number | None:
     match getattr(finding, name):
         case Length() as length:
             return _of_quantity(name, length.quantity)
