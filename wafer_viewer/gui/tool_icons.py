@@ -38,7 +38,7 @@ ICONS: dict[ToolName, Any] = {
     "circle": viser.Icon.CIRCLE_DASHED,
     "chipping": viser.Icon.PUZZLE,
     "coplanarity": viser.Icon.LAYOUT_ALIGN_BOTTOM,
-    "site_range": viser.Icon.GRID_3X3,
+    "site_range": viser.Icon.GRID_PATTERN,
     "flatness": viser.Icon.LAYERS_SUBTRACT,
     "texture": viser.Icon.GRAIN,
     "roughness": viser.Icon.WAVE_SAW_TOOL,
