@@ -170,3 +170,13 @@ def earlier(like: GaugeCheck, n: int) -> list[GaugeRecord]:
         check = replace(like, deviation=deviation, verdict=verdict, signed_by="K. Adler", at=at.isoformat())
         records.append(GaugeRecord(check=check, rig="Virtual rig"))
     return records
+
+
+def a_study() -> str:
+    """Ten parts, three people, three trials each, as CSV: um, made up."""
+    rng = np.random.default_rng(7)
+    lines = ["part,appraiser,value"]
+    for part in range(10):
+        for appraiser, bias in (("A", 0.0), ("B", 0.03), ("C", -0.02)):
+            lines += [f"{part + 1},{appraiser},{12 + 0.35 * part + bias + rng.normal(0, 0.06):.3f}" for _ in range(3)]
+    return "\n".join(lines) + "\n"

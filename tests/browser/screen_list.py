@@ -6,6 +6,7 @@ A new panel adds a line to `SCREENS`. Sessions here stand still; the tour on the
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,7 +18,7 @@ from tests.browser import operator_session as operator
 from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.gauge_blocks import certificate
-from tests.browser.gauge_session import TERMS, GaugeSession, checked
+from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
@@ -169,6 +170,21 @@ def gauge(state: Callable[[], GaugeState], *then: Act) -> Screen:
     return Screen(lambda: GaugeSession(state()), "gauge", then=(see_blocks, *then))
 
 
+def study() -> tuple[Act, ...]:
+    """Read a study of the gauge, made up, and bring what it comes to into sight."""
+
+    def read(page: Page) -> None:
+        with tempfile.NamedTemporaryFile("w", suffix=".csv", delete=False) as file:
+            file.write(a_study())
+        page.get_by_role("button", name="Gauge R&R study…").click()
+        page.locator(".mantine-Modal-content input").first.fill(file.name)
+        page.wait_for_timeout(300)
+        page.get_by_role("button", name="Read the study").click()
+        page.wait_for_timeout(1500)
+
+    return read, bring_into_sight("Repeatability and reproducibility")
+
+
 def see_blocks(page: Page) -> None:
     """Wait for the figure in the scene."""
     page.locator(".wv-gauge-glass").wait_for()
@@ -224,6 +240,7 @@ SCREENS: dict[str, Screen] = {
     "radius": measuring(press("r")),
     "volume": measuring(press("v")),
     "texture": measuring(press("Shift+T")),
+    "sites": measuring(press("Shift+Z"), lambda page: page.wait_for_timeout(3000)),
     "roughness": measuring(press("Shift+J")),
     "results": measuring(*kept("k"), *kept("m"), *kept("r"), *kept("v"), *kept("b"), fly_to_result(3)),
     "levelled": measuring(*kept("x"), press("Shift+F"), read_from("Region")),
@@ -234,6 +251,7 @@ SCREENS: dict[str, Screen] = {
     "gauge-record": gauge(checked, click("tr[data-pick=gauge-record]:nth-child(6)")),
     "gauge-sign": gauge(checked, click("[data-dock-region=right] button:has-text('Sign and save')")),
     "gauge-certificate": gauge(GaugeState, click("[data-dock-region=right] button:has-text('Load the certificate')")),
+    "gauge-study": gauge(checked, *study()),
     "gauge-empty": Screen(lambda: GaugeSession(with_surface=False), "gauge"),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),

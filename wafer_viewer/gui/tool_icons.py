@@ -76,7 +76,7 @@ TOOL_KEYS: dict[ToolName, tuple[str, str | None]] = {
     "circle": ("Y", "shift"),
     "chipping": ("X", "shift"),
     "coplanarity": ("Q", "shift"),
-    "site_range": ("U", "shift"),
+    "site_range": ("Z", "shift"),
     "flatness": ("F", "shift"),
     "texture": ("T", "shift"),
     "roughness": ("J", "shift"),
