@@ -151,6 +151,27 @@ def test_an_engineer_adds_corners_and_a_feature_and_releases(serve: Callable[...
     assert (session.snapshot.draft.job.product, session.snapshot.draft.job.revision) == ("coupon", "A")
 
 
+def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_wafers(serve: Callable[..., Page]):
+    planned = dataclasses.replace(fake.measured(), draft=day.tried().draft, operating=day.tried().operating)
+    session = day.OperatorSession(planned)
+    page = serve(session)
+    page.get_by_text("For operators").click()
+    expect(page.get_by_text("1 of 4 verdicts changes")).to_be_visible()
+    press(page, "Feature…")
+    page.get_by_role("dialog").get_by_label("Measured as").click()
+    page.get_by_role("option").nth(1).click()
+    page.get_by_role("dialog").get_by_label("Quantity").click()
+    expect(page.get_by_role("option", name="the main one")).to_be_visible()
+    page.keyboard.press("Escape")
+    set_numbers(page, "Limits, µm", 1, 90)
+    press(page, "Keep")
+    eventually(lambda: len(session.snapshot.draft.job.features) == 3, "the feature is kept")
+    assert session.snapshot.draft.job.features[-1].places
+    press(page, "Try on stored wafers…")
+    press(page, "Try it")
+    eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
+
+
 def test_everything_of_a_released_job_can_be_seen_and_nothing_changed(serve: Callable[..., Page]):
     page = serve(day.OperatorSession(day.aligned()))
     page.get_by_role("button", name="Show everything").click()

@@ -10,6 +10,7 @@ import sys
 
 import pytest
 
+from tests.measure.gauge_repeats import signed
 from tests.session.judged_datasets import RESULT, STEP, judged_dataset, released_job
 from wafer_viewer.__main__ import main
 from wafer_viewer.measure.tools import measured
@@ -32,6 +33,9 @@ KINDS = (
     ("texture", (FACE,)),
     ("volume", (FACE,)),
     ("distance", (Region.point(-40, 0), Region.point(40, 0))),
+    ("roughness", (Region.line(-50, 5, -5, 5),)),
+    ("angle", STEP.places),
+    ("point", (Region.point(-30, 0),)),
 )
 DIES = Dies(
     width_um=50, height_um=28, listed=(Die(name="0,0", x_um=-55, y_um=-30), Die(name="0,<1>", x_um=-55, y_um=2))
@@ -101,7 +105,8 @@ def test_the_verdict_shows_every_die_with_its_word(report):
 
 
 def test_a_profile_is_drawn_as_a_curve_with_axes(report):
-    (figure,) = section(report, "Profiles").figures
+    figure, rough = section(report, "Profiles").figures
+    assert rough.caption.startswith("7 · roughness 7")
     assert figure.caption.startswith("2 · profile 2: 12.")
     assert "Distance along the line, µm" in figure.svg
     assert len(re.findall(r"[\d.]+ [\d.]+", figure.svg)) > 150
@@ -146,3 +151,22 @@ def test_heights_over_a_levelled_zero_are_cut_again_from_it(dataset):
     result.save_findings(before)
     assert "levelled by region" in figure.caption
     assert ">\u221212<" in figure.svg or ">\u221210<" in figure.svg, "the other face lies below this zero"
+
+
+def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decided_so(dataset):
+    checked = replace(signed("2026-03-02", 400.1, 400.05), number=7, name="Blocks")
+    result = Dataset.open(dataset).result(RESULT)
+    before = result.findings()
+    result.save_findings(Findings(items=(checked,)))
+    report = report_of(dataset, RESULT, ReportOrder(parts=("results", "gauge")))
+    result.save_findings(before)
+    told = section(report, "Gauge checks")
+    (row,) = told.table.rows
+    assert row[0] == "7"
+    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00." in told.sentences[0]
+    assert checked.why.replace(" um", "\u202fµm") in told.sentences[0]
+    assert row[-1] == checked.verdict.upper()
+    (sheet,) = section(report, "Results").sheets
+    assert dict(sheet.pairs)["Repeats"] == "2"
+    assert float(dict(sheet.pairs)["En"]) == pytest.approx(checked.en, abs=0.001)
+    assert checked.not_evaluated == sheet.missing

@@ -148,18 +148,23 @@ def _surface(material: Material, show: int) -> Mosaic | None:
 
 def gauge(material: Material) -> Section:
     """The checks against gauge blocks among the results."""
-    rows = tuple(_gauge_row(check) for check in material.gauge_checks)
-    why = tuple(
-        f"{check.number}: {check.why}".replace(" um", "\u202fµm") for check in material.gauge_checks if check.why
-    )
-    table = Table(GAUGE_HEADS, rows, "n nnnnnn")
-    return Section(PART_TITLES["gauge"], table=table, sentences=why, empty="No gauge-block check was kept.")
+    checks = material.gauge_checks
+    table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
+    told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
+    return Section(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
 
 
 def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
-    paper, limit_um = check.certificate, check.terms.limit_um
-    blocks = f"{paper.number}, {paper.laboratory}, blocks {', '.join(paper.serials)}, until {paper.expires}"
-    signed = f" · signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
+    limit_um = check.terms.limit_um
     heights = (quantity_text(length.quantity) for length in (check.height, check.reference, check.deviation))
     limit = f"±{number(limit_um, 3)}\u202fµm" if limit_um is not None else "none"
-    return (f"{check.number}", f"{blocks}{signed}", f"{check.n}", *heights, number(check.en, 2), limit, check.verdict)
+    word = check.verdict.upper()
+    return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
+
+
+def _of_check(check: GaugeCheck) -> str:
+    """What stands behind a row: the certificate, who signed, why the word is what it is."""
+    paper = check.certificate
+    blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
+    signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
+    return f"{check.number}: {check.why} {blocks}{signed}."
