@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wafer_viewer.draw.groove_svg import groove_svg
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging, whole
@@ -22,7 +23,7 @@ def step(finding: StepHeight) -> str:
 
 
 def groove(finding: StepProfile) -> str:
-    """Its width, its zones along the line, and how the height is defined."""
+    """Its picture, its width, its zones along the line, and how the height is defined."""
     width = [("Width", whole(finding.width.quantity))] if finding.width is not None else []
     zones = [(f"Zone {name}", f"{number(start, 1)} – {number(end, 1)}") for name, start, end in finding.zones]
     pairs = [
@@ -34,7 +35,7 @@ def groove(finding: StepProfile) -> str:
         ("Samples", number(finding.points, 0)),
         ("Measured", share(finding.measured_fraction)),
     ]
-    return html.pairs(pairs) + _small(finding.definition)
+    return groove_svg(finding) + html.pairs(pairs) + _small(finding.definition)
 
 
 def not_evaluated(finding: AnyFinding) -> str:

@@ -39,6 +39,8 @@ USUAL, FALSE = 0.9, 3.0
 ROUNDING_UM = 1e-4
 LEAST_MEASURED = 0.5
 """Of a zone."""
+DRAWN = 240
+"""Points of the curve that a result keeps, at most."""
 STANDS_OUT = 6.0
 """A jump has to be so many times its noise, since the largest of very many is taken."""
 GROOVE = "ISO 5436-1: z = a x + b + h delta, delta +1 in the zones A and B and -1 in C; the depth is 2 h."
@@ -124,6 +126,7 @@ def step_profile(
         width=None if shape == "step" else reading.length(plan.edges_um[1] - plan.edges_um[0], None),
         edges_um=plan.edges_um,
         zones=tuple((zone.name, zone.start_um, zone.end_um) for zone in plan.zones),
+        curve=_drawn(measured),
         sq_um=float(np.sqrt(np.mean(fitted.left_um**2))),
         points=len(fitted.left_um),
         measured_fraction=section.measured_fraction,
@@ -186,6 +189,15 @@ def _trusted(curve: ProfileCurve) -> ProfileCurve:
     off_um = np.abs(curve.z_um - smooth(curve.z_um))
     kept = off_um <= max(FALSE * float(np.quantile(off_um, USUAL)), ROUNDING_UM)
     return _some(curve, kept)
+
+
+def _drawn(curve: ProfileCurve) -> tuple[tuple[float, float], ...]:
+    """Every point, or means of as many neighbours as leave few enough."""
+    step = -(-len(curve.z_um) // DRAWN)
+    starts = np.arange(0, len(curve.z_um), step)
+    count = np.diff(np.append(starts, len(curve.z_um)))
+    at_um, z_um = (np.add.reduceat(column, starts) / count for column in (curve.distance_um, curve.z_um))
+    return tuple(zip(np.round(at_um, 3).tolist(), np.round(z_um, 4).tolist(), strict=True))
 
 
 def _some(curve: ProfileCurve, which: NDArray[np.bool_]) -> ProfileCurve:

@@ -51,7 +51,8 @@ class StepProfile(Finding, frozen=True, kw_only=True, tag="step_profile"):
     """A groove, a ridge or a single step that a line crosses, by ISO 5436-1: z = a x + b + h delta.
 
     height: depth of a groove or height of a ridge, positive; of a step, what lies beyond its edge over what lies before
-    it. edges_um: where along the line its edges were found; zones: names with their ends along the line, in um.
+    it. edges_um: where along the line its edges were found; zones: names with their ends along the line, in um; curve:
+    the profile in a few hundred points, distance and height in um.
     """
 
     line: Region
@@ -62,6 +63,7 @@ class StepProfile(Finding, frozen=True, kw_only=True, tag="step_profile"):
     width: Length | None = None
     edges_um: tuple[float, ...]
     zones: tuple[tuple[str, float, float], ...]
+    curve: tuple[tuple[float, float], ...] = ()
     sq_um: NonNegative
     points: int
     measured_fraction: NonNegative
