@@ -22,7 +22,9 @@ from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.finding_numbers import numbers_of
 from wafer_viewer.session.reporting import make_report, report_of
+from wafer_viewer.store import digests
 from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.digests import digests_of_result
 from wafer_viewer.store.report import report_html
 
 FACE = Region.rectangle(-50, -30, -10, 30)
@@ -123,6 +125,16 @@ def test_data_is_told_by_checksums_that_change_with_it(report, dataset, tmp_path
         journal.write(b'{"type":"fault","what":"a knock","time":"2026-03-01T10:00:00"}\n')
     again = section(report_of(other, RESULT, ReportOrder()), PART_TITLES["checksums"]).table.rows
     assert [row[0] for row in again if row[2] != rows[row[0]]] == ["Frames"]
+
+
+def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkeypatch):
+    result = Dataset.open(dataset).result(RESULT)
+    whole = {digest.what: digest.sha256 for digest in digests_of_result(result)}
+    monkeypatch.setattr(digests, "MOST_BYTES", 10_000)
+    large = {digest.what: digest for digest in digests_of_result(result)}
+    assert "names and sizes alone, for they are" in large["Surface"].of
+    assert large["Surface"].sha256 != whole["Surface"]
+    assert large["Verdict"].sha256 == whole["Verdict"]
 
 
 def test_the_same_data_makes_the_same_report_in_another_folder_process_and_time_zone(dataset, tmp_path):

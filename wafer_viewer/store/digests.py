@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.store.files import natural
+from wafer_viewer.store.files import natural, size
 from wafer_viewer.store.record import JOURNAL
-from wafer_viewer.store.result import FINDINGS, MOSAIC, POSES, Result
+from wafer_viewer.store.result import FINDINGS, MOSAIC, POSES, SURFACES, Result
 
 SCAN, VERDICT, NOTEBOOK = "scan.json", "verdict.json", "notebook.json"
 HELD = "the frames themselves are held against the journal's crc32 of each by wafer-viewer check"
 PIECE = 1 << 20
+MOST_BYTES = 20e9
+"""Of larger sets of files names and sizes alone are hashed: a report is not to take minutes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,24 +32,40 @@ def digests_of_scan(dataset: Path) -> tuple[Digest, ...]:
 
 
 def digests_of_result(result: Result) -> tuple[Digest, ...]:
-    """Of the stitched surface, and of what was measured and thought of it; what is not there is left out."""
-    surface = sorted((p for p in result.mosaic_path.rglob("*") if p.is_file()), key=lambda p: natural(str(p)))
-    surface += [path for name in (POSES,) if (path := result.path / name).exists()]
-    found = (
-        [_digest("Surface", f"{MOSAIC} and {POSES} of result {result.name}", result.path, surface)] if surface else []
+    """Of the surfaces, and of what was measured and thought of them; what is not there is left out."""
+    path, of_result = result.path, f"of result {result.name}"
+    sets = (
+        ("Fields", f"{SURFACES} {of_result}", [path / SURFACES]),
+        ("Surface", f"{MOSAIC} and {POSES} {of_result}", [path / MOSAIC, path / POSES]),
+        ("Results", FINDINGS, [path / FINDINGS]),
+        ("Verdict", VERDICT, [path / VERDICT]),
+        ("Judgements", NOTEBOOK, [path / NOTEBOOK]),
     )
-    for what, name in (("Results", FINDINGS), ("Verdict", VERDICT), ("Judgements", NOTEBOOK)):
-        if (path := result.path / name).exists():
-            found.append(_digest(what, name, result.path, [path]))
-    return tuple(found)
+    found = ((what, of, [file for place in places for file in _files(place)]) for what, of, places in sets)
+    return tuple(_digest(what, of, path, files) for what, of, files in found if files)
 
 
-def _digest(what: str, of: str, folder: Path, files: Iterable[Path]) -> Digest:
-    """Over names and contents, in order."""
+def _files(place: Path) -> list[Path]:
+    """A file, or all in a folder, in the order of their names."""
+    if place.is_dir():
+        return sorted((path for path in place.rglob("*") if path.is_file()), key=lambda path: natural(str(path)))
+    return [place] if place.exists() else []
+
+
+def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
+    """Over names, sizes and contents, in order."""
+    sizes = [path.stat().st_size for path in files]
+    too_large = sum(sizes) > MOST_BYTES
     digest = hashlib.sha256()
-    for path in files:
-        digest.update(f"{path.relative_to(folder).as_posix()}\n{path.stat().st_size}\n".encode())
-        with path.open("rb") as file:
-            while piece := file.read(PIECE):
-                digest.update(piece)
-    return Digest(what, of, digest.hexdigest())
+    for path, n_bytes in zip(files, sizes, strict=True):
+        digest.update(f"{path.relative_to(folder).as_posix()}\n{n_bytes}\n".encode())
+        if not too_large:
+            _add(digest, path)
+    told = f"{of}; names and sizes alone, for they are {size(sum(sizes))}" if too_large else of
+    return Digest(what, told, digest.hexdigest())
+
+
+def _add(digest: hashlib._Hash, path: Path) -> None:
+    with path.open("rb") as file:
+        while piece := file.read(PIECE):
+            digest.update(piece)
