@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from concurrent.futures import Future
 from types import SimpleNamespace
 from typing import Any
@@ -36,9 +37,10 @@ CALIBRATION = Calibration(
 class MeasuringSession(FakeSession):
     """A die over streets with a dome and a groove in it and a bevel at the right, all of it tilted; one field."""
 
-    def __init__(self) -> None:
+    def __init__(self, made: Callable[[], HeightMap] | None = None) -> None:
         job, plan = job_and_plan(grid(1, 1))
-        self.shelf = MemoryShelf({0: a_die(), 1: a_die()})
+        whole = (made or a_die)()
+        self.shelf = MemoryShelf({0: whole, 1: whole})
         super().__init__(snapshot_of(self.shelf.surfaces[0], plan, job))
         self._painter = StandIn(self.shelf)
         self.paint = self._painter.paint

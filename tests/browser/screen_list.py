@@ -22,6 +22,7 @@ from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
+from tests.browser.shaped_session import ShapedSession
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
@@ -144,6 +145,11 @@ def measuring(*then: Act) -> Screen:
     return Screen(MeasuringSession, "measure", seen=True, then=then)
 
 
+def shaping(*then: Act) -> Screen:
+    """Dies with bumps, measured on the picture and in the heights."""
+    return Screen(ShapedSession, "measure", {"all_in_focus": 0.6}, seen=True, then=then)
+
+
 def kept(key: str) -> tuple[Act, ...]:
     """Measure with the tool of a key and keep what comes."""
     keep = "[data-dock-region=right] button:has-text('Keep result'):not([data-disabled])"
@@ -239,6 +245,12 @@ SCREENS: dict[str, Screen] = {
     "angle": measuring(press("b")),
     "radius": measuring(press("r")),
     "volume": measuring(press("v")),
+    "die": shaping(press("Shift+W")),
+    "kerf": shaping(press("Shift+U")),
+    "chipping": shaping(press("Shift+X")),
+    "circle": shaping(press("Shift+Y")),
+    "coplanarity": shaping(press("Shift+Q")),
+    "shapes-kept": shaping(*kept("Shift+W"), *kept("Shift+U"), *kept("Shift+X"), *kept("Shift+Y"), press("Escape")),
     "texture": measuring(press("Shift+T")),
     "sites": measuring(press("Shift+Z"), lambda page: page.wait_for_timeout(3000)),
     "roughness": measuring(press("Shift+J")),

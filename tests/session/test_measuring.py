@@ -29,7 +29,11 @@ PLACES = {
     "volume": (Region.rectangle(3, -17, 37, 17),),
     "flatness": (LEFT,),
     "texture": (LEFT,),
+    "roughness": (Region.line(-40, -20, -10, -20),),
+    "site_range": (Region.rectangle(-40, -30, -5, 30),),
 }
+SHAPES = {"kerf", "die", "circle", "chipping", "coplanarity"}
+"""These want a picture or bumps; `tests/measure/test_shapes.py` and `test_coplanarity.py` have some."""
 PLANE = Levelling(by="plane")
 
 
@@ -66,10 +70,10 @@ def measuring(shown):
 
 
 def test_every_tool_has_a_measurement_and_places_to_be_tried_at():
-    assert set(MEASUREMENTS) == set(TOOLS) == set(PLACES)
+    assert set(MEASUREMENTS) == set(TOOLS) == set(PLACES) | SHAPES
 
 
-@pytest.mark.parametrize("tool", TOOLS)
+@pytest.mark.parametrize("tool", PLACES)
 def test_every_tool_measures_on_what_is_shown(measuring, tool):
     found = measuring.measure(tool, PLACES[tool], show=3, levelling=PLANE)
     assert (found.show, found.levelling, found.simulated, found.number) == (3, PLANE, True, 0)

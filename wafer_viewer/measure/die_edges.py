@@ -118,7 +118,7 @@ def _share(length: int, low: float, high: float) -> slice:
 def _first(side: Strip, name: Side, sign: Sign, scores: Scores, others: Scores) -> Found:
     """The outermost edge that is about as strong as the strongest: what is printed on a die lies further in."""
     place, where = scores.first(OUTERMOST), f"on the {name} side of the region"
-    if not scores.stands_out(place):
+    if not scores.stands_out(place, only_before=True):
         raise no_edge(where)
     outside = float(others.best[: max(0, place - BESIDE_PX)].max(initial=0.0)) / float(scores.best[place])
     if outside > AS_STRONG:

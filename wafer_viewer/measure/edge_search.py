@@ -69,13 +69,17 @@ class Scores:
         low, high = self._extent(place)
         return max(float(part.max(initial=0.0)) for part in (self.best[after:low], self.best[high:up_to]))
 
-    def stands_out(self, place: int) -> bool:
-        """Whether an edge is seen all along, and is more than the noise of places well apart from it."""
+    def stands_out(self, place: int, only_before: bool = False) -> bool:
+        """Whether an edge is seen all along, and is more than the noise of places well apart from it.
+
+        only_before: of those that come before it, where what comes behind is printed.
+        """
         if not self._all_along(place):
             return False
         low, high = self._extent(place)
         wide = high - low
-        rest = np.concatenate([self.best[: max(0, low - wide)], self.best[high + wide :]])
+        behind = self.best[:0] if only_before else self.best[high + wide :]
+        rest = np.concatenate([self.best[: max(0, low - wide)], behind])
         if len(rest) < LEAST_REST:
             return bool(self.best[place] > LEAST_STEEP)
         middle = float(np.median(rest))
