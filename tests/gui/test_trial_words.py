@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
+
 from tests.gui.test_operator_words import words
 from tests.session.conftest import small_job
 from wafer_viewer.draw.die_map import die_map_svg
+from wafer_viewer.gui.dies_dialog import lattice_of, on_the_die_it_is_on, within_fields
 from wafer_viewer.gui.job_dialogs import trial_is_old
 from wafer_viewer.gui.kept_features import kept_features
 from wafer_viewer.gui.trial_words import MOST_CHANGES, before_release, trial
 from wafer_viewer.gui.verdict_words import dies, features
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.feature import Dies
+from wafer_viewer.model.plan import FieldGrid
 from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.verdict import JudgedDie
@@ -104,3 +111,20 @@ def test_a_result_that_was_kept_can_be_a_feature():
     assert len(steps[0].places) == 2
     assert steps[0].unit("") == "um"
     assert "height" in steps[0].quantities
+
+
+def test_the_dies_that_the_fields_show_whole_are_kept_and_a_place_is_counted_from_its_die():
+    grid = FieldGrid(rows=1, cols=2, field_width_um=100, field_height_um=100, overlap_x_fraction=0, x0_um=50, y0_um=50)
+    job = replace(small_job(), grid=grid)
+    lattice = Dies(width_um=40, height_um=40, rows=3, cols=5, pitch_x_um=45, pitch_y_um=45, x0_um=5, y0_um=5)
+    seen = within_fields(lattice, job)
+    assert [die.name for die in seen.listed] == ["0,0", "1,0", "2,0", "3,0", "0,1", "1,1", "2,1", "3,1"]
+    assert lattice_of(seen).cols == 4
+    assert lattice_of(lattice) == lattice
+    place = Region.rectangle(60, 10, 80, 20)
+    (counted,) = on_the_die_it_is_on((place,), seen)
+    assert counted == Region.rectangle(10, 5, 30, 15)
+    with pytest.raises(PlanError, match="lie on no die"):
+        on_the_die_it_is_on((Region.point(300, 300),), seen)
+    with pytest.raises(PlanError, match="No die of this lattice"):
+        within_fields(replace(lattice, x0_um=900.0), job)

@@ -8,13 +8,15 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.dies_dialog import on_the_die_it_is_on
+from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import edit, required_job
 from wafer_viewer.gui.kept_features import KeptFeature, kept_features
 from wafer_viewer.gui.kit import Cell, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import RULES
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Feature
+from wafer_viewer.model.feature import Feature, on_die
 from wafer_viewer.model.measuring import TOOLS, ToolName
 from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.quantities import Unit
@@ -22,6 +24,7 @@ from wafer_viewer.model.region import Region
 
 AS_BEFORE, BY_HAND = "as before", "as typed below"
 MAIN = "the main one"
+STAYS = "The feature stays"
 BOTH, UPPER_ALONE, LOWER_ALONE = "both limits", "the upper one alone", "the lower one alone"
 HOW = "A step height as typed below, or any result kept on the surface on show; and when a wafer is good by it."
 
@@ -41,13 +44,16 @@ class FeatureDialog:
         self._unit: Unit = old.unit if old else "um"
         self._places: tuple[Region, ...] = old.places if old else ()
         self._options: ToolOptions | None = old.options if old else None
+        self._was_per_die = old.per_die if old else False
+        self._dies = required_job(page).dies
         self._kept = kept_features(page.session.snapshot)
         dialog = Dialog(page, "Feature", HOW)
         with dialog.modal:
             self._ask_what()
             self._ask_limits()
+            self._ask_where()
         self._tell()
-        dialog.answers("Keep", viser.Icon.CHECK, self._keep, "The feature stays")
+        dialog.answers("Keep", viser.Icon.CHECK, self._keep, STAYS)
 
     def _ask_what(self) -> None:
         gui, old = self._page.gui, self._old
@@ -55,10 +61,8 @@ class FeatureDialog:
         self._source = gui.add_dropdown("Measured as", (AS_BEFORE if old else BY_HAND, *self._kept))
         self._quantity = gui.add_dropdown("Quantity", ((old.quantity if old else "") or MAIN,))
         self._what = Cell(gui)
-        self._upper = _corners(gui, "Upper", self._places[:1])
-        self._lower = _corners(gui, "Lower", self._places[1:2])
-        self._source.on_update(lambda _: self._take())
-        self._quantity.on_update(lambda _: self._take_quantity())
+        self._source.on_update(guarded(self._page, STAYS)(lambda _: self._take()))
+        self._quantity.on_update(guarded(self._page, STAYS)(lambda _: self._take_quantity()))
 
     def _ask_limits(self) -> None:
         gui, old = self._page.gui, self._old
@@ -69,6 +73,13 @@ class FeatureDialog:
         self._sides = gui.add_dropdown("Judged by", (BOTH, UPPER_ALONE, LOWER_ALONE), initial_value=judged_by)
         rule = RULES[old.decision_rule if old else "guard_band"]
         self._rule = gui.add_dropdown("Rule", tuple(RULES.values()), initial_value=rule)
+
+    def _ask_where(self) -> None:
+        """Last: the lists above open over these rows, and not over the buttons."""
+        gui = self._page.gui
+        self._upper = _corners(gui, "Upper", self._places[:1])
+        self._lower = _corners(gui, "Lower", self._places[1:2])
+        self._every = gui.add_checkbox("On every die", self._was_per_die, disabled=self._dies is None)
 
     def _take(self) -> None:
         """A kept result was chosen: its tool, its places, its quantities."""
@@ -92,8 +103,7 @@ class FeatureDialog:
         """What is measured, in a line; regions can be typed of steps alone."""
         for handle in (*self._upper, *self._lower):
             set_prop(handle, "visible", self._tool == "step")
-        on_dies = ", on every die" if self._old is not None and self._old.per_die else ""
-        words = f"{TOOLS[self._tool].title}{on_dies}; its limits are in {self._unit}."
+        words = f"{TOOLS[self._tool].title}; its limits are in {self._unit}."
         self._what.show(f'<div class="wv-lab">{html.safe(html.micro(words))}</div>')
 
     def _chosen(self) -> KeptFeature | None:
@@ -111,9 +121,7 @@ class FeatureDialog:
 
     def _made(self, unnamed: str) -> Feature:
         """The feature as it stands there. Raises PlanError where it cannot be."""
-        places = tuple(_region(h) for h in (self._upper, self._lower)) if self._tool == "step" else self._places
-        if not places:
-            raise PlanError("The feature has no place: choose a result that was kept.")
+        places = self._asked_places()
         low, high = self._limits.value
         return Feature(
             name=self._name.value.strip() or unnamed,
@@ -124,10 +132,22 @@ class FeatureDialog:
             lower_limit=None if self._sides.value == UPPER_ALONE else low,
             upper_limit=None if self._sides.value == LOWER_ALONE else high,
             decision_rule=next(key for key, title in RULES.items() if title == self._rule.value),
-            per_die=self._old.per_die if self._old else False,
+            per_die=self._every.value,
             places=places,
             options=self._options,
         )
+
+    def _asked_places(self) -> tuple[Region, ...]:
+        """Where it is measured: on the wafer, or counted from the corner of a die; what was so already stays so."""
+        places = tuple(_region(h) for h in (self._upper, self._lower)) if self._tool == "step" else self._places
+        if not places:
+            raise PlanError("The feature has no place: choose a result that was kept.")
+        counted = self._was_per_die and self._chosen() is None
+        if self._dies is None or self._every.value == counted:
+            return places
+        if counted:
+            return tuple(on_die(place, self._dies.all()[0]) for place in places)
+        return on_the_die_it_is_on(places, self._dies)
 
 
 def _corners(gui: Any, name: str, places: tuple[Region, ...]) -> tuple[Any, Any]:

@@ -28,6 +28,7 @@ HANDS_ON = frozenset(
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         "Try on stored wafers…",
+        "Dies…",
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
         *("Accepted", "Rejected", "Note", "Save view", "Move there"),
         *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),

@@ -8,6 +8,7 @@ import viser
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
+from wafer_viewer.gui.dies_dialog import dies_dialog
 from wafer_viewer.gui.feature_dialog import feature_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import (
@@ -24,7 +25,7 @@ from wafer_viewer.gui.review_items import spoken
 from wafer_viewer.gui.trial_words import trial
 from wafer_viewer.gui.verdict_words import RULES, limits
 from wafer_viewer.model.alignment import Marks
-from wafer_viewer.model.feature import Feature
+from wafer_viewer.model.feature import Dies, Feature
 from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.state import Snapshot
@@ -47,7 +48,8 @@ class ReleaseSection:
             in_a_row(gui, self._buttons, 34)
             self._tried = Cell(gui)
             self._try = self._button("Try on stored wafers…", viser.Icon.HISTORY, trial_dialog)
-            in_a_row(gui, [self._try], 34)
+            self._dies = self._button("Dies…", viser.Icon.GRID_DOTS, dies_dialog)
+            in_a_row(gui, [self._dies, self._try], 34)
             self._copy = self._button("Copy to a new plan", viser.Icon.COPY, self._to_copy)
             in_a_row(gui, [self._copy], 34)
         page.on_pick("feature", lambda key: feature_dialog(page, int(key)))
@@ -59,9 +61,9 @@ class ReleaseSection:
         set_prop(self._folder, "visible", job is not None)
         if job is None:
             return
-        self._words.show(_corners(job.marks) + _features(job))
+        self._words.show(_corners(job.marks) + _dies(job.dies) + _features(job))
         self._tried.show(trial(snapshot.operating.trial, snapshot.operating.trying, trial_is_old(snapshot)))
-        for handle in (*self._buttons, self._try):
+        for handle in (*self._buttons, self._dies, self._try):
             set_prop(handle, "visible", not job.released)
         set_prop(self._copy, "visible", job.released)
 
@@ -82,6 +84,14 @@ def _corners(marks: Marks | None) -> str:
     rows = [html.row([html.safe(m.name), number(m.x_um, 1), number(m.y_um, 1)], " nn") for m in marks.places]
     head = html.head("Alignment", f"residual at most {number(marks.limit_um, 1)} µm")
     return head + html.table(["Corner, wafer µm", "x", "y"], rows, " nn")
+
+
+def _dies(dies: Dies | None) -> str:
+    """How many there are, and how large; nothing where no feature can be repeated over any."""
+    if dies is None:
+        return ""
+    told = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"
+    return html.head("Dies", told)
 
 
 def _features(job: Job) -> str:
