@@ -35,13 +35,16 @@ class Faces:
 
     @property
     def joint_um(self) -> Floats:
-        """Half-way between the borders that the regions turn to each other, on the line between their middles."""
+        """Half-way between the borders that the regions turn to each other, on the line between their middles.
+
+        Where regions of both faces alternate there is no such place: then half-way between their middles.
+        """
         start, way = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
         length = float(np.hypot(*way))
         along = way / length if length > 0 else way
         last_low = float(_along(self.low, start, along).max())
         first_high = float(_along(self.high, start, along).min())
-        return start + along * (last_low + first_high) / 2
+        return start + along * ((last_low + first_high if last_low <= first_high else length) / 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

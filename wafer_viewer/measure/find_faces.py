@@ -55,7 +55,7 @@ Mask = NDArray[np.bool_]
 Place = NDArray[np.float64]
 
 
-class Faces(NamedTuple):
+class FoundFaces(NamedTuple):
     """A square on the upper face and one on the lower, and what to say of them."""
 
     upper: Region
@@ -84,7 +84,7 @@ class Plane(NamedTuple):
     band_um: float
 
 
-def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None = None) -> Faces:
+def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None = None) -> FoundFaces:
     """A square of `size_px` pixels on each of the two parallel faces of a surface, the higher one first.
 
     Squares are made smaller, with a note, where a face is too small for them. Raises MeasureError when there are not
@@ -105,7 +105,7 @@ def find_faces(surface: Mosaic, *, size_px: float = SIZE_PX, layer: Layer | None
         )
     side_um = side_px * surface.pixel_um
     at_upper, at_lower = _nearest_pair(seen, above_um >= side_um / 2, below_um >= side_um / 2)
-    return Faces(_square(at_upper, side_um), _square(at_lower, side_um), _note(side_px, size_px))
+    return FoundFaces(_square(at_upper, side_um), _square(at_lower, side_um), _note(side_px, size_px))
 
 
 def _seen(surface: Mosaic, layer: Layer) -> Seen:
