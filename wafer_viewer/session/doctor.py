@@ -14,7 +14,7 @@ from pathlib import Path
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.rigs.config import RigConfig, open_rig
 
-PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "trimesh", "serial")
+PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
 OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}
 """What `import open3d` needs on Linux, by library and by Debian's package."""
 ROOM_BYTES = 5e9
