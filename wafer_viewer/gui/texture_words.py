@@ -15,6 +15,35 @@ COLUMNS = 3
 FIGURES, MOST_DECIMALS = 3, 4
 """Heights of a texture are small: three figures of them, and no more decimals than that."""
 
+MEANINGS = {
+    "Sa": "Arithmetical mean height",
+    "Sq": "Root mean square height",
+    "Sz": "Highest peak over lowest pit",
+    "Sp": "Highest peak over the mean",
+    "Sv": "Lowest pit under the mean",
+    "Ssk": "Skewness: over 0 peaks, under 0 valleys prevail",
+    "Sku": "Kurtosis: 3 for normal heights",
+    "Sdq": "Root mean square slope",
+    "Sdr": "How much larger the surface is than its projection",
+    "Sk": "Height of the core",
+    "Spk": "Reduced height of the peaks over the core",
+    "Svk": "Reduced depth of the valleys under the core",
+    "Smr1": "Material ratio where peaks end",
+    "Smr2": "Material ratio where valleys begin",
+    "Sal": "Shortest way to where heights are no longer alike",
+    "Str": "Near 1 the same to all sides, near 0 with a lay",
+    "Std": "Across the lay, counter-clockwise from x",
+    "Ra": "Arithmetical mean height of the whole evaluation length",
+    "Rq": "Root mean square height of the whole evaluation length",
+    "Rt": "Highest over lowest of the whole evaluation length",
+    "Rsk": "Skewness: over 0 peaks, under 0 valleys prevail",
+    "Rku": "Kurtosis: 3 for normal heights",
+    "Rz": "Highest over lowest, mean of the sections",
+    "Rp": "Highest peak, mean of the sections",
+    "Rv": "Lowest pit, mean of the sections",
+}
+"""What each is, shown where the pointer rests."""
+
 
 def texture(finding: Texture) -> str:
     """All parameters, a row or two a family, and how much was measured."""
@@ -60,7 +89,8 @@ def _padded(cells: Cells) -> list[str]:
 
 
 def _cell(name: str, value: str) -> str:
-    return f'<span class="wv-lab">{html.safe(name)}</span> <b style="font-weight:550">{html.safe(value)}</b>'
+    shown = f'<span class="wv-lab">{html.safe(name)}</span> <b style="font-weight:550">{html.safe(value)}</b>'
+    return f'<span title="{html.safe(MEANINGS.get(name, ""))}">{shown}</span>'
 
 
 def _measured(finding: Texture | Roughness) -> str:

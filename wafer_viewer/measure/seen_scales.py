@@ -64,5 +64,5 @@ def _limits_um(provenance: Provenance, pixel_um: float) -> Iterator[tuple[float,
 def aperture_of(provenance: Provenance) -> float | None:
     """The numerical aperture as it is engraved on objectives, ``10x/0.28``; None where the calibration names none."""
     named = provenance.calibration.setup.objective if provenance.calibration is not None else ""
-    found = re.search(r"\d\s*[x×]?\s*/\s*([01]\.\d+)", named)
+    found = re.search(r"\d\s*[xX×]?\s*/\s*([01]\.\d+)", named)
     return float(found.group(1)) if found is not None else None
