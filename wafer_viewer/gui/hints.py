@@ -88,6 +88,7 @@ FIELDS: dict[str, str] = {
     "Blocks, °C": "Temperature of the blocks; 0: not measured",
     "Tolerance, µm": "Upper limit less lower limit of the product; 0: none",
     "Next in, days": "The next check is due after so many days",
+    "Tolerance": "Upper limit less lower, in the unit of the values; 0: none, or that of the job",
     "Method": "How the study is evaluated, both by AIAG",
     # Dialogs
     "Path": "On the machine that runs the viewer",

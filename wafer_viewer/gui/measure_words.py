@@ -54,7 +54,7 @@ _MAIN = {
 }
 """What the number is that stands for a result, where its tool's name does not say so."""
 _SIGNED = ("point", "gauge_check")
-_UNITS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
+UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
 """By unit: from which value on, by which factor, as what it reads."""
 
@@ -72,7 +72,7 @@ def reading(quantity: Quantity) -> Reading:
     for least, factor, unit in _LARGER.get(quantity.unit, ()):
         if abs(quantity.value) >= least:
             return Reading(factor, unit)
-    return Reading(1.0, _UNITS[quantity.unit])
+    return Reading(1.0, UNIT_SIGNS[quantity.unit])
 
 
 def value_texts(quantity: Quantity, *, signed: bool = False) -> tuple[str, str, str]:

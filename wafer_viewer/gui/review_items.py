@@ -17,6 +17,7 @@ from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.feature import on_die
 from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.notebook import Judgement, key_of_result, keys_of_features
@@ -38,7 +39,15 @@ VERDICT_LOOKS = {
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (("all", "All"), ("open", "Open"), ("rejected", "Rejected"))
 GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
 """What a person has to look at first."""
-_QUANTITIES = {"pt": "Pt", "flt_t": "FLTt", "flt_t_minimum_zone": "FLTt, minimum zone", "flt_q": "FLTq", "dz": "Δz"}
+_QUANTITIES = {
+    "pt": "Pt",
+    "flt_t": "FLTt",
+    "flt_t_minimum_zone": "FLTt, minimum zone",
+    "flt_q": "FLTq",
+    "dz": "Δz",
+    "deviation": "Error",
+    "reference": "Certificate",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +121,8 @@ def _results(snapshot: Snapshot) -> Iterator[ReviewItem]:
             show=finding.show,
             levelling=finding.levelling,
             number=finding.number,
+            word=finding.verdict if isinstance(finding, GaugeCheck) else None,
+            said=finding.why if isinstance(finding, GaugeCheck) else "",
         )
 
 

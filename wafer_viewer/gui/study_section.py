@@ -1,4 +1,4 @@
-"""Gauge R&R in the panel of Gauge check: a study is taken from its file, and told as a table with bars."""
+"""Gauge R&R in the panel of Gauge check: studies of a table or of repeat scans, told as tables with bars."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class StudySection:
 
     def ask(self) -> None:
         """Ask which study, by which method."""
-        below = "A CSV with the columns part, appraiser and value, a line for each trial."
+        below = "A CSV with the columns part, appraiser and value, or a folder of repeat scans of wafers with a job."
         dialog = Dialog(self._page, "Gauge R&R study", below)
         gui = self._page.gui
         with dialog.modal:
@@ -48,7 +48,7 @@ class StudySection:
             outlined(gui, upload, 32)
             sent = Cell(gui)
             method = gui.add_dropdown("Method", tuple(METHOD_OF))
-            tolerance = gui.add_number("Tolerance, µm", 0.0, min=0.0, step=0.1)
+            tolerance = gui.add_number("Tolerance", 0.0, min=0.0, step=0.1)
 
         @upload.on_upload
         def _(event: Any) -> None:
@@ -60,9 +60,9 @@ class StudySection:
 
         dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, FAILED)
 
-    def _read(self, path: str, method: str, tolerance_um: float) -> None:
+    def _read(self, path: str, method: str, tolerance: float) -> None:
         if not path.strip():
-            raise MeasureError("No study is given: type the path of its CSV, or send the file.")
-        found = self._page.session.studies.gauge_rr(Path(path.strip()), METHOD_OF[method], tolerance_um or None)
-        self._told = study(found, Path(path.strip()).name)
+            raise MeasureError("No study is given: type the path of its CSV or of the scans, or send the file.")
+        made = self._page.session.studies.gauge_rr(Path(path.strip()), METHOD_OF[method], tolerance or None)
+        self._told = "".join(study(one) for one in made)
         self._page.redraw()

@@ -6,20 +6,24 @@ import math
 
 from wafer_viewer.draw.numbers import NOTHING, number, share
 from wafer_viewer.gui import html
+from wafer_viewer.gui.measure_words import UNIT_SIGNS
+from wafer_viewer.model.quantities import Unit
 from wafer_viewer.model.repeatability import GaugeRR, Method
+from wafer_viewer.session.studies import Studied
 
 GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
 """Shares of %GRR up to which AIAG's manual calls a gauge acceptable, or acceptable for some uses; categories needed."""
 METHODS: dict[Method, str] = {"anova": "analysis of variance", "range": "average and range"}
 
 
-def study(found: GaugeRR, name: str) -> str:
+def study(studied: Studied) -> str:
     """What was studied, the verdict of the manual's rule, and every deviation with its share."""
-    by = f"{name} · {METHODS[found.method]}"
+    found = studied.found
+    by = f"{studied.name} · {METHODS[found.method]}{' · SIMULATED' if studied.simulated else ''}"
     notes = "".join(_small(text) for text in found.notes)
     return (
         f'<div class="wv-lab" title="{html.safe(by)}">{html.safe(by)}</div>{_size(found)}{_word(found)}'
-        f"{_table(found)}{_rest(found)}{notes}"
+        f"{_table(found, studied.unit)}{_rest(found)}{notes}"
     )
 
 
@@ -41,7 +45,7 @@ def _word(found: GaugeRR) -> str:
     return html.note("fault", "Not acceptable", told)
 
 
-def _table(found: GaugeRR) -> str:
+def _table(found: GaugeRR, unit: Unit | None) -> str:
     rows = (
         ("Repeatability, EV", found.repeatability, ""),
         ("Reproducibility, AV", found.reproducibility, ""),
@@ -50,7 +54,7 @@ def _table(found: GaugeRR) -> str:
         ("Total variation, TV", found.total_variation, "strong"),
     )
     lines = [_line(name, s, found.total_variation, look) for name, s, look in rows]
-    return html.table(["", "s, µm", "of total", ""], lines, " nn")
+    return html.table(["", f"s, {UNIT_SIGNS[unit]}" if unit else "s", "of total", ""], lines, " nn")
 
 
 def _line(name: str, s: float, total: float, look: str) -> str:
