@@ -94,7 +94,7 @@ def test_datasets_that_cannot_be_judged_are_named_with_the_reason(release, store
     assert lines[:2] == [
         f"{name}.wafer: not judged. It is of the product 'coupon', and the job of 'anchor'." for name in ("w1", "w2")
     ]
-    assert lines[2] == "anchor B: 0 of 0 verdicts change; 0 of 0 wafers get another word, 2 datasets not judged."
+    assert lines[2] == "anchor B: No verdict of 0 changes; no wafer of 0 gets another word, 2 datasets not judged."
     recipe = replace(released_job().recipe, window=11)
     _, lines = release(replace(released_job(), recipe=recipe), "--dry-run")
     assert "no field with all its frames" in lines[0], "another recipe needs the frames, and these have none"

@@ -102,6 +102,8 @@ def test_the_verdict_shows_every_die_with_its_word(report):
     assert told.word == "pass"
     assert [row[1] for row in told.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
     assert told.figures[0].caption.startswith("2 dies: 2 pass.")
+    assert [(sheet.number, sheet.below) for sheet in told.sheets] == [("F1", "Step height")]
+    assert told.sheets[0].budget.rows[0][0] == "z scale"
     assert told.figures[0].svg.count("<g ") == 2
     assert "<1>" not in told.figures[0].svg
 
@@ -151,7 +153,7 @@ def test_it_stands_alone_and_can_be_signed(report):
     assert re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)', text) == []
     assert "Approved by: name, date, signature" in text
     assert "<1>" not in text
-    assert text.count("<article") == len(KINDS)
+    assert text.count("<article") == len(KINDS) + 1, "a sheet of each result and of the feature"
 
 
 def test_heights_over_a_levelled_zero_are_cut_again_from_it(dataset):

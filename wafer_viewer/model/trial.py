@@ -63,11 +63,15 @@ class Trial(Spec, frozen=True, kw_only=True):
     def summary(self) -> str:
         """All of it in one sentence."""
         turned = sum(wafer.before != wafer.after for wafer in self.wafers)
-        same = sum(wafer.n_same for wafer in self.wafers)
+        n_verdicts = self.n_changes + sum(wafer.n_same for wafer in self.wafers)
+        verdicts = _changing(self.n_changes, n_verdicts, "verdict", "changes", "change")
+        wafers = _changing(turned, len(self.wafers), "wafer", "gets another word", "get another word")
         not_judged = f", {_count(len(self.not_tried), 'dataset')} not judged" if self.not_tried else ""
-        wafers = f"{turned} of {_count(len(self.wafers), 'wafer')} {'gets' if turned == 1 else 'get'} another word"
-        n = self.n_changes
-        return f"{n} of {_count(n + same, 'verdict')} {'changes' if n == 1 else 'change'}; {wafers}{not_judged}."
+        return f"{verdicts[:1].upper()}{verdicts[1:]}; {wafers}{not_judged}."
+
+
+def _changing(n: int, total: int, noun: str, one: str, many: str) -> str:
+    return f"{n} of {_count(total, noun)} {one if n == 1 else many}" if n else f"no {noun} of {total} {one}"
 
 
 def _count(n: int, word: str) -> str:

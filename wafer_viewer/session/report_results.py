@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from wafer_viewer.draw.numbers import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge import GaugeCheck
+from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.notebook import key_of_result, keys_of_features
 from wafer_viewer.model.quantities import BudgetLine
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Section, Sheet, Table
 from wafer_viewer.model.sections import SectionAsked
 from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.model.verdict import GRAVEST, Judged, WaferVerdict
 from wafer_viewer.session.finding_numbers import (
     UNITS,
     budget_of,
@@ -47,6 +50,28 @@ def verdict(material: Material) -> Section:
         table=Table(FEATURE_HEADS, rows, "n  n"),
         figures=_die_map(material, judged),
         sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in told),
+        sheets=tuple(_of_feature(n, item) for n, item in _one_of_each(judged)),
+    )
+
+
+def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, Judged]]:
+    """Of every feature the item with the gravest word, and its number: each die has much the same budget."""
+    numbered = list(enumerate(judged.items, 1))
+    for name in dict.fromkeys(item.feature.name for item in judged.items):
+        of_name = [(n, item) for n, item in numbered if item.feature.name == name]
+        yield min(of_name, key=lambda of: GRAVEST.index(of[1].word))
+
+
+def _of_feature(n: int, item: Judged) -> Sheet:
+    """The uncertainty of a feature."""
+    feature, measured = item.feature, item.measured
+    what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
+    return Sheet(
+        number=f"F{n}",
+        title=item.name,
+        below=", ".join(part for part in what if part),
+        value=quantity_text(measured) if measured is not None else "not measured",
+        budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
     )
 
 
