@@ -102,12 +102,12 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     ),
     "texture": (
         Pick("Form removed", "form_order", FORMS, "Polynomial of least squares"),
-        Number("S-filter, µm", "s_filter_um", 0.1, off="0: no filter"),
-        Number("L-filter, µm", "l_filter_um", 0.5, off="0: no filter"),
+        Number("S-filter, µm", "s_filter_um", 0.1, off="Takes off waves that are shorter; 0: no filter"),
+        Number("L-filter, µm", "l_filter_um", 0.5, off="Takes off waves that are longer; 0: no filter"),
     ),
     "roughness": (
-        Number("λc, µm", "lambda_c_um", 0.5, off="0: no filter"),
-        Number("λs, µm", "lambda_s_um", 0.1, off="0: no filter"),
+        Number("λc, µm", "lambda_c_um", 0.5, off="Takes off longer waves; the sampling length; 0: no filter"),
+        Number("λs, µm", "lambda_s_um", 0.1, off="Takes off waves that are shorter; 0: no filter"),
     ),
     "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Beside what is next to it, on the picture"),),
     "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Beside what is round it, on the picture"),),
