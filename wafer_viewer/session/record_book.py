@@ -25,6 +25,7 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
+from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.site_range import SiteRanges
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.texture import Roughness, Texture
@@ -44,6 +45,11 @@ NAMES: dict[type[AnyFinding], str] = {
     Flatness: "Flatness",
     Texture: "Texture",
     Roughness: "Roughness",
+    KerfWidth: "Kerf",
+    DieSize: "Die size",
+    CircleSize: "Circle",
+    Chipping: "Chipping",
+    Coplanarity: "Coplanarity",
     GaugeCheck: "Gauge check",
     SiteRanges: "Site range",
     Defect: "Defect",
