@@ -116,6 +116,6 @@ def _icon(tool: ToolName, chosen: bool) -> str:
 
 def _card(tool: ToolName) -> str:
     key, held = TOOL_KEYS[tool]
-    keys = f"<kbd>{'⇧ ' if held else ''}{key}</kbd>"
+    keys = f"<kbd>{'⇧' if held else ''}{key}</kbd>"
     told = f'title="{html.safe(TOOLS[tool].how)}" aria-label="{html.safe(TOOLS[tool].title)}"'
     return f"<div {told} {html.pick('tool', tool)}>{html.icon(ICONS[tool], 18)}<span>{SHORT[tool]}</span>{keys}</div>"
