@@ -104,6 +104,7 @@ def test_the_verdict_shows_every_die_with_its_word(report):
     assert told.figures[0].caption.startswith("2 dies: 2 pass.")
     assert [(sheet.number, sheet.below) for sheet in told.sheets] == [("F1", "Step height")]
     assert told.sheets[0].budget.rows[0][0] == "z scale"
+    assert "temperature" in told.sheets[0].missing
     assert told.figures[0].svg.count("<g ") == 2
     assert "<1>" not in told.figures[0].svg
 

@@ -46,19 +46,25 @@ def judge_at(
     """Measure one feature, on one die where it is repeated over dies, and judge it."""
     name = die.name if die is not None else ""
     try:
-        quantity = measured_quantity(surface, feature, die, alignment, calibration_valid)
+        found = measured_feature(surface, feature, die, alignment, calibration_valid)
+        quantity = quantity_of(found, feature)
     except MeasureError as fault:
         return Judged(feature=feature, die=name, word="no verdict", why=f"'{feature.name}' was not measured. {fault}")
-    return replace(judge(feature, quantity), die=name)
+    left_out: tuple[str, ...] = tuple(getattr(found, "not_evaluated", ()))
+    return replace(judge(feature, quantity), die=name, not_evaluated=left_out)
 
 
-def measured_quantity(
+def measured_feature(
     surface: Mosaic, feature: Feature, die: Die | None, alignment: Alignment | None, calibration_valid: bool
-) -> Quantity:
-    """The quantity of a feature where it lies on the stage. Raises MeasureError where it cannot be measured."""
+) -> AnyFinding:
+    """What a feature's tool finds where the feature lies on the stage. Raises MeasureError where it finds nothing."""
     on_wafer = feature.places if die is None else tuple(on_die(place, die) for place in feature.places)
     on_the_stage = tuple(on_stage(place, alignment) for place in on_wafer)
-    found = measured(surface, feature.tool, on_the_stage, calibration_valid, feature.options)
+    return measured(surface, feature.tool, on_the_stage, calibration_valid, feature.options)
+
+
+def quantity_of(found: AnyFinding, feature: Feature) -> Quantity:
+    """The quantity of a feature in what was found. Raises MeasureError where it is not there or in another unit."""
     quantity = named_quantity(found, feature.quantity)
     if quantity.unit != feature.unit:
         raise MeasureError(

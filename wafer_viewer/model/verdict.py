@@ -20,14 +20,15 @@ GRAVEST: tuple[Word, ...] = ("fail", "no verdict", "inconclusive", "pass")
 class Judged(Spec, frozen=True, kw_only=True, omit_defaults=True):
     """One feature: what was measured of it, the word, and the sentence that says why. Nothing measured: None.
 
-    die: the name of the die that it was measured on, where the feature is repeated over dies. `height` is how
-    `measured` was written before other things than heights were judged.
+    die: the name of the die that it was measured on, where the feature is repeated over dies; not_evaluated: what the
+    uncertainty leaves out. `height` is how `measured` was written before other things than heights were judged.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     feature: Feature
     die: str = ""
     measured: Quantity | None = None
+    not_evaluated: tuple[str, ...] = ()
     word: Word
     why: str
     height: Length | None = None

@@ -96,12 +96,13 @@ def _measured(scan: _Scan, feature: Feature, job: Job) -> dict[str, Quantity]:
 
 def _now(scan: _Scan, feature: Feature, die: Die | None) -> Quantity:
     """Raises MeasureError naming the dataset where the feature cannot be measured."""
-    from wafer_viewer.measure.verdict import measured_quantity
+    from wafer_viewer.measure.verdict import measured_feature, quantity_of
 
     data = scan.data
     try:
         surface = data.result(scan.result).mosaic()
-        return measured_quantity(surface, feature, die, data.scan.job.alignment, calibration_valid=True)
+        found = measured_feature(surface, feature, die, data.scan.job.alignment, calibration_valid=True)
+        return quantity_of(found, feature)
     except MeasureError as fault:
         on = f" on die {die.name}" if die is not None else ""
         raise MeasureError(f"'{feature.name}' was not measured{on} in {data.path.name}. {fault}") from fault

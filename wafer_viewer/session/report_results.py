@@ -72,6 +72,7 @@ def _of_feature(n: int, item: Judged) -> Sheet:
         below=", ".join(part for part in what if part),
         value=quantity_text(measured) if measured is not None else "not measured",
         budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
+        missing=item.not_evaluated,
     )
 
 

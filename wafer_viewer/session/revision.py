@@ -155,7 +155,7 @@ def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: 
     for feature, die in judged_places(job):
         then = before.items.get((feature.name, die.name if die else ""))
         if then is not None and then.measured is not None and not remade and _same_number(then, before, feature, die):
-            yield replace(judge(feature, then.measured), die=then.die)
+            yield replace(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
         else:
             yield judge_at(surface, feature, die, lies, _calibrated(data))
 
