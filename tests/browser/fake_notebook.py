@@ -71,7 +71,7 @@ HELD: Contents = {
     "recipe": Holds("the settings that were used"),
     "calibration": Holds("lengths are calibrated"),
     "warnings": Holds("no warnings"),
-    "checksums": Holds("SHA-256 of what the numbers come from, versions of the program"),
+    "checksums": Holds("of data and results; versions of the program"),
     "signatures": Holds("measured by, checked by, approved by"),
 }
 

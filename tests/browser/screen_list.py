@@ -67,6 +67,7 @@ def click(selector: str) -> Act:
 def unfold(page: Page) -> None:
     """Open what an engineer adds for operators."""
     page.get_by_text("For operators").click()
+    page.wait_for_timeout(700)
 
 
 def press_button(name: str) -> Act:
@@ -121,11 +122,15 @@ def operated(make: Callable[[], Any], step: str = "plan", *then: Act) -> Screen:
     return Screen(lambda: operator.OperatorSession(make()), step, then=then)
 
 
-def watched(make: Callable[[], Any]) -> FakeSession:
+def watching(session: Any) -> Any:
     """A session whose controls somebody else holds."""
-    session = FakeSession(make())
     session.control.arrive("another", "K. Adler")
     return session
+
+
+def watched(make: Callable[[], Any]) -> FakeSession:
+    """A session whose controls somebody else holds."""
+    return watching(FakeSession(make()))
 
 
 def reopened() -> Any:
@@ -202,6 +207,7 @@ def moving() -> Any:
     return dataclasses.replace(fake.planned(), rig=dataclasses.replace(fake.RIG, state="moving"))
 
 
+EXPIRED = "Certificate K-2231 expired on 2026-03-14 and the scan is of 2026-11-21: have the blocks certified again."
 UNCALIBRATED = "no calibration was given"
 SCREENS: dict[str, Screen] = {
     "start": still(fake.empty, "plan"),
@@ -264,6 +270,8 @@ SCREENS: dict[str, Screen] = {
     "gauge-sign": gauge(checked, click("[data-dock-region=right] button:has-text('Sign and save')")),
     "gauge-certificate": gauge(GaugeState, click("[data-dock-region=right] button:has-text('Load the certificate')")),
     "gauge-study": gauge(checked, *study()),
+    "gauge-refused": gauge(lambda: dataclasses.replace(checked(), refusal=EXPIRED)),
+    "gauge-watched": Screen(lambda: watching(GaugeSession(checked())), "gauge", then=(see_blocks,)),
     "gauge-empty": Screen(lambda: GaugeSession(with_surface=False), "gauge"),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),

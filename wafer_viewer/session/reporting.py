@@ -76,7 +76,7 @@ def contents(folder: Path, result_name: str) -> Contents:
         "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
         "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
         "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
-        "checksums": Holds("SHA-256 of what the numbers come from, versions of the program"),
+        "checksums": Holds("of data and results; versions of the program"),
         "signatures": Holds(", ".join(SIGNED_BY).lower()),
     }
 
