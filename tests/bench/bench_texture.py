@@ -25,7 +25,8 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.store.dataset import Dataset
 
 ROUNDS = 5
-QUICK_PX = 2048
+QUICK_PX, QUICK_SIDE_PX = 2048, 400
+Timed = Callable[[Callable[[], object]], str]
 SETTINGS: dict[str, dict[str, float]] = {
     "no filter": {},
     "form of order 4": {"form_order": 4},
@@ -37,9 +38,10 @@ SETTINGS: dict[str, dict[str, float]] = {
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a region of a quarter of a million pixels")
+    parser.add_argument("--quick", action="store_true", help="a region of 400 x 400 pixels")
     quick = parser.parse_args().quick
-    side_px = 600 if quick else 1024
+    side_px = QUICK_SIDE_PX if quick else 1024
+    timed = partial(_timed, rounds=1 if quick else ROUNDS)
     rng = np.random.default_rng(1)
     z_um = 5 * gaussian_filter(rng.normal(size=(side_px, side_px)), 4)
     holed = np.where(rng.random(z_um.shape) < 0.1, np.nan, z_um)
@@ -48,32 +50,32 @@ def main() -> None:
     side_um = (side_px - 1) * PIXEL_UM
     face, line = Region.rectangle(0, 0, side_um, side_um), Region.line(0, side_um / 2, side_um, side_um / 2)
     rows = [
-        [name, *(_timed(partial(texture, as_map(z), face, **options)) for z in (z_um, holed, grating))]
+        [name, *(timed(partial(texture, as_map(z), face, **options)) for z in (z_um, holed, grating))]
         for name, options in SETTINGS.items()
     ]
     title = f"Texture of {side_px**2 / 1e6:.2f} million pixels, s"
     show(title, ["settings", "whole", "10 % holes", "grating"], rows)
-    _on_a_stored_surface(QUICK_PX if quick else BLOCKS_PX, side_px)
+    _on_a_stored_surface(QUICK_PX if quick else BLOCKS_PX, side_px, timed)
     surface = as_map(z_um)
-    lines = [[f"lambda-c {um:g} um", _timed(partial(roughness, surface, line, lambda_c_um=um))] for um in (25.0, 50.0)]
+    lines = [[f"lambda-c {um:g} um", timed(partial(roughness, surface, line, lambda_c_um=um))] for um in (25.0, 50.0)]
     show("Roughness of a line across it, s", ["settings", ""], lines)
 
 
-def _on_a_stored_surface(whole_px: int, side_px: int) -> None:
+def _on_a_stored_surface(whole_px: int, side_px: int, timed: Timed) -> None:
     """The same as an operator has it: a part of a stitched surface, read from disk."""
     surface = Dataset.open(big_dataset(whole_px)).result().mosaic()
     half_um = (side_px - 1) / 2 * surface.pixel_um
     face = Region.rectangle(-half_um, -half_um, half_um, half_um)
-    rows = [[name, _timed(partial(texture, surface, face, **options))] for name, options in SETTINGS.items()]
+    rows = [[name, timed(partial(texture, surface, face, **options))] for name, options in SETTINGS.items()]
     show(f"The same part of a stored surface of {whole_px**2 / 1e6:.0f} million points, s", ["settings", ""], rows)
 
 
-def _timed(work: Callable[[], object]) -> str:
+def _timed(work: Callable[[], object], rounds: int) -> str:
     """The best of some rounds, after one to load what is loaded once."""
     work()
     clock: list[float] = []
     processor: list[float] = []
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         begun, begun_cpu = time.perf_counter(), time.process_time()
         work()
         clock.append(time.perf_counter() - begun)

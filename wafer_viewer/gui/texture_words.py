@@ -67,7 +67,7 @@ def roughness(finding: Roughness) -> str:
         ("Sections", (("Rz", _um(finding.rz)), ("Rp", _um(finding.rp)), ("Rv", _um(finding.rv)))),
     ]
     each = f"{finding.sections} × {with_unit(finding.section_um, 1)}"
-    return _table(families) + html.pairs([("Sampling lengths", each)]) + _measured(finding)
+    return _table(families) + _measured(finding, ("Sampling lengths", each))
 
 
 def figures(value: float | None) -> str:
@@ -93,9 +93,8 @@ def _cell(name: str, value: str) -> str:
     return f'<span title="{html.safe(MEANINGS.get(name, ""))}">{shown}</span>'
 
 
-def _measured(finding: Texture | Roughness) -> str:
-    told = [("Points", number(finding.points, 0)), ("Measured", share(finding.measured_fraction))]
-    return html.pairs(told)
+def _measured(finding: Texture | Roughness, *more: tuple[str, str]) -> str:
+    return html.pairs([*more, ("Points", number(finding.points, 0)), ("Measured", share(finding.measured_fraction))])
 
 
 def _um(length: Length | None) -> str:
