@@ -32,7 +32,7 @@ SETTINGS: dict[str, dict[str, float]] = {
     "form of order 4": {"form_order": 4},
     "S 2.5 um": {"s_filter_um": 2.5},
     "S 2.5, L 80 um": {"s_filter_um": 2.5, "l_filter_um": 80.0},
-    "S 10, L 250 um, form 4": {"s_filter_um": 10.0, "l_filter_um": 250.0, "form_order": 4},
+    "S 10, L 180 um, form 4": {"s_filter_um": 10.0, "l_filter_um": 180.0, "form_order": 4},
 }
 
 
