@@ -31,8 +31,8 @@ from wafer_viewer.measure.edge_circle import find_circle
 from wafer_viewer.measure.edge_line import find_edge, find_edge_any_way
 from wafer_viewer.measure.kerf import kerf_edges
 
-RUNS, QUICK_RUNS = 1000, 40
-FEWER = 10
+RUNS, QUICK_RUNS = 400, 40
+FEWER = 8
 """Of a case that takes longer: one run in so many."""
 GOAL_PX, COVER = 0.02, (0.93, 0.97)
 Answer = tuple[float, float | None]
