@@ -26,6 +26,7 @@ LATTICE = 250_000
 """Points of the surface that are looked at, at most."""
 CLOUD = 20_000
 """Points that planes are searched in, at most."""
+LEAST_POINTS = 500
 LEAST_SHARE = 0.08
 """Of the measured points: fewer are no face."""
 MOST_PLANES = 3
@@ -115,7 +116,7 @@ def _seen(surface: Mosaic, layer: Layer) -> Seen:
     step = max(1, math.ceil(math.sqrt(part.z_um.size / LATTICE)))
     z_um, x_um, y_um = _thinned(part, step)
     known_rows, known_cols = np.nonzero(np.isfinite(z_um))
-    if len(known_rows) < SMALLEST_PX:
+    if len(known_rows) < LEAST_POINTS:
         raise MeasureError("Too little of the surface is measured to look for faces: scan it again.")
     points = np.stack([x_um[known_cols], y_um[known_rows], z_um[known_rows, known_cols]], axis=1)
     return Seen(z_um, x_um, y_um, points)
@@ -155,8 +156,10 @@ def _planes(seen: Seen) -> list[Plane]:
     while len(left) >= least and len(found) < MOST_PLANES:
         plane = _searched(left, _noise_um(seen.z_um))
         off_um = np.abs(left[:, 2] - plane.fitted.at(left[:, 0], left[:, 1]))
-        sigma_um = SIGMA_OF_MAD * float(np.median(off_um[off_um <= plane.band_um]))
-        band_um = WITHIN_SIGMAS * max(sigma_um, plane.band_um / SEARCH_SIGMAS)
+        near_um = off_um[off_um <= plane.band_um]
+        if len(near_um) < least / 2:
+            break
+        band_um = WITHIN_SIGMAS * max(SIGMA_OF_MAD * float(np.median(near_um)), plane.band_um / SEARCH_SIGMAS)
         if np.count_nonzero(off_um <= band_um) < least:
             break
         found.append(plane._replace(band_um=band_um))
