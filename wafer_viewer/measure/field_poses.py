@@ -20,7 +20,7 @@ from wafer_viewer.model.poses import HasPoses, Poses
 from wafer_viewer.model.surface import HeightMap, Mosaic, ReadThrough
 
 MOST_FIELDS = 300
-"""Fields further away say nothing of two regions."""
+"""Fields further away say next to nothing of two regions; regions that reach beyond them have no such line."""
 TILT_ERROR = 1e-3
 """Standard deviation of what a field leans by before its overlaps are looked at, um per um: no more than a bound."""
 
@@ -61,6 +61,8 @@ def _of_fields(poses: Poses, pulls: Pulls) -> float | None:
     if poses.z_error_um == 0:
         return None
     some = _nearest(poses, float(x_um.mean()), float(y_um.mean()))
+    if not np.isin(field, some).all():
+        return None
     pull = np.zeros((len(poses.x_um), 3))
     from_middle = np.stack([np.ones(len(field)), x_um - poses.x_um[field], y_um - poses.y_um[field]], axis=1)
     np.add.at(pull, field, weight[:, None] * from_middle)
