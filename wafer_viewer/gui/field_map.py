@@ -51,7 +51,7 @@ class FieldMap:
         overview = snapshot.overview
         if not fields or size_um is None:
             self._frame = None
-            self._map.show(html.empty("The sample and its fields", "will be drawn here."))
+            self._map.show(_nothing(snapshot, view))
             return
         outline = overview.outline_um if overview else ()
         self._frame = map_frame(fields, *size_um, outline)
@@ -66,6 +66,12 @@ class FieldMap:
             onplace="" if snapshot.scanning else html.pick_script("place"),
         )
         self._map.show(drawing + _legend(states) + _hint(snapshot, view))
+
+
+def _nothing(snapshot: Snapshot, view: View) -> str:
+    if snapshot.dataset is not None and view.step != "plan":
+        return html.empty("A surface from a file:", "it has no fields.")
+    return html.empty("The sample and its fields", "will be drawn here.")
 
 
 def drawn(snapshot: Snapshot, view: View) -> Drawn:
