@@ -38,14 +38,14 @@ def certificate(expires: str = "2099-03-14") -> Certificate:
         GaugeBlock(serial_number="21-0448", nominal_um=1000.0, value_um=1000.06, expanded_um=0.042),
     )
     return Certificate(
-        number="K-2231", laboratory="DKD 0417", issued=datetime.date(2025, 3, 14),
+        number="K-2231", laboratory="an example", issued=datetime.date(2025, 3, 14),
         expires=datetime.date.fromisoformat(expires), blocks=blocks, grade="0",
     )  # fmt: skip
 
 
 CERTIFICATE_TOML = """
 number = "K-2231"
-laboratory = "DKD 0417"
+laboratory = "an example"
 issued = 2025-03-14
 expires = {expires}
 nominal_um = 400.0
