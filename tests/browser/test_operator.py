@@ -167,7 +167,7 @@ def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_
     press(page, "Keep")
     eventually(lambda: len(session.snapshot.draft.job.features) == 3, "the feature is kept")
     assert session.snapshot.draft.job.features[-1].places
-    press(page, "Try on stored wafers…")
+    press(page, "Try on wafers…")
     press(page, "Try it")
     eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
 

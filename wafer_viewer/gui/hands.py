@@ -27,7 +27,7 @@ HANDS_ON = frozenset(
         *("Pause", "Go on", "Continue the scan"),
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
-        "Try on stored wafers…",
+        "Try on wafers…",
         "Dies…",
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
         *("Accepted", "Rejected", "Note", "Save view", "Move there"),

@@ -47,7 +47,7 @@ class ReleaseSection:
             ]
             in_a_row(gui, self._buttons, 34)
             self._tried = Cell(gui)
-            self._try = self._button("Try on stored wafers…", viser.Icon.HISTORY, trial_dialog)
+            self._try = self._button("Try on wafers…", viser.Icon.HISTORY, trial_dialog)
             self._dies = self._button("Dies…", viser.Icon.GRID_DOTS, dies_dialog)
             in_a_row(gui, [self._dies, self._try], 34)
             self._copy = self._button("Copy to a new plan", viser.Icon.COPY, self._to_copy)

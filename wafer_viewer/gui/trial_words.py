@@ -27,7 +27,8 @@ def trial(done: Trial | None, trying: bool, outdated: bool = False) -> str:
     rest = html.empty(f"And {more} more: wafer-viewer release --against lists them all.") if more else ""
     table = html.table(["Wafer, feature", "Before", "Now"], rows, "   ") if rows else ""
     since = html.note("attention", "The plan has changed since", "Try it again.") if outdated else ""
-    return head + since + said + table + rest + "".join(_left_out(item) for item in done.not_tried)
+    left_out = "".join(_left_out(item) for item in done.not_tried)
+    return f'{head}{since}{said}{table}{rest}{left_out}<div style="height:8px"></div>'
 
 
 def before_release(now: Operating, outdated: bool) -> str:
