@@ -22,7 +22,7 @@ TOLD = {
     "kerf": ("Shift+U", "32.0", "Narrowest"),
     "chipping": ("Shift+X", "4.9", "Of the edge chipped"),
     "circle": ("Shift+Y", "13.", "Roundness RONt"),
-    "coplanarity": ("Shift+Q", "1.3", "Bump at x, y"),
+    "coplanarity": ("Shift+Q", "1.4", "Bump at x, y"),
 }
 """Of each tool: its key, how its answer begins, what else the panel tells."""
 

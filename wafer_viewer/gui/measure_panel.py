@@ -79,11 +79,12 @@ class MeasurePanel:
         self._answering.close()
 
     def use(self, tool: Tool) -> None:
-        """Take a tool, in the step where it is used; from one face's tool to another the region stays where it is."""
+        """Take a tool, in the step where it is used; where the last one asked for the same, a face, it stays in place."""
         if self._page.session.snapshot.surface is None:
             return
         view = self._page.view
         stays = tool not in ("none", "profile") and len(view.places) == 1 and fits(TOOLS[tool], view.places)
+        stays = stays and view.tool != "none" and TOOLS[tool].places == TOOLS[view.tool].places
         self._page.change(step="measure", tool=tool, places=view.places if stays else (), selected=None, why=None)
 
     def _build(self, scene: SceneView, curves: Curves) -> None:
