@@ -79,12 +79,13 @@ class MeasurePanel:
         self._answering.close()
 
     def use(self, tool: Tool) -> None:
-        """Take a tool, in the step where it is used; where the last one asked for the same, a face, it stays in place."""
+        """Take a tool, in the step where it is used; what the last one asked for too, as a face, stays where it is."""
         if self._page.session.snapshot.surface is None:
             return
         view = self._page.view
-        stays = tool not in ("none", "profile") and len(view.places) == 1 and fits(TOOLS[tool], view.places)
-        stays = stays and view.tool != "none" and TOOLS[tool].places == TOOLS[view.tool].places
+        stays = False
+        if tool not in ("none", "profile") and view.tool != "none" and len(view.places) == 1:
+            stays = TOOLS[tool].places == TOOLS[view.tool].places and fits(TOOLS[tool], view.places)
         self._page.change(step="measure", tool=tool, places=view.places if stays else (), selected=None, why=None)
 
     def _build(self, scene: SceneView, curves: Curves) -> None:
