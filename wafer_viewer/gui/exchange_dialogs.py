@@ -110,7 +110,7 @@ def _said(ending: str, every: float, info: SurfaceInfo | None) -> str:
         pixel_um = number(info.pixel_um * step, 3)
         size = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = FORMATS[ending].loses or "The file holds all there is of the surface."
-    return f'<div class="wv-lab">{html.safe(html.micro(size + loses))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(size + loses))}</div>'
 
 
 def _label(text: str) -> str:

@@ -23,6 +23,8 @@ from wafer_viewer.session.report_words import (
     verdict_text,
 )
 
+OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
+"""What a surface from a file has not."""
 SIGNED_BY = ("Measured by", "Checked by", "Approved by")
 
 
@@ -45,6 +47,7 @@ def _goes_in(part: Part, material: Material) -> bool:
         "profiles": bool(material.lines),
         "gauge": bool(material.gauge_checks),
         "pictures": bool(material.pictures),
+        **dict.fromkeys(OF_A_SCAN, bool(material.dataset.fields)),
     }
     return held.get(part, True)
 
@@ -74,6 +77,7 @@ def contents(folder: Path, result_name: str) -> Contents:
         "surface": Holds(points, nothing=info is None),
         "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
         "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
+        **({} if plan.fields else dict.fromkeys(OF_A_SCAN, Holds("a surface from a file has none", nothing=True))),
         "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
         "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
         "checksums": Holds("of data and results; versions of the program"),
