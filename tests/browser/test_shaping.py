@@ -62,6 +62,6 @@ def test_every_tool_for_shapes_answers_where_it_begins_and_is_found_again(page: 
 def test_what_is_said_of_the_kerf_is_measured_with_at_once(page: Page):
     page.keyboard.press("Shift+U")
     expect(page.locator(".wv-answer")).to_contain_text("32.0")
-    page.get_by_label("Kerf", exact=True).click()
+    page.get_by_role("combobox", name="Kerf").click()
     page.get_by_role("option", name="Dark", exact=True).click()
     expect(page.locator("[data-dock-region=right]")).not_to_contain_text("32.0")

@@ -25,7 +25,7 @@ NO_STREET = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Die:
-    """The outline of a die in um, and the street at each side: left, lower, right, upper; None: it has no other side."""
+    """The outline of a die in um, and the street at each side: left, lower, right, upper; None: nothing beyond."""
 
     box: Box
     streets: tuple[float | None, float | None, float | None, float | None]
