@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 import tifffile
 import trimesh
 
+from tests.bench.big_mosaic import MadeWafer
 from tests.store.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import FORMATS, MESHES, READ, every_for
@@ -140,6 +142,24 @@ def test_a_writing_that_is_stopped_leaves_nothing(tmp_path, ending):
     asked = iter([False, True, True])
     with pytest.raises(DatasetError, match=r"was stopped at 1 of \d\. Nothing was kept"):
         export(make_surface(rows=300), tmp_path / f"a{ending}", every=1, should_stop=lambda: next(asked))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("ending", EXPORTERS)
+def test_a_full_disk_is_said_and_leaves_nothing(tmp_path, ending):
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(DatasetError, match=rf"a\{ending} cannot be written: the disk is full"):
+        export(make_surface(), tmp_path / f"a{ending}", progress=full)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_passes_four_gigabytes_is_said_before_anything_is_written(tmp_path):
+    assert len(losses(MadeWafer(8_000), tmp_path / "a.gwy")) == 1
+    assert "holds heights only" in losses(MadeWafer(12_850), tmp_path / "a.gwy")[1]
+    with pytest.raises(DatasetError, match=r"a\.gwy would pass the 4 GB of a GWY file: take X3P"):
+        export(MadeWafer(20_000), tmp_path / "a.gwy")
     assert not list(tmp_path.iterdir())
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.surface import HeightMap, Provenance
 from wafer_viewer.store.formats.about import OURS, about, title, told_by
 from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
-from wafer_viewer.store.formats.reading import Asked, heights_only, require_some, scaled
+from wafer_viewer.store.formats.reading import UNITS_UM, Asked, heights_only, require_some, scaled
 from wafer_viewer.store.formats.strips import Strips
 
 _M = 1e-6
@@ -173,7 +173,7 @@ def _unit(field: Tree, name: str) -> str | None:
 
 
 def _is_length(field: Tree) -> bool:
-    return (_unit(field, "si_unit_z") or "m").endswith("m")
+    return (_unit(field, "si_unit_z") or "m") in UNITS_UM
 
 
 def _parts(strips: Strips, channels: tuple[Channel, ...]) -> list[bytes | _Numbers]:
