@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import re
@@ -14,6 +15,7 @@ from PIL import Image
 
 from tests.store.samples import make_surface
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.formats import READ
 from wafer_viewer.store.exporters import export
 from wafer_viewer.store.readers import read_surface
 
@@ -186,6 +188,20 @@ def test_one_sentence_names_the_file_the_thing_and_the_mend(tmp_path, name):
     assert name in str(fault.value)
     assert str(fault.value).count(". ") == 0
     assert str(fault.value).endswith(".")
+
+
+@pytest.mark.parametrize("ending", [e for e in READ if e != ".tiff"])
+def test_whatever_is_damaged_ends_in_one_sentence(tmp_path, ending):
+    """Cut off, or a few bytes changed, anywhere: a sentence, or a surface where nothing that counts was hit."""
+    good, path = written(tmp_path / "a", ending), tmp_path / f"a{ending}"
+    rng = np.random.default_rng(7)
+    for _ in range(30):
+        content = bytearray(good[: rng.integers(len(good))] if rng.random() < 0.5 else good)
+        for at in rng.integers(0, max(1, min(len(content), 2000)), 4):
+            content[at : at + 1] = bytes([rng.integers(256)])
+        path.write_bytes(content)
+        with contextlib.suppress(DatasetError):
+            assert read_surface(path).z_um.ndim == 2
 
 
 def test_a_file_that_is_not_there_and_one_of_no_known_kind(tmp_path):

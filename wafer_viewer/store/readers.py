@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import tokenize
 from collections.abc import Callable
 from pathlib import Path
 
@@ -47,6 +49,10 @@ READERS: dict[str, Reader] = {
 """How a surface is read, by the ending of the file."""
 
 
+DAMAGE = (OSError, ValueError, OverflowError, SyntaxError, KeyError, TypeError, struct.error, tokenize.TokenError)
+"""What libraries raise where a file is damaged in a way that no reader looks for."""
+
+
 def read_surface(
     path: str | Path,
     z_unit: str | None = None,
@@ -67,7 +73,11 @@ def read_surface(
     read = _reader_of(place)
     asked = Asked(place.name, Reading(z_unit=z_unit, pixel_um=pixel_um, invert_z=invert_z), progress, should_stop)
     _require_file(place, asked)
-    return read(place, asked)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers beyond all heights are no heights
+            return read(place, asked)
+    except DAMAGE as fault:
+        raise asked.refuse("cannot be read, it is damaged: copy it again.") from fault
 
 
 def is_surface_file(path: Path) -> bool:

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +145,7 @@ def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: Asked) -
     field = channels[number]
     z_um = scaled(asked, field["data"].reshape(_shape(field)), asked.z_scale_um(_unit(field, "si_unit_z")))
     mask = tree.get(f"/{number}/mask")
-    if isinstance(mask, dict) and _shape(mask) == _shape(field):
+    if _is_field(mask) and _shape(mask) == _shape(field):
         z_um[mask["data"].reshape(_shape(field)) > 0] = np.nan
         if OURS not in tree.get(f"/{number}/meta", {}):
             asked.notes.append("What lies under its mask counts as unmeasured.")
@@ -154,13 +154,14 @@ def _heights(tree: Tree, number: int, channels: dict[int, Tree], asked: Asked) -
 
 def _is_channel(key: str, value: Any) -> bool:
     parts = key.split("/")
-    is_data = len(parts) == 3 and parts[1].isdigit() and parts[2] == "data" and isinstance(value, dict)
-    return is_data and {"xres", "yres", "xreal", "yreal", "data"} <= value.keys() and _whole(value)
+    return len(parts) == 3 and parts[1].isdigit() and parts[2] == "data" and _is_field(value)
 
 
-def _whole(field: Tree) -> bool:
-    rows, cols = _shape(field)
-    return rows > 0 and cols > 0 and field["data"].size == rows * cols
+def _is_field(value: Any) -> TypeGuard[Tree]:
+    if not isinstance(value, dict) or not {"xres", "yres", "xreal", "yreal", "data"} <= value.keys():
+        return False
+    rows, cols = _shape(value)
+    return rows > 0 and cols > 0 and value["data"].size == rows * cols
 
 
 def _shape(field: Tree) -> tuple[int, int]:

@@ -58,6 +58,7 @@ def surface_of_points(points: Points, asked: Asked) -> HeightMap:
     about = points.about
     if about is not None:
         lattice = Lattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
+        _require_room(lattice, asked)
         if (found := _laid(points, lattice, asked)) is not None:
             return found
     lattice = _found(points, asked)
