@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from tests.browser.fake_session import RIG, FakeSession
-from tests.browser.gauge_blocks import COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
+from tests.browser.gauge_blocks import CALIBRATION, COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
 from tests.browser.measuring_session import done
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
@@ -29,6 +29,7 @@ from wafer_viewer.session.studies import Studies
 UPPER = Region.rectangle(150, -40, 330, 190)
 LOWER = Region.rectangle(-330, -190, -150, 40)
 DAY = "2026-11-21T"
+ADVICE = "The error is larger than its U: the correction takes away more than it is unsure of."
 TERMS = GaugeTerms(limit_um=0.5, temperature_c=20.4, u_temperature_c=0.2, tolerance_um=4.0)
 
 
@@ -155,6 +156,21 @@ def checked(off_um: float = 0.0, n_earlier: int = 29, expires: str = "2099-03-14
     return GaugeState(
         certificate=paper, terms=TERMS, ticks=ticks, repeats=tuple(taken), records=tuple(earlier(one, n_earlier))
     )
+
+
+def correctable() -> GaugeState:
+    """A signed check that offers another z scale."""
+    state = worked_out(checked(off_um=0.4))
+    if state.check is None:
+        raise MeasureError("The check of this screen is not there.")
+    signed = replace(state.check, signed_by="K. Adler", at=f"{DAY}09:41:00.000+00:00")
+    factor = state.check.reference.value_um / state.check.height.value_um
+    against = "gauge blocks 21-0447 / 21-0448"
+    offered = ScaleCorrection(
+        calibration=replace(CALIBRATION, z_scale=factor, against=against), factor=factor, advice=ADVICE,
+        changes_um=state.check.reference.value_um - state.check.height.value_um,
+    )  # fmt: skip
+    return dataclasses.replace(state, signed=signed, correction=offered)
 
 
 def earlier(like: GaugeCheck, n: int) -> list[GaugeRecord]:

@@ -18,7 +18,7 @@ from tests.browser import operator_session as operator
 from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.gauge_blocks import certificate
-from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked
+from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
@@ -270,7 +270,8 @@ SCREENS: dict[str, Screen] = {
     "gauge-sign": gauge(checked, click("[data-dock-region=right] button:has-text('Sign and save')")),
     "gauge-certificate": gauge(GaugeState, click("[data-dock-region=right] button:has-text('Load the certificate')")),
     "gauge-study": gauge(checked, *study()),
-    "gauge-refused": gauge(lambda: dataclasses.replace(checked(), refusal=EXPIRED)),
+    "gauge-refused": gauge(lambda: GaugeState(certificate=certificate("2026-03-14"), refusal=EXPIRED)),
+    "gauge-correct": gauge(correctable, click("[data-dock-region=right] button:has-text('Correct the z scale')")),
     "gauge-watched": Screen(lambda: watching(GaugeSession(checked())), "gauge", then=(see_blocks,)),
     "gauge-empty": Screen(lambda: GaugeSession(with_surface=False), "gauge"),
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),

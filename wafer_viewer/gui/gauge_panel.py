@@ -115,7 +115,7 @@ class GaugePanel:
         if earlier is not None:
             self._state.show("")
         elif gauge.refusal is not None:
-            self._state.show(words.refused(gauge.refusal))
+            self._state.show(words.refused(gauge.refusal, bool(gauge.repeats)))
         elif snapshot.surface is None and not gauge.repeats:
             self._state.show(html.empty(*NO_SURFACE))
         else:

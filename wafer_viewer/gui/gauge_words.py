@@ -88,12 +88,9 @@ def certificate(paper: Certificate | None, today: date) -> str:
         ("Number", paper.number),
     ]
     note = f'<div class="wv-lab" style="margin-top:4px">{html.safe(paper.note)}</div>' if paper.note else ""
-    return (
-        html.head("Certificate", f"valid until {day(paper.expires)}")
-        + html.pairs(pairs)
-        + note
-        + _runs_out(paper, today)
-    )
+    until = "expired" if paper.expires < today else "valid until"
+    head = html.head("Certificate", f"{until} {day(paper.expires)}")
+    return head + html.pairs(pairs) + note + _runs_out(paper, today)
 
 
 def conditions(step: StepHeight | None, check: GaugeCheck | None, upper: Region | None, lower: Region | None) -> str:
@@ -123,9 +120,11 @@ def told(check: GaugeCheck) -> str:
     return head + result(check) + repeats(check.repeats, check, may_drop=False) + html.pairs(blocks)
 
 
-def refused(sentence: str) -> str:
-    """Why there can be no check now."""
+def refused(sentence: str, has_others: bool) -> str:
+    """Why the scan that is open cannot count; what others came to still stands."""
     sign = html.icon(viser.Icon.HAND_STOP, 18)
+    if has_others:
+        return html.note("attention", "This scan cannot be a repeat", sentence, sign=sign)
     return html.note("fault", "No check", sentence, sign=sign)
 
 
