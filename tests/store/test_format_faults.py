@@ -225,6 +225,12 @@ def test_what_a_person_says_must_not_contradict_the_file(tmp_path, says, sentenc
         read_surface(tmp_path / "a.gsf", **says)
 
 
+def test_z_that_points_down_is_turned_over_when_a_person_says_so(tmp_path):
+    path = tmp_path / "a.x3p"
+    path.write_bytes(in_main(rb"(<CZ>.*?<Increment>)1.0", rb"\g<1>-1.0")(path))
+    np.testing.assert_array_equal(read_surface(path, invert_z=True).z_um, make_surface().z_um)
+
+
 def test_what_a_file_does_not_say_a_person_gives(tmp_path):
     (tmp_path / "a.gsf").write_bytes(gsf(XYUnits=None, ZUnits=None))
     back = read_surface(tmp_path / "a.gsf", z_unit="nm", pixel_um=0.25)

@@ -12,7 +12,7 @@ import hashlib
 import zipfile
 import zlib
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.store.formats.about import about, caveats, told_by
-from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
-from wafer_viewer.store.formats.strips import Strips
+from wafer_viewer.store.formats.reading import Asked, heights_only
+from wafer_viewer.store.formats.strips import STRIP_ROWS, Strips
 
 MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
 REVISION = "ISO5436 - 2000"
@@ -29,7 +29,6 @@ NAMESPACE = "http://www.opengps.eu/2008/ISO5436_2"
 _TYPES = {"I": "<i2", "L": "<i4", "F": "<f4", "D": "<f8"}
 _M = 1e-6
 _LARGEST_XML = 16_000_000
-_BLOCK = 1 << 20
 
 
 def write_x3p(strips: Strips, path: Path) -> None:
@@ -50,16 +49,17 @@ def read_x3p(path: Path, asked: Asked) -> HeightMap:
     """Heights of an X3P file. Raises DatasetError where it is damaged, or holds anything but one surface on a grid."""
     try:
         with zipfile.ZipFile(path) as archive:
-            main = _main_of(archive, asked)
-            raw = _heights(archive, main, asked)
+            return _read(archive, _main_of(archive, asked), asked)
     except (zipfile.BadZipFile, EOFError, zlib.error, NotImplementedError) as fault:
         raise asked.refuse("is cut off or damaged: its zip archive cannot be read, so copy it again.") from fault
+
+
+def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: Asked) -> HeightMap:
     dx, dy, dz = (_axis(main, name, asked) for name in ("CX", "CY", "CZ"))
     if dz[0] < 0 and not asked.says.invert_z:
         raise asked.refuse("has z upside down, its increment is negative: say so with --invert-z to turn it over.")
-    pixel_um = asked.pixel_um(dx[0] / _M, dy[0] / _M)
-    z_scale = asked.z_scale_um("m") * abs(dz[0])
-    z_um = scaled(asked, raw[::-1], z_scale, dz[1] / _M)
+    pixel_um, m_um = asked.pixel_um(dx[0] / _M, dy[0] / _M), asked.z_scale_um("m")
+    z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, asked)
     told = told_by((_text(main, "Record2/Comment") or "").partition("\n")[2])
     y0_um = dy[1] / _M + (z_um.shape[0] - 1) * pixel_um
     return heights_only(asked, z_um, pixel_um, dx[1] / _M, y0_um, told.provenance if told else None)
@@ -144,52 +144,42 @@ def _main_of(archive: zipfile.ZipFile, asked: Asked) -> ElementTree.Element:
     return root
 
 
-def _heights(archive: zipfile.ZipFile, main: ElementTree.Element, asked: Asked) -> NDArray[Any]:
-    """The raw numbers, the row of the smallest y first; NaN where they are said to be invalid."""
+def _heights(
+    archive: zipfile.ZipFile, main: ElementTree.Element, factor: float, offset_um: float, asked: Asked
+) -> NDArray[np.float32]:
+    """The heights, the row of the largest y first, as they come out of the archive; NaN where they are invalid."""
     rows, cols, layers = (_size(main, name, asked) for name in ("SizeY", "SizeX", "SizeZ"))
     if layers != 1:
         raise asked.refuse(f"has {layers} layers and one is read: write the one that is wanted into its own file.")
     link, kind = _text(main, "Record3/DataLink/PointDataLink"), _text(main, "Record1/Axes/CZ/DataType") or "D"
     if link is None or kind not in _TYPES:
         raise asked.refuse("keeps its heights as text or in an unknown type: write it again with binary data.")
-    dtype = np.dtype(_TYPES[kind])
-    raw = np.frombuffer(_member(archive, link, main, rows * cols * dtype.itemsize, asked), dtype).reshape(rows, cols)
-    if dtype.kind == "f":
-        return raw
-    return _without_invalid(archive, main, raw, asked)
-
-
-def _without_invalid(
-    archive: zipfile.ZipFile, main: ElementTree.Element, raw: NDArray[Any], asked: Asked
-) -> NDArray[Any]:
-    """Integers have no NaN: a file of bits, the lowest first, says which points are valid."""
-    valid_link = _text(main, "Record3/DataLink/ValidPointsLink")
-    if valid_link is None:
-        return raw
-    with archive.open(_there(archive, valid_link, asked)) as file:
-        bits = np.frombuffer(file.read(-(-raw.size // 8)), np.uint8)
-    valid = np.unpackbits(bits, count=raw.size, bitorder="little").astype(bool).reshape(raw.shape)
-    return np.where(valid, raw, np.float64(np.nan))
-
-
-def _member(archive: zipfile.ZipFile, link: str, main: ElementTree.Element, n_bytes: int, asked: Asked) -> bytearray:
-    """The bytes of the heights, as many as there should be, whose checksum fits."""
-    data, digest = bytearray(), hashlib.md5(usedforsecurity=False)
-    with archive.open(_there(archive, link, asked)) as file:
-        for block in _blocks(file, n_bytes):
-            data += block
-            digest.update(block)
-    if len(data) != n_bytes:
+    name, dtype = _there(archive, link, asked), np.dtype(_TYPES[kind])
+    if archive.getinfo(name).file_size < rows * cols * dtype.itemsize:
         raise asked.refuse("is cut off: it has fewer heights than it says, so copy it again.")
+    z_um, digest = np.empty((rows, cols), np.float32), hashlib.md5(usedforsecurity=False)
+    valid = _valid(archive, main, rows * cols, asked)
+    with archive.open(name) as file:
+        for first in asked.watch(list(range(0, rows, STRIP_ROWS))):
+            end = min(first + STRIP_ROWS, rows)
+            data = file.read((end - first) * cols * dtype.itemsize)
+            digest.update(data)
+            strip = np.frombuffer(data, dtype).astype(np.float64) * factor + offset_um
+            if valid is not None:
+                strip[~valid[first * cols : end * cols]] = np.nan
+            z_um[rows - end : rows - first] = strip.reshape(-1, cols)[::-1]
     _require_sum(_text(main, "Record3/DataLink/MD5ChecksumPointData") or "", digest, "heights", asked)
-    return data
+    return z_um
 
 
-def _blocks(file: IO[bytes], n_bytes: int) -> Any:
-    left = n_bytes
-    while left and (block := file.read(min(_BLOCK, left))):
-        left -= len(block)
-        yield block
+def _valid(archive: zipfile.ZipFile, main: ElementTree.Element, n: int, asked: Asked) -> NDArray[np.bool_] | None:
+    """Integers have no NaN: a file of bits, the lowest first, says which points are valid; None where all are."""
+    link = _text(main, "Record3/DataLink/ValidPointsLink")
+    if link is None:
+        return None
+    with archive.open(_there(archive, link, asked)) as file:
+        bits = np.frombuffer(file.read(-(-n // 8)), np.uint8)
+    return np.unpackbits(bits, count=n, bitorder="little").astype(bool)
 
 
 def _there(archive: zipfile.ZipFile, link: str, asked: Asked) -> str:
