@@ -8,9 +8,23 @@ from typing import Literal
 from wafer_viewer.model.region import RegionKind
 
 ToolName = Literal[
-    "profile", "point", "distance", "step", "angle", "radius", "volume", "flatness", "texture", "roughness",
+    "profile",
+    "point",
+    "distance",
+    "step",
+    "angle",
+    "radius",
+    "volume",
+    "flatness",
+    "texture",
+    "roughness",
     "groove",
-    "kerf", "die", "circle", "chipping", "coplanarity", "site_range",
+    "kerf",
+    "die",
+    "circle",
+    "chipping",
+    "coplanarity",
+    "site_range",
 ]
 
 
