@@ -85,7 +85,7 @@ def thinned(surface: HeightMap, every: int) -> HeightMap:
     """Every so manieth row and column of a map: heights that were measured, not means of them."""
     sparse = slice(None, None, every)
     names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
-    layers = {name: getattr(surface, name)[sparse, sparse] for name in names}
+    layers = {name: getattr(surface, name)[sparse, sparse].copy() for name in names}  # a view would keep it all
     return dataclasses.replace(surface, **layers, overlap_um=None, pixel_um=surface.pixel_um * every)
 
 
