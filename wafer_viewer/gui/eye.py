@@ -26,6 +26,7 @@ class Eye:
         self._clear = Clear()
         self._set: Pose | None = None
         self._size_px = (0, 0)
+        self._left: Vector | None = None
         self._pilot = Pilot(self._put, lambda: self.pose)
         client.camera.on_update(self._heard)
 
@@ -88,6 +89,8 @@ class Eye:
     def aim(self, place: Vector) -> None:
         """Look at a place in the middle of the picture, which stays the same: turns go about it, the wheel nears it."""
         pose = self.pose
+        if self._left is not None and np.allclose(pose.position, self._left) and not pose.is_near(self._set):
+            return  # as a slow browser still has it: it was told where to stand, and has not come there yet
         moved = float(np.linalg.norm(place - pose.look_at))
         if self._pilot.goal is None and moved > _AIMED * float(np.linalg.norm(place - pose.position)):
             if pose.is_near(self._set):
@@ -140,6 +143,7 @@ class Eye:
 
     def _put(self, pose: Pose) -> None:
         camera = self._client.camera
+        self._left = np.array(camera.position, float)
         with self._client.atomic():
             camera.up_direction = (0.0, 0.0, 1.0)
             camera.fov = FOV_RAD
