@@ -66,4 +66,5 @@ def test_measurements_take_unsmoothed_heights_and_origin_codes_stay_what_they_ar
         "OUTLIER": 17,
         "TOO_FEW_FRAMES": 18,
         "STEP_EDGE": 19,
+        "NO_REASON": 20,
     }

@@ -62,11 +62,12 @@ def heading(strips: Strips) -> list[str]:
 
 def _in_short_lines(text: str) -> list[str]:
     """JSON cut into lines without blanks: some programs end at a line, or a word, of more than some hundred letters."""
-    return [text[at : at + LINE_LETTERS] for at in range(0, len(text), LINE_LETTERS)]
+    whole = text.replace(" ", "\\u0020")
+    return [whole[at : at + LINE_LETTERS] for at in range(0, len(whole), LINE_LETTERS)]
 
 
 def about(strips: Strips) -> str:
-    """The text for programs: JSON in one line, ASCII, without a blank."""
+    """The text for programs: JSON in one line, ASCII."""
     surface, provenance = strips.surface, strips.surface.provenance
     facts = {
         "software": f"Wafer Viewer {provenance.software_version}",
@@ -79,7 +80,7 @@ def about(strips: Strips) -> str:
         "cols": strips.shape[1],
         "provenance": json.loads(encode(provenance, "json")),
     }
-    return json.dumps(facts, ensure_ascii=True, separators=(",", ":")).replace(" ", "\\u0020")
+    return json.dumps(facts, ensure_ascii=True, separators=(",", ":"))
 
 
 def told_by(text: str | None) -> About | None:
