@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.kit import Cell, Field
+from wafer_viewer.gui.kit import Cell, Field, set_prop
 from wafer_viewer.gui.measure_source import ZERO
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.levelling import LevelBy, Levelling
+from wafer_viewer.model.measuring import TOOLS
 
 NAMES: dict[str, LevelBy] = {
     "Stage": "stage",
@@ -34,6 +35,11 @@ class LevellingSection:
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
+        reads_heights = view.tool == "none" or not TOOLS[view.tool].on_picture
+        set_prop(self._choice.handle, "visible", reads_heights)
+        if not reads_heights:
+            self._told.show("")
+            return
         by = view.levelling.by
         self._choice.show(next(name for name, way in NAMES.items() if way == by))
         back = f' <span class="wv-link" {html.pick("stage-zero")}>Back to the stage</span>' if by != "stage" else ""

@@ -38,11 +38,15 @@ class PlaceAsked:
 
 @dataclass(frozen=True, slots=True)
 class MeasuringTool:
-    """A tool: its title, what the operator does with it, the places it is measured at."""
+    """A tool: its title, what the operator does with it, the places it is measured at.
+
+    on_picture: it reads the all-in-focus picture, and no heights.
+    """
 
     title: str
     how: str
     places: tuple[PlaceAsked, ...]
+    on_picture: bool = False
 
 
 def _rectangles(*names: str) -> tuple[PlaceAsked, ...]:
@@ -67,10 +71,12 @@ TOOLS: dict[ToolName, MeasuringTool] = {
     "texture": MeasuringTool("Texture", "Drag the region over the face.", _rectangles("face")),
     "groove": MeasuringTool("Groove", "Drag the line across a groove or step.", (PlaceAsked("line", "line"),)),
     "roughness": MeasuringTool("Roughness", "Drag the line over the face.", (PlaceAsked("line", "line"),)),
-    "kerf": MeasuringTool("Kerf width", "Drag the region across a kerf.", _rectangles("kerf")),
-    "die": MeasuringTool("Die size", "Drag the region round a die.", _rectangles("die")),
-    "circle": MeasuringTool("Circle", "Drag the circle round something round.", (PlaceAsked("circle", "circle"),)),
-    "chipping": MeasuringTool("Chipping", "Drag the region along the edge of a die.", _rectangles("edge")),
+    "kerf": MeasuringTool("Kerf width", "Drag the region across a kerf.", _rectangles("kerf"), True),
+    "die": MeasuringTool("Die size", "Drag the region round a die.", _rectangles("die"), True),
+    "circle": MeasuringTool(
+        "Circle", "Drag the circle round something round.", (PlaceAsked("circle", "circle"),), True
+    ),
+    "chipping": MeasuringTool("Chipping", "Drag the region along the edge of a die.", _rectangles("edge"), True),
     "coplanarity": MeasuringTool("Coplanarity", "Drag the region over the bumps of a die.", _rectangles("bumps")),
     "site_range": MeasuringTool(
         "Site range", "Drag the region over the sites: front surface, as mounted.", _rectangles("sites")
