@@ -29,6 +29,12 @@ TITLES = {
     "smr2_fraction": "Smr2",
     "str_ratio": "Str",
     "en": "En",
+    "en_why": "What En says",
+    "deviation": "Error",
+    "reference": "Certificate at this temperature",
+    "at": "Signed at",
+    "s": "s",
+    "sq": "Sq",
 }
 """Names that are symbols; all others read as words."""
 OF_ALL = frozenset(Finding.__struct_fields__)
