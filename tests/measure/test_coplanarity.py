@@ -53,6 +53,7 @@ def _half(um):
     return round(um / PITCH_UM - 0.5) + 0.5
 
 
+@pytest.mark.slow
 def test_the_uncertainty_of_coplanarity_covers_its_error():
     made = [bumped(side=3, seed=seed) for seed in range(6)]
     found = [found_on(one).coplanarity for one in made]

@@ -74,6 +74,7 @@ def test_a_line_is_square_to_its_points_and_leaves_outliers_out():
     assert len(line.off_um) <= 400 - 24
 
 
+@pytest.mark.slow
 def test_a_circle_is_found_within_a_fiftieth_of_a_pixel_and_u_covers_it():
     errors, expanded = [], []
     for seed in range(RUNS):

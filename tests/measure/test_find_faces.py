@@ -15,6 +15,7 @@ def side_um(region):
     return x1 - x0
 
 
+@pytest.mark.slow
 def test_the_faces_of_two_blocks_are_found_and_measured():
     blocks = gauge_blocks(1)
     upper, lower, notes = find_faces(blocks, size_px=60)

@@ -37,6 +37,7 @@ def test_a_height_without_noise_is_that_of_the_surface():
     assert (found.main.unit, found.main.status) == ("um", "evaluated")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_px", [0.0, 8.0])
 def test_the_uncertainty_covers_the_noise_of_a_height(correlation_px):
     surfaces = [slope(seed, 0.5, correlation_px) for seed in range(12)]

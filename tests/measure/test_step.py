@@ -45,6 +45,7 @@ def test_the_bias_over_many_scans_is_under_ten_nanometres():
     assert abs(np.mean(found) - STEP_UM) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_px", [0.0, 2.0, 8.0, 20.0])
 def test_the_uncertainty_covers_the_error_of_correlated_noise(correlation_px):
     steps = [step_height(gauge_blocks(s, 1.0, correlation_px, u_z_scale=0.0), UPPER, LOWER) for s in range(20)]

@@ -59,6 +59,7 @@ def test_a_single_step_has_its_sign():
     assert (up.width, [name for name, _, _ in up.zones]) == (None, ["A", "B"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlation_px", [0.0, 2.0, 4.0])
 def test_its_uncertainty_covers_the_error(correlation_px):
     found = [step_profile(grooved(seed=s, noise_um=0.3, correlation_px=correlation_px), ACROSS) for s in range(40)]

@@ -105,6 +105,7 @@ def test_unmeasured_stays_unmeasured_for_the_reason_it_has(first):
     assert (part.confidence <= np.minimum(first.confidence, other.confidence) + 1e-6).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("second", "align", "why"),
     [

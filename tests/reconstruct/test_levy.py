@@ -23,6 +23,7 @@ def _levy(mode: str, **settings: float) -> Levy:
     return Levy(**{"mode": mode, "n_sigma": 3.0, "alpha": 0.5, "iterations": FACTS.get(mode, 1), **settings})
 
 
+@pytest.mark.slow
 def test_the_literal_equations_raise_the_error_of_a_noisy_map(step: tuple[NDArray, NDArray]) -> None:
     truth, z = step
     assert rmse(z, truth) == pytest.approx(14.90, abs=0.05)

@@ -151,6 +151,7 @@ def test_fields_that_are_fixed_stay_and_others_join_them():
     assert found.form.camera_turn == 1e-3
 
 
+@pytest.mark.slow
 def test_uncertainties_cover_the_errors():
     fields, of_fields, of_form = grid(7, 7), [], []
     for seed in range(60):
@@ -167,6 +168,7 @@ def rms_of_columns(values: Numbers) -> Numbers:
     return np.sqrt(np.mean(values**2, axis=0))
 
 
+@pytest.mark.slow
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(600)
     seams, _ = told(fields, 12, wrong=0.02, sag_um=(0.05, 0.0, 0.05), lean=(1e-3, 0.0))

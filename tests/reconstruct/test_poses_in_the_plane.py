@@ -222,6 +222,7 @@ def test_an_overlap_that_tells_one_direction_is_used_for_that_one():
     assert found.u_y_um.mean() > 1.5 * found.u_x_um.mean()
 
 
+@pytest.mark.slow
 def test_uncertainties_cover_the_errors():
     fields, ratios = grid(7, 7), []
     for seed in range(60):
@@ -231,6 +232,7 @@ def test_uncertainties_cover_the_errors():
     assert 0.85 < rms(np.array(ratios)) < 1.15
 
 
+@pytest.mark.slow
 def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(900)
     shifts, _ = told(fields, 16, wrong=0.03, blank=0.1, turn=1e-3)

@@ -140,6 +140,7 @@ def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkey
     assert large["Verdict"].sha256 == whole["Verdict"]
 
 
+@pytest.mark.slow
 def test_the_same_data_makes_the_same_report_in_another_folder_process_and_time_zone(dataset, tmp_path):
     first = make_report(dataset, RESULT, ReportOrder(), tmp_path / "first.html")
     copy = shutil.copytree(dataset, tmp_path / "elsewhere" / dataset.name)
