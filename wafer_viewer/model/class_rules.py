@@ -13,21 +13,23 @@ from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Withi
 class DefectShape:
     """The features of one place that differs from its reference, as the rules ask for them.
 
-    height_um: signed, the largest difference from the reference; pits negative. score: its absolute value over the
-    local noise. major_um, minor_um: lengths of the axes of its outline. roughness_ratio: roughness of the residual
-    inside, its own slow shape taken off, over the local noise; near 1 is smooth. steepness: the steepest rise from the
-    border inwards over height_um / (minor_um / 2), near 1 for a cone or a dome, large for a wall. on_edge_fraction:
-    share of its border on a die's edge. die_fraction: share of the die's area that it covers. die_tilt_mrad: tilt of
-    the die's residual plane. unmeasured_fraction: share of its area without a height.
+    height_um: signed, the largest difference from the reference; pits negative; mean_height_um: over its area, 0 where
+    it is not known. score: the peak over the local noise. major_um, minor_um: lengths of the axes of its outline.
+    roughness_ratio: roughness of the residual inside, its own slow shape taken off, over the local noise; near 1 is
+    smooth. steepness: the median slope across its outline over |height_um| / (minor_um / 2), 1 for a cone, large for a
+    wall; 0 where it is not known. on_edge_fraction: share of its border on a die's edge. die_fraction: share of the
+    die's area that it covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: share of its area
+    without a height.
     """
 
     height_um: float
+    mean_height_um: float = 0.0
     score: float
     area_um2: float
     major_um: float
     minor_um: float
     roughness_ratio: float = 1.0
-    steepness: float = 1.0
+    steepness: float = 0.0
     on_edge_fraction: float = 0.0
     die_fraction: float = 0.0
     die_tilt_mrad: float = 0.0
@@ -52,8 +54,9 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     unmeasured_fraction: with more of its area unmeasured there is nothing to classify. die_fraction: what covers more
     of its die is the die's own: missing where it lies lower by more than missing_height_um, tilted beyond tilt_mrad.
     edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
-    than so many widths and at least scratch_length_um. residue_width_um, residue_aspect, residue_roughness: smooth and
-    wide is at least so wide, at most so high for its width, at most so rough.
+    than so many widths and than scratch_length_um. residue_*: smooth and wide is wider than residue_width_um, lower
+    than residue_aspect of its width, no rougher than residue_roughness, and no steeper at its outline than
+    residue_steepness.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -64,6 +67,7 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     edge_fraction: Fraction = 0.15
     scratch_ratio: Annotated[float, Within(1)] = 4.0
     scratch_length_um: NonNegative = 0.0
-    residue_width_um: NonNegative = 20.0
-    residue_aspect: Positive = 0.15
-    residue_roughness: Positive = 3.0
+    residue_width_um: NonNegative = 8.0
+    residue_aspect: Positive = 0.25
+    residue_roughness: Positive = 2.5
+    residue_steepness: Positive = 2.0

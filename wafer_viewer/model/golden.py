@@ -39,16 +39,16 @@ class GoldenHeader(Spec, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GoldenDie:
-    """A golden die: z_um, spread_um, picture, picture_spread, float32 [row, col], row 0 at the die's upper edge.
+    """A golden die: z_um, z_spread_um, picture, picture_spread, float32 [row, col], row 0 at the die's upper edge.
 
-    z_um is the robust median over the dies, spread_um its robust standard deviation from die to die (1.4826 MAD);
+    z_um is the robust median over the dies, z_spread_um its robust standard deviation from die to die (1.4826 MAD);
     picture and picture_spread are the same of the all-in-focus image. Pixel (0, 0) has its centre at u = pixel_um / 2,
     v = height_um - pixel_um / 2 from the die's lower left corner. NaN where too few dies were measured.
     """
 
     header: GoldenHeader
     z_um: NDArray[np.float32]
-    spread_um: NDArray[np.float32]
+    z_spread_um: NDArray[np.float32]
     picture: NDArray[np.float32]
     picture_spread: NDArray[np.float32]
 
@@ -60,7 +60,7 @@ class GoldenDie:
     @property
     def layers(self) -> dict[str, NDArray[np.float32]]:
         """The arrays by their names."""
-        names = ("z_um", "spread_um", "picture", "picture_spread")
+        names = ("z_um", "z_spread_um", "picture", "picture_spread")
         return {name: getattr(self, name) for name in names}
 
     @property
