@@ -18,7 +18,7 @@ WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
 
 
 def read_inspection(result: Path) -> Inspection | None:
-    """The inspection in the folder of a result; None before one was made. Raises DatasetError where it is unreadable."""
+    """The inspection in the folder of a result; None before one was made. DatasetError where it is unreadable."""
     path = result / DEFECTS
     if not path.exists():
         return None
