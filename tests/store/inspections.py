@@ -41,7 +41,7 @@ def defect(number: int, die: str, u_um: float, v_um: float, **changes: Any) -> D
 def inspection(*defects: Defect, states: dict[str, str] | None = None, **changes: Any) -> Inspection:
     """Six dies, all scanned but those that `states` says otherwise of."""
     told = states or {}
-    on = [d.die for d in defects]
+    on = [d.die for d in defects if d.kind != "unmeasured"]
     dies = tuple(
         DieStatus(
             name=GRID.name(col, row),

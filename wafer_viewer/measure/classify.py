@@ -142,8 +142,8 @@ def _bump(shape: DefectShape) -> Iterator[str]:
 
 RULES: dict[DefectClass, Rule] = {
     "unmeasured": _unmeasured,
-    "missing die": _missing_die,
     "tilted die": _tilted_die,
+    "missing die": _missing_die,
     "pattern": _pattern,
     "edge chip": _edge_chip,
     "scratch": _scratch,

@@ -52,7 +52,8 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     """The limits between the classes of defects; a recipe may change any of them.
 
     unmeasured_fraction: with more of its area unmeasured there is nothing to classify. die_fraction: what covers more
-    of its die is the die's own: missing where it lies lower by more than missing_height_um, tilted beyond tilt_mrad.
+    of its die is the die's own: tilted beyond tilt_mrad, else missing where it lies lower by more than
+    missing_height_um.
     edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
     than so many widths and than scratch_length_um. residue_*: smooth and wide is wider than residue_width_um, lower
     than residue_aspect of its width, no rougher than residue_roughness, and no steeper at its outline than
@@ -62,8 +63,8 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     error: ClassVar[type[WaferViewerError]] = MeasureError
     unmeasured_fraction: Fraction = 0.5
     die_fraction: Fraction = 0.5
-    missing_height_um: Positive = 20.0
-    tilt_mrad: NonNegative = 1.0
+    missing_height_um: Positive = 1.0
+    tilt_mrad: NonNegative = 3.0
     edge_fraction: Fraction = 0.15
     scratch_ratio: Annotated[float, Within(1)] = 4.0
     scratch_length_um: NonNegative = 0.0

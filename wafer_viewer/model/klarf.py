@@ -1,4 +1,4 @@
-"""What a KLARF file says: its wafer, its lattice of dies, and its defects, in um from the lower left corners of dies."""
+"""What a KLARF file says: its wafer, its lattice of dies, and its defects in um from their dies' corners."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BINS = {"open": 0, "real": 1, "nuisance": 2}
 
 
 class KlarfDefect(Spec, frozen=True, kw_only=True):
-    """One line of a KLARF: (u_um, v_um) is its centre from the lower left corner of its die, along the lattice's axes."""
+    """One line of a KLARF: (u_um, v_um) is its centre from its die's lower left corner, along the lattice's axes."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     number: int

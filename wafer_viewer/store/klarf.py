@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.klarf import BINS, CLASS_NUMBERS
 from wafer_viewer.model.sample import Sample
@@ -102,8 +102,8 @@ def _classes() -> Iterator[str]:
 
 
 def _plan(inspection: Inspection) -> Iterator[str]:
-    """The dies of which it can be said whether they have defects, and the area that was looked at."""
-    dies = [die for die in inspection.dies if die.defects or (die.state == "whole" and die.defects is not None)]
+    """The dies that were looked at, and the area of them."""
+    dies = _looked_at(inspection)
     yield "InspectionTest 1;"
     yield f"SampleTestPlan {len(dies)}{'' if dies else ';'}"
     yield from (f" {die.col} {die.row}{';' if die is dies[-1] else ''}" for die in dies)
@@ -131,8 +131,13 @@ def _record(defect: Defect, grid: DieGrid) -> str:
     return " ".join(parts)
 
 
+def _looked_at(inspection: Inspection) -> list[DieStatus]:
+    """The dies of which it can be said whether they have defects."""
+    return [die for die in inspection.dies if die.defects or (die.state == "whole" and die.defects is not None)]
+
+
 def _summary(inspection: Inspection) -> Iterator[str]:
-    found, plan = inspection.found, [die for die in inspection.dies if die.defects is not None]
+    found, plan = inspection.found, _looked_at(inspection)
     area_cm2 = inspection.inspected_mm2 / MM2_PER_CM2
     density = len(found) / area_cm2 if area_cm2 else 0.0
     yield "SummarySpec 5 TESTNO NDEFECT DEFDENSITY NDIE NDEFDIE ;"
