@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ WIDEST = 0.45
 NARROWEST_PX = 2
 STANDS_OUT = 6.0
 """Robust deviations of the profile of edges: a street's two edges both have more."""
+MOST_DIFFERING_PX = 8
+"""Edges of two layers that lie further apart are not of the same street."""
 BANDS = 4
 """A street's edges are found in so many parts of the cell as well: their scatter says how sure they are."""
 
@@ -38,7 +41,17 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     """
     planes = [_filled(layer if upright else layer.T) for layer in layers if np.isfinite(layer).mean() > 0.3]
     found = [street for plane in planes if (street := _street(plane)) is not None]
-    return max(found, key=lambda street: street.clear) if found else None
+    if not found:
+        return None
+    best = max(found, key=lambda street: street.clear)
+    return dataclasses.replace(best, u_px=math.hypot(best.u_px, _differing(best, found)))
+
+
+def _differing(best: Street, found: Sequence[Street]) -> float:
+    """How far an edge may lie off for heights and picture show it at two places: half of that, spread evenly."""
+    other = [one for one in found if abs(one.begin - best.begin) + abs(one.width - best.width) < MOST_DIFFERING_PX]
+    each = [max(abs(one.begin - best.begin), abs(one.begin + one.width - best.begin - best.width)) for one in other]
+    return max(each) / 2 / math.sqrt(3)
 
 
 def _filled(plane: Float32s) -> Floats:

@@ -25,6 +25,8 @@ SHORTEST_PX = 5
 SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
 """Of the shorter side: what varies over more is taken off before the period is known."""
 OFF_SQUARE_RAD = 0.02
+STANDS_OUT = 0.2
+"""Of how much alike a lag is: so much it has at least over the lags round it."""
 GOES_ON = 0.6
 """Of the first lag: what repeats is as much alike at the far multiples of its period, or is only part of a die."""
 AXES = ((False, "x"), (True, "y"))
@@ -69,14 +71,15 @@ def periods_of(layers: Sequence[Float32s]) -> Periods:
     across, up = max(found, key=lambda pair: min(pair[0].alike, pair[1].alike))
     alike = alike_of(layers, max(3, round(math.sqrt(across.length * up.length))))
     peaks = peaks_of(alike)
-    across, up = (settled(alike, cone(peaks, upright, SEARCHED_DEG), axis) for upright, axis in AXES)
-    return _checked(fitted(alike, across, up), peaks)
+    across, up = (settled(alike, cone(alike, peaks, upright, SEARCHED_DEG), axis) for upright, axis in AXES)
+    found = fitted(alike, across, up)
+    return _checked(found, _askew_deg(alike, peaks))
 
 
 def _rough(layers: Sequence[Float32s], size: int) -> tuple[Peak, Peak] | None:
     alike = alike_of(layers, size)
     peaks = peaks_of(alike)
-    right, up = (lasting(alike, cone(peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
     return (shortest(right), shortest(up)) if right and up else None
 
 
@@ -108,14 +111,32 @@ def peaks_of(alike: Floats) -> list[Peak]:
     return [Peak(*lag) for lag in lags if math.hypot(lag[0], lag[1]) >= SHORTEST_PX]
 
 
-def cone(peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
-    """The peaks near the x axis, to the right, or near the y axis, upwards."""
+def cone(alike: Floats, peaks: Sequence[Peak], upright: bool, half_deg: float) -> list[Peak]:
+    """The peaks near the x axis, to the right, or near the y axis, upwards, that stand out of the ridge there.
+
+    A pattern that goes on along an axis, as a street does, is like itself at every lag along it: a peak counts by what
+    it has over the median of all lags near the axis.
+    """
     steep = math.tan(math.radians(half_deg))
+    ridge = _ridge(alike.T[::-1, ::-1] if upright else alike, steep)
 
     def within(along: float, aside: float) -> bool:
         return along >= SHORTEST_PX and abs(aside) <= steep * along + 1
 
-    return [peak for peak in peaks if within(*((peak.up, peak.right) if upright else (peak.right, peak.up)))]
+    near = [peak for peak in peaks if within(*((peak.up, peak.right) if upright else (peak.right, peak.up)))]
+    over = [Peak(peak.right, peak.up, peak.alike - ridge) for peak in near]
+    return [peak for peak in over if peak.alike >= STANDS_OUT * max(LEAST_ALIKE, peak.alike + ridge)]
+
+
+def _ridge(alike: Floats, steep: float) -> float:
+    """The median over all lags to the right of the most alike within a cone about the axis; at least 0."""
+    row, col = (n // 2 for n in alike.shape)
+    most = [
+        float(np.nanmax(alike[max(0, row - aside) : row + aside + 1, col + along], initial=-1.0))
+        for along in range(SHORTEST_PX, col + 1)
+        for aside in [min(row, math.floor(steep * along + 1))]
+    ]
+    return max(0.0, float(np.median(most)) if most else 0.0)
 
 
 def shortest(peaks: Sequence[Peak]) -> Peak:
@@ -136,7 +157,9 @@ def _goes_on(alike: Floats, peak: Peak) -> bool:
         row, col = round(middle_row - times * peak.up), round(middle_col + times * peak.right)
         part = alike[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1]
         values.append(float(np.nanmax(part, initial=-1.0)))
-    return not values or float(np.median(values[len(values) // 2 :])) >= GOES_ON * peak.alike
+    first = float(alike[middle_row - round(peak.up), middle_col + round(peak.right)])
+    fallen = first - float(np.median(values[len(values) // 2 :])) if values else 0.0
+    return fallen <= (1 - GOES_ON) * peak.alike
 
 
 def settled(alike: Floats, peaks: Sequence[Peak], axis: str) -> Peak:
@@ -210,13 +233,13 @@ def vertex(before: float, at: float, after: float) -> float:
     return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
 
 
-def _checked(found: tuple[Floats, Floats, float], peaks: Sequence[Peak]) -> Periods:
+def _checked(found: tuple[Floats, Floats, float], askew_deg: float | None) -> Periods:
     """Raises MeasureError where the lattice is turned too far or its periods are not square to each other."""
     across, up, alike = found
     turn_x, turn_y = math.atan2(across[1], across[0]), math.atan2(-up[0], up[1])
     if abs(turn_x - turn_y) > OFF_SQUARE_RAD + 2 / math.hypot(*across) + 2 / math.hypot(*up):
-        if (askew := _askew_deg(peaks)) is not None:
-            raise turned_too_far(askew)
+        if askew_deg is not None:
+            raise turned_too_far(askew_deg)
         raise MeasureError(
             f"What repeats along x and y is {math.degrees(abs(turn_x - turn_y)):.1f} degrees off square and dies are "
             f"not: {MEND}."
@@ -240,8 +263,8 @@ def nothing_repeats(layers: Sequence[Float32s]) -> MeasureError:
     """What to say where no lattice is found: along which axis, or that it is turned too far."""
     alike = alike_of(layers, max(3, min(layers[0].shape) // 6))
     peaks = peaks_of(alike)
-    right, up = (lasting(alike, cone(peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
-    if (askew := _askew_deg(peaks)) is not None:
+    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    if (askew := _askew_deg(alike, peaks)) is not None:
         return turned_too_far(askew)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
     return MeasureError(
@@ -250,9 +273,9 @@ def nothing_repeats(layers: Sequence[Float32s]) -> MeasureError:
     )
 
 
-def _askew_deg(peaks: Sequence[Peak]) -> float | None:
+def _askew_deg(alike: Floats, peaks: Sequence[Peak]) -> float | None:
     """How far the shortest lags about both axes are turned together, degrees; None where they are not, or little."""
-    wide = [cone(peaks, upright, WIDE_DEG) for upright in (False, True)]
+    wide = [cone(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
     if not all(wide):
         return None
     across, up = map(shortest, wide)
