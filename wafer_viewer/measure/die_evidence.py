@@ -125,7 +125,7 @@ def sampled(layer: Float32s, rows: Floats, cols: Floats) -> Float32s:
 
 def median_cell(cells: Sequence[tuple[Float32s, ...]]) -> tuple[Float32s, ...]:
     """Layer by layer the median over dies, each less its own median; NaN where fewer than a third know a place."""
-    return tuple(_median(np.stack([_centred(cell[k]) for cell in cells])) for k in range(len(cells[0])))
+    return tuple(median_of(np.stack([_centred(cell[k]) for cell in cells])) for k in range(len(cells[0])))
 
 
 def _centred(layer: Float32s) -> Float32s:
@@ -133,7 +133,8 @@ def _centred(layer: Float32s) -> Float32s:
     return layer - np.median(known) if known.size else layer
 
 
-def _median(stack: Float32s) -> Float32s:
+def median_of(stack: Float32s) -> Float32s:
+    """The median over the first axis; NaN where fewer than a third know a place."""
     known = np.isfinite(stack).sum(axis=0)
     ordered = np.sort(stack, axis=0)  # NaN goes last
     low, high = np.maximum(known - 1, 0) // 2, known // 2

@@ -82,11 +82,19 @@ def _die_between(
 
 
 def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
-    """The lattice numbered from the lowest, leftmost column and row that touch the surface."""
+    """The lattice numbered from the lowest, leftmost column and row that touch the surface.
+
+    Places that do not touch it are left out. Raises MeasureError where none does.
+    """
     cols, rows = touching(grid, surface)
     x_um, y_um = grid.corner(int(cols.min()), int(rows.min()))
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
-    return replace(grid, x0_um=x_um, y0_um=y_um, first_col=0, first_row=0, cols=n_cols, rows=n_rows)
+    on = {
+        grid.name(col, row) for col, row in zip((cols - cols.min()).tolist(), (rows - rows.min()).tolist(), strict=True)
+    }
+    moved = replace(grid, x0_um=x_um, y0_um=y_um, first_col=0, first_row=0, cols=n_cols, rows=n_rows, left_out=())
+    off = (grid.name(*at) for at in moved.places)
+    return replace(moved, left_out=tuple(name for name in off if name not in on))
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
