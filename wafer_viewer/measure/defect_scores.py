@@ -1,0 +1,179 @@
+"""How far each place of a cell lies from its reference, in deviations of its own noise, at several scales. Pure.
+
+A residual is divided by the spread of its position, held at LOUDEST so that one tall thing does not shine over all that
+is near it, smoothed, and divided by the noise that is left at that scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.die_cells import Place, Plane
+from wafer_viewer.measure.golden import Cell, Golden, robust_sigma
+from wafer_viewer.measure.level import robust_fit
+from wafer_viewer.model.defects import DefectRecipe, FalseCounts
+from wafer_viewer.numerics.cells import count_peaks, typical
+from wafer_viewer.numerics.smoothing import coarseness, gaussian_sums
+
+LOUDEST = 15.0
+LOW_SHARE, LEAST_LOW = 0.6, 2.5
+"""A defect reaches as far as it is over this share of the threshold, and over so many deviations."""
+HISTOGRAM_STEP, HISTOGRAM_END = 0.125, 12.0
+FITTED_FROM, FITTED_TO, LEAST_COUNTED = 3.0, 4.5, 8
+TILT_POINTS = 6_000
+LAYERS = ("height", "picture")
+Mask = NDArray[np.bool_]
+Noise = dict[tuple[str, float], float | Plane]
+"""Of the smoothed quotients, by layer and scale; of wide scales for each place."""
+LOCAL_FROM_CELLS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Residual:
+    """A cell less its reference: heights with their plane taken off, grey values; the slopes of that plane."""
+
+    place: Place
+    z_um: Plane
+    picture: Plane
+    tilt: tuple[float, float]
+    offset_um: float
+    missing: Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """Quotients of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
+
+    planes: dict[tuple[str, float], Plane]
+
+    def over(self, limit: float, layers: Sequence[str], shape: tuple[int, int]) -> Mask:
+        """The pixels over a limit, of either sign, at any scale of some layers."""
+        mask = np.zeros(shape, bool)
+        for (layer, scale), plane in self.planes.items():
+            if layer in layers:
+                mask |= enlarged(np.abs(plane) >= limit, coarseness(scale), shape)
+        return mask
+
+
+def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool) -> Residual:
+    """A cell less its reference. flatten: the plane of what is left is taken off, and the grey offset."""
+    z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
+    missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
+    if not flatten:
+        return Residual(place, z_um, picture, (0.0, 0.0), 0.0, missing)
+    a, b, c = _plane(z_um)
+    rows, cols = z_um.shape
+    plane = (a * np.arange(rows)[:, None] + b * np.arange(cols)[None, :] + c).astype(np.float32)
+    grey = picture[::4, ::4]
+    grey = grey[np.isfinite(grey)]
+    level = np.float32(np.median(grey)) if grey.size else np.float32(0)
+    middle = a * rows / 2 + b * cols / 2 + c
+    return Residual(place, z_um - plane, picture - level, (-a / pixel_um, b / pixel_um), middle, missing)
+
+
+def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> dict[tuple[str, float], Plane]:
+    """Residuals over their spread, smoothed at each scale, by layer and scale."""
+    pairs = (("height", residual.z_um, golden.z_spread_um), ("picture", residual.picture, golden.picture_spread))
+    planes: dict[tuple[str, float], Plane] = {}
+    for layer, left, spread in pairs:
+        if recipe.evidence in (layer, "both"):
+            part = np.clip(left / spread, -LOUDEST, LOUDEST)
+            known = np.isfinite(part)
+            filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
+            planes |= {(layer, scale): gaussian_sums(filled, weight, scale) for scale in recipe.scales_px}
+    return planes
+
+
+def noise_of(many: Sequence[dict[tuple[str, float], Plane]]) -> Noise:
+    """The usual noise of quotients over some cells, by layer and scale.
+
+    What is alike along edges adds up at wide scales: there the noise is that of each place, where cells are enough.
+    """
+    found: Noise = {}
+    for key in many[0] if many else ():
+        values = [robust_sigma(planes[key]) for planes in many]
+        known = [v for v in values if np.isfinite(v) and v > 0]
+        usual = float(np.median(known)) if known else 1.0
+        local = coarseness(key[1]) > 1 and len(many) >= LOCAL_FROM_CELLS
+        found[key] = _local_noise([planes[key] for planes in many], usual) if local else usual
+    return found
+
+
+def _local_noise(planes: list[Plane], usual: float) -> Plane:
+    """From cell to cell at each place and its neighbours, never less than the usual."""
+    from scipy.ndimage import uniform_filter
+
+    stack = np.stack(planes)
+    middle, spread = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:], np.float32)
+    typical(stack, 3, middle, spread)
+    off = np.where(np.isfinite(spread), spread**2 + middle**2, usual**2)
+    return np.maximum(usual, np.sqrt(uniform_filter(off, 3))).astype(np.float32)
+
+
+def scores_of(planes: dict[tuple[str, float], Plane], noise: Noise) -> Scores:
+    """Quotients in deviations of their noise."""
+    return Scores({key: plane / np.asarray(noise[key], np.float32) for key, plane in planes.items()})
+
+
+def low_of(threshold_sigma: float) -> float:
+    """How far down a defect reaches whose peak is over the threshold."""
+    return max(LEAST_LOW, LOW_SHARE * threshold_sigma)
+
+
+def new_counts() -> NDArray[np.int64]:
+    """An empty histogram of peaks."""
+    return np.zeros(round(HISTOGRAM_END / HISTOGRAM_STEP), np.int64)
+
+
+def count(scores: Scores, min_area_px: int, counts: NDArray[np.int64]) -> None:
+    """Add the peaks of a cell to a histogram of all layers and scales."""
+    for (_, scale), plane in scores.planes.items():
+        crowd = min(9, min_area_px) if scale == 0 else 1
+        count_peaks(np.ascontiguousarray(plane), 2.0, crowd, HISTOGRAM_STEP, counts)
+
+
+def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:
+    """From the histogram of peaks: those of noise fall as exp(-t2 / 2 s2), and defects are few of the lower ones.
+
+    The fall is fitted between 3 and 4.5 sigma by how many peaks there are, and followed to all thresholds.
+    """
+    thresholds = np.arange(0, len(counts)) * HISTOGRAM_STEP
+    above = counts[::-1].cumsum()[::-1].astype(float)
+    used = (thresholds >= FITTED_FROM) & (thresholds <= FITTED_TO) & (counts >= LEAST_COUNTED)
+    wanted = np.arange(2.0, 8.01, 0.25)
+    if inspected_mm2 <= 0:
+        return FalseCounts()
+    if np.count_nonzero(used) < 4:
+        rate = np.full(wanted.shape, max(above[used].min(initial=np.inf), 1e-9) if used.any() else 1e-9)
+        rate = np.where(np.isfinite(rate), rate, 1e-9) / inspected_mm2
+        return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rate.tolist()))
+    slope, start = np.polyfit(thresholds[used] ** 2, np.log(counts[used]), 1, w=np.sqrt(counts[used]))
+    fitted = np.exp(np.minimum(50.0, start + min(slope, -0.05) * (wanted[:, None] + thresholds[None, :]) ** 2))
+    rate = fitted.sum(axis=1) / inspected_mm2
+    return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rate.tolist()))
+
+
+def enlarged(mask: Mask, side: int, shape: tuple[int, int]) -> Mask:
+    """Each square as its pixels; what is left over at the end holds nothing."""
+    if side == 1:
+        return mask
+    out = np.zeros(shape, bool)
+    big = mask.repeat(side, axis=0).repeat(side, axis=1)[: shape[0], : shape[1]]
+    out[: big.shape[0], : big.shape[1]] = big
+    return out
+
+
+def _plane(z_um: Plane) -> tuple[float, float, float]:
+    """Slopes down and right and the height at pixel (0, 0) of a plane through what is left of a cell."""
+    step = max(1, round((z_um.size / TILT_POINTS) ** 0.5))
+    some = z_um[::step, ::step]
+    rows, cols = np.nonzero(np.isfinite(some))
+    if len(rows) < 50:
+        return 0.0, 0.0, 0.0
+    design = np.stack([rows * float(step), cols * float(step), np.ones(len(rows))], axis=1).astype(np.float64)
+    a, b, c = robust_fit(design, some[rows, cols].astype(np.float64)).coefficients.tolist()
+    return a, b, c

@@ -1,0 +1,152 @@
+"""Kernels for many alike pieces of a surface: read on a lattice of their own, their typical values, their shifts.
+
+NaN is unmeasured throughout.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Int64s, Real
+from wafer_viewer.numerics.jit import kernel
+
+MAD_TO_SIGMA = 1.4826
+
+
+@kernel
+def read_affine(plane: Float32s, way: Float64s, out: Float32s) -> None:
+    """out[i, j] = plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
+
+    Bicubic (Catmull and Rom) where all 16 pixels round a place are known, else bilinear of those of the four next to it
+    that are; NaN where the nearest one is unknown, or where unknown ones would weigh more than a quarter.
+    """
+    n_rows, n_cols = plane.shape
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            r, c = way[0] + way[1] * i + way[2] * j, way[3] + way[4] * i + way[5] * j
+            out[i, j] = np.nan
+            row, col = int(np.floor(r)), int(np.floor(c))
+            if row < 0 or col < 0 or row >= n_rows or col >= n_cols:
+                continue
+            y, x = np.float32(r - row), np.float32(c - col)
+            if 0 < row < n_rows - 2 and 0 < col < n_cols - 2:
+                value = _bicubic(plane, row, col, y, x)
+                if value == value:
+                    out[i, j] = value
+                    continue
+            out[i, j] = _bilinear(plane, row, col, y, x)
+
+
+@kernel
+def _bicubic(plane: Float32s, row: int, col: int, y: Real, x: Real) -> Real:
+    half = np.float32(0.5)
+    a, d = half * x * (-1 + x * (2 - x)), half * x * x * (x - 1)
+    b, c = 1 + half * x * x * (3 * x - 5), half * x * (1 + x * (4 - 3 * x))
+    e, h = half * y * (-1 + y * (2 - y)), half * y * y * (y - 1)
+    f, g = 1 + half * y * y * (3 * y - 5), half * y * (1 + y * (4 - 3 * y))
+    p, q = plane[row - 1], plane[row]
+    s, t = plane[row + 1], plane[row + 2]
+    k = col
+    above = e * (a * p[k - 1] + b * p[k] + c * p[k + 1] + d * p[k + 2])
+    upper = f * (a * q[k - 1] + b * q[k] + c * q[k + 1] + d * q[k + 2])
+    lower = g * (a * s[k - 1] + b * s[k] + c * s[k + 1] + d * s[k + 2])
+    below = h * (a * t[k - 1] + b * t[k] + c * t[k + 1] + d * t[k + 2])
+    return above + upper + lower + below
+
+
+@kernel
+def _bilinear(plane: Float32s, row: int, col: int, y: Real, x: Real) -> Real:
+    total, weight = np.float32(0), np.float32(0)
+    for down in range(2):
+        for right in range(2):
+            part = (y if down else 1 - y) * (x if right else 1 - x)
+            if part > 0 and row + down < plane.shape[0] and col + right < plane.shape[1]:
+                value = plane[row + down, col + right]
+                if value == value:
+                    total += part * value
+                    weight += part
+    return total / weight if weight >= np.float32(0.75) else np.float32(np.nan)
+
+
+@kernel
+def typical(stack: Float32s, least: int, middle: Float32s, spread: Float32s) -> None:
+    """Median and robust standard deviation (1.4826 MAD) over the first axis of stack [n, row, col].
+
+    NaN where fewer than `least` are known.
+    """
+    n = stack.shape[0]
+    values = np.empty(n, np.float32)
+    for r in range(stack.shape[1]):
+        for c in range(stack.shape[2]):
+            known = 0
+            for k in range(n):
+                v = stack[k, r, c]
+                if v == v:
+                    _insert(values, known, v)
+                    known += 1
+            middle[r, c] = spread[r, c] = np.nan
+            if known >= least and known > 0:
+                m = np.float32(0.5) * (values[(known - 1) // 2] + values[known // 2])
+                _far_from(values, known, m)
+                middle[r, c] = m
+                spread[r, c] = np.float32(MAD_TO_SIGMA * 0.5) * (values[(known - 1) // 2] + values[known // 2])
+
+
+@kernel
+def _insert(values: Float32s, known: int, v: Real) -> None:
+    at = known
+    while at > 0 and values[at - 1] > v:
+        values[at] = values[at - 1]
+        at -= 1
+    values[at] = v
+
+
+@kernel
+def _far_from(values: Float32s, known: int, middle: Real) -> None:
+    """The first values become their distances from the middle, in order."""
+    for k in range(known):
+        _insert(values, k, abs(values[k] - middle))
+
+
+@kernel
+def shift_sums(here: Float32s, typical_one: Float32s, offset: Real, limit: Real) -> Float64s:
+    """Normal equations of here - typical = offset + down * shift[0] + right * shift[1], [3, 4]: the right side is last.
+
+    down, right: slopes of the typical one; differences beyond `limit` of the offset count nothing.
+    """
+    sums = np.zeros((3, 4))
+    line = np.empty(4)
+    for r in range(1, here.shape[0] - 1):
+        for c in range(1, here.shape[1] - 1):
+            left = here[r, c] - typical_one[r, c]
+            if abs(left - offset) <= limit:
+                line[0], line[3] = 1.0, left
+                line[1] = 0.5 * (typical_one[r + 1, c] - typical_one[r - 1, c])
+                line[2] = 0.5 * (typical_one[r, c + 1] - typical_one[r, c - 1])
+                if line[1] == line[1] and line[2] == line[2]:
+                    for i in range(3):
+                        for j in range(4):
+                            sums[i, j] += line[i] * line[j]
+    return sums
+
+
+@kernel
+def count_peaks(score: Float32s, low: Real, crowd: int, step: Real, counts: Int64s) -> None:
+    """Add the places where |score| is highest of 3 x 3 pixels, by |score| in steps; one per place.
+
+    They count where `crowd` pixels of the nine have the same sign and are over `low`.
+    """
+    for r in range(1, score.shape[0] - 1):
+        for c in range(1, score.shape[1] - 1):
+            v = score[r, c]
+            if abs(v) < low:
+                continue
+            sign = np.float32(1) if v > 0 else np.float32(-1)
+            n, highest = 0, True
+            for a in range(r - 1, r + 2):
+                for b in range(c - 1, c + 2):
+                    other = sign * score[a, b]
+                    n += other >= low
+                    highest = highest and not other > sign * v
+            if highest and n >= crowd:
+                counts[min(int(abs(v) / step), counts.size - 1)] += 1
