@@ -22,7 +22,10 @@ _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
 
 def picture(shelf: Shelf, request: PaintRequest) -> bytes:
-    """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured."""
+    """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured.
+
+    With the all-in-focus image in the look there is that much less of light and colours.
+    """
     if request.box_um is None:
         return b""
     surface = shelf.surface(request.source)
@@ -38,6 +41,7 @@ def picture(shelf: Shelf, request: PaintRequest) -> bytes:
         return b""
     low, high = (float(v) for v in np.percentile(part.z_um[there], [1, 99]))
     span = max(high - low, 1e-3)
-    look = Look(low=low, high=low + span, hillshade=0.6)
+    image = request.look.all_in_focus
+    look = Look(low=low, high=low + span, hillshade=0.6 * (1 - image), all_in_focus=image)
     baked = bake(part, look, Light(light_gain(part.z_um, part.pixel_um), span))
     return jpeg(np.where(baked[..., 3:] > 0, baked[..., :3], _UNMEASURED), _QUALITY)
