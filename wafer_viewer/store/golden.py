@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,7 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
     try:
         while True:
             path = folder / f"{name}.{version}{ENDING}"
-            header = replace(golden.header, name=name, version=version)
+            header = _kept_now(golden.header, name, version)
             with writing(path), beside.open("wb") as file:
                 members: dict[str, Any] = {layer: getattr(golden, layer) for layer in LAYERS}
                 np.savez_compressed(file, header=np.array(encode(header, "json")), **members)
@@ -121,6 +122,13 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
             version += 1
     finally:
         remove(beside)
+
+
+def _kept_now(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
+    from wafer_viewer import __version__
+
+    at = header.made_at or datetime.now().isoformat(timespec="seconds")
+    return replace(header, name=name, version=version, made_at=at, software_version=__version__)
 
 
 def _named(beside: Path, path: Path) -> bool:
