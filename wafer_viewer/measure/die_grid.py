@@ -11,8 +11,10 @@ from wafer_viewer.measure.die_evidence import Coarse, Evidence, bounds_of, read_
 from wafer_viewer.measure.die_registration import Registered, cells_over, half_cell, refined
 from wafer_viewer.measure.die_streets import Street, street_of
 from wafer_viewer.measure.periodicity import Periods, periods_of
+from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 
@@ -32,6 +34,17 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     coarse = read_coarse(surface, evidence)
     found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
     return on_surface(with_streets(found), surface)
+
+
+def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
+    """The pitches along x and y with their expanded uncertainties (k = 2): fit of the lattice and pixel scale."""
+    reading = Reading.of(surface, None, calibration_valid)
+    each = grid.pitch_x_um, grid.pitch_y_um
+    if grid.by == "given":
+        return Length(value_um=each[0], status="not evaluated"), Length(value_um=each[1], status="not evaluated")
+    lines = ({"fit of the lattice": grid.u_pitch_um, "pixel scale": um * reading.u_pixel_scale} for um in each)
+    along_x, along_y = (reading.length(um, line) for um, line in zip(each, lines, strict=True))
+    return along_x, along_y
 
 
 def rough_grid(coarse: Coarse, periods: Periods) -> DieGrid:

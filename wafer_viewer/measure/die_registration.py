@@ -19,8 +19,9 @@ from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.likeness import contrast, likeness
 
-MOST_DIES = 36
-"""So many dies, spread over the surface, are registered at most."""
+MOST_DIES, LEAST_DIES = 100, 36
+CELLS_PIXELS = 4_000_000
+"""So many dies, spread over the surface, are registered at most; fewer where their cells have more pixels together."""
 CELL_PX = 420
 """The longer side of a cell is read at a level that gives it at most so many pixels."""
 REACH_PX = 6
@@ -30,7 +31,7 @@ LEAST_ALIKE = 0.35
 """Correlation with the median die from which on a cell is one of them."""
 LEAST_SHARE = 0.5
 """Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies."""
-ROUNDS = 2
+ROUNDS = 4
 Cell = tuple[Float32s, ...]
 
 
@@ -73,7 +74,9 @@ def cells_of(
     surface: Mosaic, grid: DieGrid, lattice: CellLattice, level: int, evidence: Evidence
 ) -> dict[tuple[int, int], Cell]:
     """Cells all over the surface that are known well enough. Raises MeasureError where there are fewer than two."""
-    read = {at: read_cell(surface, grid, at, lattice, level, evidence) for at in spread(whole_cells(surface, grid))}
+    most = max(LEAST_DIES, min(MOST_DIES, CELLS_PIXELS // (lattice.rows * lattice.cols)))
+    places = spread(whole_cells(surface, grid), most)
+    read = {at: read_cell(surface, grid, at, lattice, level, evidence) for at in places}
     cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
     if len(cells) < 2:
         raise MeasureError(
@@ -85,7 +88,9 @@ def cells_of(
 
 
 def _known(layer: Float32s) -> float:
-    return float(np.isfinite(layer).mean()) if np.nanstd(layer[np.isfinite(layer)]) > 0 else 0.0
+    """The share of a layer that is known; 0 where it shows nothing."""
+    known = layer[np.isfinite(layer)]
+    return known.size / layer.size if known.size and np.ptp(known) > 0 else 0.0
 
 
 def whole_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
@@ -112,11 +117,11 @@ def half_cell(grid: DieGrid) -> tuple[Floats, Floats]:
     return u, grid.height_um / 2 + grid.pitch_y_um * np.array([-0.5, -0.5, 0.5, 0.5])
 
 
-def spread(places: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """At most MOST_DIES of them: the nearest to a lattice of as many over all, its corners among them."""
-    if len(places) <= MOST_DIES:
+def spread(places: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """At most so many of them: the nearest to a lattice of as many over all, its corners among them."""
+    if len(places) <= most:
         return list(places)
-    at, side = np.array(places, float), math.isqrt(MOST_DIES)
+    at, side = np.array(places, float), math.isqrt(most)
     low, high = at.min(axis=0), at.max(axis=0)
     wanted = low + (high - low) * np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * 2), axis=-1).reshape(-1, 2)
     nearest = {int(np.argmin(((at - one) ** 2).sum(axis=1))) for one in wanted}

@@ -19,7 +19,7 @@ LIMIT_DEG = 5.0
 SEARCHED_DEG, WIDE_DEG = 6.0, 40.0
 LEAST_ALIKE = 0.15
 """Autocorrelation of a lag at which a pattern repeats, at least."""
-AS_ALIKE, HALF_ALIKE = 0.88, 0.70
+AS_ALIKE, HALF_ALIKE = 0.75, 0.5
 """Of the best lag: a shorter one that is as much alike is the period; one in between leaves it open which is."""
 SHORTEST_PX = 5
 SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
@@ -27,8 +27,8 @@ SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
 OFF_SQUARE_RAD = 0.02
 STANDS_OUT = 0.2
 """Of how much alike a lag is: so much it has at least over the lags round it."""
-GOES_ON = 0.6
-"""Of the first lag: what repeats is as much alike at the far multiples of its period, or is only part of a die."""
+GOES_ON = 0.3
+"""Of how the first lag stands out: the far multiples of a period do, those of what repeats within a die do not."""
 AXES = ((False, "x"), (True, "y"))
 MEND = "give pitch, origin and size of the dies instead"
 
@@ -146,20 +146,28 @@ def shortest(peaks: Sequence[Peak]) -> Peak:
 
 
 def lasting(alike: Floats, peaks: Sequence[Peak]) -> list[Peak]:
-    """The lags whose multiples are as much alike: what repeats within a die, pads say, ends with the die."""
+    """The lags that go on over the surface: what repeats within a die, pads say, ends with the die."""
     return [peak for peak in peaks if _goes_on(alike, peak)]
 
 
 def _goes_on(alike: Floats, peak: Peak) -> bool:
-    middle_row, middle_col = (n // 2 for n in alike.shape)
-    near, values = max(2, round(0.15 * peak.length)), list[float]()
-    for times in range(2, 1 + math.floor(min(middle_row / max(1, abs(peak.up)), middle_col / max(1, abs(peak.right))))):
-        row, col = round(middle_row - times * peak.up), round(middle_col + times * peak.right)
-        part = alike[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1]
-        values.append(float(np.nanmax(part, initial=-1.0)))
-    first = float(alike[middle_row - round(peak.up), middle_col + round(peak.right)])
-    fallen = first - float(np.median(values[len(values) // 2 :])) if values else 0.0
-    return fallen <= (1 - GOES_ON) * peak.alike
+    """Whether the far multiples stand out of the lags half a period before and after them as the first does.
+
+    On a round wafer all lags are less alike the longer they are, peaks and valleys: so it is by what stands out.
+    """
+    middle = np.array([n // 2 for n in alike.shape])
+    step = np.array([-peak.up, peak.right])
+    most = math.floor(float(np.min((middle - 2) / np.maximum(1, np.abs(step))) - 0.5))
+    over = [_stands_out(alike, middle + times * step, step / 2) for times in range(1, most + 1)]
+    return len(over) < 2 or float(np.median(over[len(over) // 2 :])) >= GOES_ON * over[0]
+
+
+def _stands_out(alike: Floats, place: Floats, half: Floats) -> float:
+    near = max(1, round(0.15 * 2 * float(np.hypot(*half))))
+    row, col = (max(0, round(float(k))) for k in place)
+    top = float(np.nanmax(alike[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1], initial=-1))
+    valleys = [alike[tuple(np.rint(place + side * half).astype(int))] for side in (-1, 1)]
+    return top - float(np.mean(valleys))
 
 
 def settled(alike: Floats, peaks: Sequence[Peak], axis: str) -> Peak:
@@ -170,7 +178,7 @@ def settled(alike: Floats, peaks: Sequence[Peak], axis: str) -> Peak:
             f"axis: scan more dies, or {MEND}."
         )
     period = shortest(periods)
-    part = next((peak for peak in peaks if _is_part(peak, period) and peak.alike >= HALF_ALIKE * period.alike), None)
+    part = next((peak for peak in periods if _is_part(peak, period) and peak.alike >= HALF_ALIKE * period.alike), None)
     if part is not None:
         raise MeasureError(
             f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
