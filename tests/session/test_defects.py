@@ -119,12 +119,12 @@ def test_an_inspection_of_a_surface_that_is_another_now_is_stale(bench, result):
 def test_what_people_said_outlives_a_new_inspection(bench, result):
     first = bench.state.defects[0].number
     bench.do(bench.keeper.judge, first, "real", None, None)
-    found = bench.desk.do(bench.keeper.begin, DefectRecipe(sensitivity=0.7), None)
+    found = bench.desk.do(bench.keeper.begin, DefectRecipe(sensitivity=0.7), None, "dies")
     bench.do(lambda: None)
     assert bench.state.work
     assert bench.hired.asked[0][2:5] == (bench.library.dataset.path, "default", DefectRecipe(sensitivity=0.7))
     with pytest.raises(DatasetError, match="searched for already"):
-        bench.do(bench.keeper.begin, DefectRecipe(), None)
+        bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
     bench.hired.done.set_result(replace(FOUND, threshold_sigma=3.0, mark=surface_mark(result)))
     found.result(20)
     assert (bench.state.work, bench.state.inspection.threshold_sigma) == ("", 3.0)
@@ -136,7 +136,7 @@ def test_what_people_said_outlives_a_new_inspection(bench, result):
 def test_why_nothing_was_found_out_stands_where_the_list_would_be(bench, result):
     (result.path / "defects.json").unlink()
     bench.do(bench.keeper.open)
-    found = bench.desk.do(bench.keeper.begin, DefectRecipe(), None)
+    found = bench.desk.do(bench.keeper.begin, DefectRecipe(), None, "dies")
     bench.hired.done.set_exception(MeasureError("The surface has no period: give the dies."))
     with pytest.raises(MeasureError):
         found.result(20)
@@ -158,7 +158,7 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
         with pytest.raises(DatasetError, match="Defects stay as they are"):
             bench.do(bench.keeper.judge, bench.state.defects[0].number, "real", None, None)
         with pytest.raises(DatasetError, match="Defects stay as they are"):
-            bench.do(bench.keeper.begin, DefectRecipe(), None)
+            bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
     finally:
         bench.close()
         lock.release()

@@ -25,9 +25,11 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.thumbnails import Thumbnails, framed, thumbnail
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.defects import DefectRecipe, Evidence, threshold_of
+from wafer_viewer.session.defect_work import Against
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.state import Snapshot
 
+AGAINST: dict[str, Against] = {"Die with die": "dies", "With the fitted form": "form"}
 EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
 DIAL = "0 finds only what is plain, 1 all that might be something"
 LAYERS = (Look(), Look(all_in_focus=1.0))
@@ -100,6 +102,7 @@ class DefectSection:
         with self._form:
             self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
             self._dial.on_update(guarded(page, "The dial stays")(lambda _: page.redraw()))
+            self._against = gui.add_dropdown("Compare", tuple(AGAINST), hint="A surface of one die has no others")
             self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
             self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
             self._golden = gui.add_text(
@@ -131,7 +134,7 @@ class DefectSection:
             golden=self._golden.value.strip(),
         )
         self._unfolded = False
-        page.ask("Nothing was inspected", page.session.defects.inspect(recipe))
+        page.ask("Nothing was inspected", page.session.defects.inspect(recipe, None, AGAINST[self._against.value]))
         page.redraw()
 
     def _list_by(self, **changes: Any) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_words import KINDS
 from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.findings import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
 from wafer_viewer.model.quantities import Quantity
@@ -105,7 +106,9 @@ def sign_colour(finding: AnyFinding) -> str:
     """Its colour, the same in list, curve and scene."""
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
-    return OTHER_COLOUR if isinstance(finding, GaugeCheck | Defect) else REGION_COLOUR
+    if isinstance(finding, Defect):
+        return KINDS[finding.seen_as].colour
+    return OTHER_COLOUR if isinstance(finding, GaugeCheck) else REGION_COLOUR
 
 
 def of_what(finding: AnyFinding) -> str:

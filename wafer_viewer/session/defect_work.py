@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieGrid
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.result import Result
 
+Against = Literal["dies", "form"]
+"""Each die with the others, or with a golden one; or all of the surface with a form fitted to it."""
 MARK_DIGITS = 16
 
 
@@ -25,6 +27,7 @@ def inspect_dataset(
     result: str,
     recipe: DefectRecipe,
     grid: DieGrid | None = None,
+    against: Against = "dies",
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
@@ -32,20 +35,23 @@ def inspect_dataset(
     """Look for defects on the stitched surface of a dataset; nothing is written.
 
     grid: the dies; where they are not given those of the dataset's job are taken, and without these they are searched
-    for. Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when the
-    work is stopped.
+    for. Raises MeasureError where none are found or nothing can be said, DatasetError where there is no surface,
+    ComputeError when the work is stopped.
     """
     from wafer_viewer.measure.defects import inspect
+    from wafer_viewer.measure.die_grid import find_dies
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.golden import FOLDER, golden_named
 
     data = Dataset.open(dataset)
     kept = data.result(result)
-    surface, mark = kept.mosaic(), surface_mark(kept)
+    surface, mark, job = kept.mosaic(), surface_mark(kept), data.scan.job
+    recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
+    dies = (grid or dies_of(data) or find_dies(surface)) if against == "dies" else None
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
     found = inspect(
         surface,
-        grid or dies_of(data),
+        dies,
         recipe,
         golden,
         calibration_valid=data.calibration_problem(today()) is None,

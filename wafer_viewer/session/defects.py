@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.defects import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_work import inspect_dataset, surface_mark
+from wafer_viewer.session.defect_work import Against, inspect_dataset, surface_mark
 from wafer_viewer.session.history import History
 from wafer_viewer.session.inspection_state import InspectionState
 
@@ -53,7 +53,7 @@ class DefectKeeper:
         self._history.restart(kept)
         self._show()
 
-    def begin(self, recipe: DefectRecipe, grid: DieGrid | None) -> Future[Inspection]:
+    def begin(self, recipe: DefectRecipe, grid: DieGrid | None, against: Against) -> Future[Inspection]:
         """Search the stitched surface for defects; done with what was found."""
         self._require_writable()
         if self._work:
@@ -62,9 +62,8 @@ class DefectKeeper:
             raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
         work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
         self._work, self._of, self._problem = work, self._looked_at, ""
-        done = self._compute.run(
-            work, inspect_dataset, self._library.dataset.path, self._library.result_name, recipe, grid
-        )
+        of = self._library.dataset.path, self._library.result_name
+        done = self._compute.run(work, inspect_dataset, *of, recipe, grid, against)
         self._show()
         return self._desk.afterwards(done, lambda: self._over(work, done))
 
@@ -160,9 +159,14 @@ class DefectVerbs:
     def __init__(self, do: Callable[..., Future[Any]], keeper: DefectKeeper) -> None:
         self._do, self._keeper = do, keeper
 
-    def inspect(self, recipe: DefectRecipe | None = None, grid: DieGrid | None = None) -> Future[Inspection]:
-        """Search the stitched surface for defects; it can be cancelled. grid: the dies, None: the job's, or found."""
-        return self._do(self._keeper.begin, recipe or DefectRecipe(), grid)
+    def inspect(
+        self, recipe: DefectRecipe | None = None, grid: DieGrid | None = None, against: Against = "dies"
+    ) -> Future[Inspection]:
+        """Search the stitched surface for defects; it can be cancelled.
+
+        grid: the dies, None: the job's, or found. against: what is compared, without dies the fitted form.
+        """
+        return self._do(self._keeper.begin, recipe or DefectRecipe(), grid, against)
 
     def judge(
         self,
