@@ -9,9 +9,9 @@ import pytest
 from tests.session.compared_datasets import two_datasets
 from tests.store.inspections import defect, inspection
 from wafer_viewer.model.defects import DefectRecipe
-from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_work import surface_mark
+from wafer_viewer.session.defect_work import inspect_dataset, surface_mark
 from wafer_viewer.session.defects import DefectKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library
@@ -162,3 +162,23 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
     finally:
         bench.close()
         lock.release()
+
+
+@pytest.mark.slow
+def test_a_bump_on_a_surface_is_found_by_the_work_and_belongs_to_its_surface(pair):
+    told: list[float] = []
+    found = inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", progress=told.append)
+    assert found.mark == surface_mark(Dataset.open(pair[1]).result("default"))
+    assert found.inspected_mm2 > 0.2
+    assert found.simulated
+    assert told == sorted(told)
+    with pytest.raises(WaferViewerError, match="stopped"):
+        inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", should_stop=lambda: True)
+    with pytest.raises(DatasetError, match="no golden die 'G'"):
+        inspect_dataset(pair[1], "default", DefectRecipe(golden="G"), None, "form")
+
+
+@pytest.mark.slow
+def test_a_surface_on_which_nothing_repeats_is_refused_in_a_sentence(pair):
+    with pytest.raises(MeasureError):
+        inspect_dataset(pair[1], "default", DefectRecipe())
