@@ -40,6 +40,14 @@ def test_a_gel_with_a_steep_rim_or_rough_is_a_particle():
     gel = replace(PARTICLE, **SHAPES["residue"])
     assert classify(replace(gel, steepness=5.0)).kind == "particle"
     assert classify(replace(gel, roughness_ratio=6.0)).kind == "particle"
+    assert classify(replace(gel, height_score=8.0, picture_score=9.0)).kind == "particle"
+
+
+def test_what_the_heights_show_a_little_has_a_shape():
+    faint = replace(PARTICLE, evidence="picture", height_um=-0.3, height_score=3.0, picture_score=6.0)
+    assert classify(faint).kind == "pit"
+    assert classify(replace(faint, height_score=1.5)).kind == "pattern"
+    assert classify(replace(faint, height_score=1.5, major_um=60.0, minor_um=3.0)).kind == "scratch"
 
 
 def test_a_raised_scratch_is_one_too():

@@ -99,7 +99,11 @@ def _of_die(shape: DefectShape, rules: ClassRules) -> Condition:
 
 
 def _pattern(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
-    return (Condition("shows in the picture only, not in the heights", float(shape.evidence == "picture"), 0.5),)
+    in_heights = f"{shape.height_score:.2g} times the noise of the heights"
+    return (
+        Condition("shows in the picture only", float(shape.evidence == "picture"), 0.5),
+        Condition(in_heights, shape.height_score, rules.pattern_height_score, over=False),
+    )
 
 
 def _edge_chip(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
@@ -121,12 +125,14 @@ def _pit(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
 def _residue(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     width_um, aspect = shape.minor_um, shape.aspect
     smooth = f"smooth: {shape.roughness_ratio:.2g} times the noise"
+    faint = shape.picture_score / shape.height_score if shape.height_score else 0.0
     gentle = f"no steep rim: {shape.steepness:.2g} times its mean slope" if shape.steepness else "no rim known"
     return (
         Condition(f"{width_um:.3g} um wide", width_um, rules.residue_width_um),
         Condition(f"low: {aspect:.2g} of its width high", aspect, rules.residue_aspect, over=False),
         Condition(smooth, shape.roughness_ratio, rules.residue_roughness, over=False),
         Condition(gentle, shape.steepness, rules.residue_steepness, over=False),
+        Condition(f"shows in the picture {faint:.2g} times as clearly", faint, rules.residue_picture, over=False),
     )
 
 
@@ -144,9 +150,9 @@ RULES: dict[DefectClass, Rule] = {
     "unmeasured": _unmeasured,
     "tilted die": _tilted_die,
     "missing die": _missing_die,
-    "pattern": _pattern,
     "edge chip": _edge_chip,
     "scratch": _scratch,
+    "pattern": _pattern,
     "pit": _pit,
     "residue": _residue,
 }

@@ -19,7 +19,7 @@ class DefectShape:
     smooth. steepness: the median slope across its outline over |height_um| / (minor_um / 2), 1 for a cone, large for a
     wall; 0 where it is not known. on_edge_fraction: share of its border on a die's edge. die_fraction: share of the
     die's area that it covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: share of its area
-    without a height.
+    without a height. height_score, picture_score: how far it stands out of the noise in each, 0 where not known.
     """
 
     height_um: float
@@ -35,6 +35,8 @@ class DefectShape:
     die_tilt_mrad: float = 0.0
     unmeasured_fraction: float = 0.0
     evidence: Literal["height", "picture", "both"] = "height"
+    height_score: float = 0.0
+    picture_score: float = 0.0
     pixel_um: float = 1.0
 
     @property
@@ -56,8 +58,10 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     missing_height_um.
     edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
     than so many widths and than scratch_length_um. residue_*: smooth and wide is wider than residue_width_um, lower
-    than residue_aspect of its width, no rougher than residue_roughness, and no steeper at its outline than
-    residue_steepness.
+    than residue_aspect of its width, no rougher than residue_roughness, no steeper at its outline than
+    residue_steepness, and shows in the picture at most residue_picture times as clearly as in the heights: it lets
+    through what is under it. What shows in the picture only, and in the heights by less than pattern_height_score, has
+    no height to go by.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -65,10 +69,12 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     die_fraction: Fraction = 0.5
     missing_height_um: Positive = 1.0
     tilt_mrad: NonNegative = 3.0
-    edge_fraction: Fraction = 0.15
+    edge_fraction: Fraction = 0.05
     scratch_ratio: Annotated[float, Within(1)] = 4.0
     scratch_length_um: NonNegative = 0.0
-    residue_width_um: NonNegative = 8.0
+    residue_width_um: NonNegative = 4.0
     residue_aspect: Positive = 0.25
     residue_roughness: Positive = 2.5
     residue_steepness: Positive = 2.0
+    residue_picture: Positive = 0.75
+    pattern_height_score: Positive = 2.5
