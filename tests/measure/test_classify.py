@@ -75,5 +75,5 @@ def test_a_recipe_may_move_the_limits():
 
 
 def test_limits_are_checked():
-    with pytest.raises(MeasureError, match="ClassRules.scratch_ratio is 0.5: it must be at least 1"):
+    with pytest.raises(MeasureError, match=r"ClassRules\.scratch_ratio is 0\.5: it must be at least 1"):
         ClassRules(scratch_ratio=0.5)
