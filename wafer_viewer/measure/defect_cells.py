@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -95,7 +95,7 @@ def _result(work: Work, place: Place, noise: Noise) -> CellResult:
     residual, shift = found
     scores = scores_of(quotients(residual, work.golden, work.recipe), noise)
     where, counts = Where(work.cells, shift), new_counts()
-    count(scores, work.recipe.min_area_px, counts)
+    count(scores, work.recipe, counts)
     pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
     n_compared = int(np.count_nonzero(np.isfinite(residual.z_um)))
     if n_compared >= LISTED_FROM * residual.z_um.size:
@@ -117,6 +117,3 @@ def _differs(z_um: Plane, spread_um: Plane) -> float:
     some, by = np.abs(z_um[::3, ::3]), 5 * spread_um[::3, ::3]
     known = np.isfinite(some) & np.isfinite(by)
     return float((some[known] > by[known]).mean()) if known.any() else 0.0
-
-
-Progress = Callable[[float], None]

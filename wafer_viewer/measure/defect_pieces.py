@@ -5,20 +5,21 @@ A piece keeps its pixels in stage um, so that pieces of one defect on several di
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defect_scores import Mask, Residual, Scores, enlarged, low_of
+from wafer_viewer.measure.defect_scores import Mask, Residual, Scores, enlarged, limit_of, low_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.defects import DefectRecipe, Evidence
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.smoothing import coarseness, smooth
 
 Floats = NDArray[np.float64]
-SPARE_PX = 6
-BRIDGE_PX = 2
+SPARE_PX = 8
+BRIDGE_PX = 4
 """Gaps so wide do not part a defect."""
 BORDER_PX = 4
 UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
@@ -111,9 +112,10 @@ def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
     Unfiltered pixels count in a crowd of their like only.
     """
     mask = np.zeros(shape, bool)
-    low, high = low_of(recipe.threshold_sigma), recipe.threshold_sigma
-    for (_, scale), plane in scores.planes.items():
-        for signed in (plane, -plane):
+    for (layer, scale), plane in scores.planes.items():
+        high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
+        low = low_of(high)
+        for signed in (plane,) if layer == "joint" else (plane, -plane):
             peaks = signed >= high
             if peaks.any():
                 mask |= enlarged(_hanging_together(signed >= low, peaks, recipe, scale), coarseness(scale), shape)
@@ -152,7 +154,8 @@ def _piece(
     peaks, scale = _best(scores, inside, rows, cols)
     own = (labels[rows, cols] == number) | (labels[rows, cols] == 0)
     z_um = np.where(own, residual.z_um[rows, cols], np.float32(np.nan))
-    sigma = float(np.clip(np.sqrt(np.count_nonzero(inside)) / 10, 0.6, 4.0))
+    width = np.count_nonzero(inside) / math.hypot(*inside.shape)
+    sigma = float(np.clip(width / 8, 0.6, 4.0))
     r, c = np.nonzero(inside)
     at = (r + rows.start).astype(float), (c + cols.start).astype(float)
     x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
@@ -161,8 +164,13 @@ def _piece(
     down, right = np.gradient(smoothed)
     slope = np.hypot(down, right) / where.cells.pixel_um
     values, smooth_um, steep = (plane[r, c].astype(float) for plane in (z_um, smoothed, slope))
-    border, noise_um = _at_border(*at, residual.z_um.shape), float(np.nanmedian(spread_um[rows, cols][r, c]))
+    border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
     return Piece(residual.place, x_um, y_um, u_um, v_um, values, smooth_um, steep, border, peaks, scale, noise_um)
+
+
+def _median(values: Float32s) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0
 
 
 def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
@@ -190,10 +198,11 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
 
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
     """Which layers show it, each for itself."""
-    over = [layer for layer, peak in peaks.items() if peak >= low_of(threshold_sigma)]
-    if len(over) == 2:
+    limit = low_of(threshold_sigma)
+    height, picture = peaks.get("height", 0.0), peaks.get("picture", 0.0)
+    if min(height, picture) >= limit:
         return "both"
-    return "picture" if over == ["picture"] else "height"
+    return "picture" if picture > height else "height"
 
 
 def _at_border(rows: Floats, cols: Floats, shape: tuple[int, ...]) -> Mask:

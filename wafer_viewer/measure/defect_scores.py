@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.golden import Cell, Golden, robust_sigma
 from wafer_viewer.measure.level import robust_fit
-from wafer_viewer.model.defects import DefectRecipe, FalseCounts
+from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
 from wafer_viewer.numerics.cells import count_peaks, typical
 from wafer_viewer.numerics.smoothing import coarseness, gaussian_sums
 
@@ -30,6 +30,15 @@ Mask = NDArray[np.bool_]
 Noise = dict[tuple[str, float], float | Plane]
 """Of the smoothed quotients, by layer and scale; of wide scales for each place."""
 LOCAL_FROM_CELLS = 5
+TAIL_PX, TAIL_SHARE = 32, 0.75
+"""Noise with longer tails than normal is measured by the highest in blocks of so many pixels, in so many of the blocks:
+defects are in the others."""
+NEAR_HOLES_PX, UNSURE = 15, 4.0
+"""Heights near unmeasured pixels are so much less sure: by the share that is unmeasured of so many pixels."""
+ALONE, UNFILTERED_ALONE = 1.25, 2.6
+"""What shows in heights or in the picture alone must lie so many times further out."""
+JOINT, LEAST_JOINT = 0.93, 2.0
+"""The root sum of squares of both is over a limit more often than either: so much of it is as rare."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,14 +58,6 @@ class Scores:
     """Quotients of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
 
     planes: dict[tuple[str, float], Plane]
-
-    def over(self, limit: float, layers: Sequence[str], shape: tuple[int, int]) -> Mask:
-        """The pixels over a limit, of either sign, at any scale of some layers."""
-        mask = np.zeros(shape, bool)
-        for (layer, scale), plane in self.planes.items():
-            if layer in layers:
-                mask |= enlarged(np.abs(plane) >= limit, coarseness(scale), shape)
-        return mask
 
 
 def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool) -> Residual:
@@ -81,11 +82,20 @@ def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> dict[
     planes: dict[tuple[str, float], Plane] = {}
     for layer, left, spread in pairs:
         if recipe.evidence in (layer, "both"):
-            part = np.clip(left / spread, -LOUDEST, LOUDEST)
+            sure = _sureness(left) if layer == "height" else np.float32(1)
+            part = np.clip(left / spread * sure, -LOUDEST, LOUDEST)
             known = np.isfinite(part)
             filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
             planes |= {(layer, scale): gaussian_sums(filled, weight, scale) for scale in recipe.scales_px}
     return planes
+
+
+def _sureness(left: Plane) -> Plane:
+    """1 where all is measured, less near holes; few lone pixels take little."""
+    from scipy.ndimage import uniform_filter
+
+    known = uniform_filter(np.isfinite(left).astype(np.float32), NEAR_HOLES_PX)
+    return 1 / (1 + np.float32(UNSURE) * (1 - known))
 
 
 def noise_of(many: Sequence[dict[tuple[str, float], Plane]]) -> Noise:
@@ -95,12 +105,35 @@ def noise_of(many: Sequence[dict[tuple[str, float], Plane]]) -> Noise:
     """
     found: Noise = {}
     for key in many[0] if many else ():
-        values = [robust_sigma(planes[key]) for planes in many]
-        known = [v for v in values if np.isfinite(v) and v > 0]
-        usual = float(np.median(known)) if known else 1.0
+        usual = _usual([planes[key] for planes in many], key[1])
         local = coarseness(key[1]) > 1 and len(many) >= LOCAL_FROM_CELLS
         found[key] = _local_noise([planes[key] for planes in many], usual) if local else usual
     return found
+
+
+def _usual(planes: list[Plane], scale_px: float) -> float:
+    """The deviation of normal noise that would reach as far."""
+    sigmas = [sigma for plane in planes if (sigma := robust_sigma(plane)) > 0]
+    highest = np.concatenate([_block_tops(plane, TAIL_PX // coarseness(scale_px)) for plane in planes])
+    if not sigmas or not highest.size:
+        return float(np.median(sigmas)) if sigmas else 1.0
+    return max(float(np.median(sigmas)), float(np.quantile(highest, TAIL_SHARE)) / _reach_of_normal(scale_px))
+
+
+def _block_tops(plane: Plane, side: int) -> NDArray[np.float32]:
+    """The highest of each block that is known at all."""
+    rows, cols = (n // side * side for n in plane.shape)
+    blocks = np.abs(plane[:rows, :cols]).reshape(rows // side, side, cols // side, side)
+    tops = np.nan_to_num(blocks).max(axis=(1, 3))
+    return tops[tops > 0]
+
+
+def _reach_of_normal(scale_px: float) -> float:
+    """Below which the highest of a block of normal noise stays in TAIL_SHARE of the blocks."""
+    from scipy.special import ndtri
+
+    n = max(1.0, TAIL_PX**2 / (1 + 4 * np.pi * scale_px**2))
+    return float(-ndtri((1 - TAIL_SHARE ** (1 / n)) / 2))
 
 
 def _local_noise(planes: list[Plane], usual: float) -> Plane:
@@ -116,7 +149,28 @@ def _local_noise(planes: list[Plane], usual: float) -> Plane:
 
 def scores_of(planes: dict[tuple[str, float], Plane], noise: Noise) -> Scores:
     """Quotients in deviations of their noise."""
-    return Scores({key: plane / np.asarray(noise[key], np.float32) for key, plane in planes.items()})
+    scores = {key: plane / np.asarray(noise[key], np.float32) for key, plane in planes.items()}
+    for scale in {scale for _, scale in planes}:
+        both = [scores[layer, scale] for layer in LAYERS if (layer, scale) in scores]
+        if len(both) == 2:
+            scores["joint", scale] = _joint(np.abs(np.nan_to_num(both[0])), np.abs(np.nan_to_num(both[1])))
+    return Scores(scores)
+
+
+def _joint(first: Plane, second: Plane) -> Plane:
+    """Both together where each says something."""
+    together = np.float32(JOINT) * np.hypot(first, second)
+    return np.where(np.minimum(first, second) >= LEAST_JOINT, together, np.float32(0))
+
+
+def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> float:
+    """The limit for a layer at a scale: a single layer must lie further out where both are looked at.
+
+    Unfiltered heights alone are never enough then: focus errs in patches of a few pixels.
+    """
+    if evidence != "both" or layer == "joint":
+        return limit
+    return limit * (UNFILTERED_ALONE if scale_px == 0 and layer == "height" else ALONE)
 
 
 def low_of(threshold_sigma: float) -> float:
@@ -129,11 +183,12 @@ def new_counts() -> NDArray[np.int64]:
     return np.zeros(round(HISTOGRAM_END / HISTOGRAM_STEP), np.int64)
 
 
-def count(scores: Scores, min_area_px: int, counts: NDArray[np.int64]) -> None:
-    """Add the peaks of a cell to a histogram of all layers and scales."""
-    for (_, scale), plane in scores.planes.items():
-        crowd = min(9, min_area_px) if scale == 0 else 1
-        count_peaks(np.ascontiguousarray(plane), 2.0, crowd, HISTOGRAM_STEP, counts)
+def count(scores: Scores, recipe: DefectRecipe, counts: NDArray[np.int64]) -> None:
+    """Add the peaks of a cell to a histogram of all layers and scales, each by its own limit."""
+    for (layer, scale), plane in scores.planes.items():
+        crowd = min(9, recipe.min_area_px) if scale == 0 else 1
+        by = plane / np.float32(limit_of(layer, scale, recipe.evidence, 1.0))
+        count_peaks(np.ascontiguousarray(by), 2.0, crowd, HISTOGRAM_STEP, counts)
 
 
 def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:

@@ -24,9 +24,11 @@ from wafer_viewer.model.region import Point, Region
 Floats = NDArray[np.float64]
 HALF = 0.5
 THIN = 3.0
+HEIGHT_SHARE = 0.4
+"""Of the score: where heights show less of it, all pixels that differ are the outline."""
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
-EDGE_PX = 3.0
+EDGE_PX = 2.0
 U_EDGE_PX = 0.5
 """Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
 
@@ -85,7 +87,7 @@ def defect_of(
         kind="unmeasured" if whole.first.unmeasured else found.kind,
         reasons=("no height was measured here",) if whole.first.unmeasured else found.reasons,
         confidence=1.0 if whole.first.unmeasured else confidence(whole.first.score, recipe, found.confidence),
-        **_place(whole, cells, on_dies),
+        **_place(outline, cells, on_dies),
         **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved),
         mean_height_um=mean_um,
         angle_deg=outline.angle_deg,
@@ -115,7 +117,7 @@ def _height(whole: Gathered) -> tuple[float, NDArray[np.bool_]]:
     values = whole.smooth_um[known]
     upper, lower = float(values.max()), float(values.min())
     height_um = upper if upper >= -lower else lower
-    if "height" not in whole.peaks or whole.peaks["height"] < 0.6 * whole.first.score:
+    if "height" not in whole.peaks or whole.peaks["height"] < HEIGHT_SHARE * whole.first.score:
         return height_um, np.ones(len(whole.x_um), bool)
     with np.errstate(invalid="ignore"):
         return height_um, known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))
@@ -181,6 +183,8 @@ def _shape(
         die_fraction=min(1.0, outline.area_um2 / die_um2) if on_dies else 0.0,
         unmeasured_fraction=1.0 if whole.first.unmeasured else float(np.isnan(whole.z_um).mean()),
         evidence=evidence_of(whole.peaks, recipe.threshold_sigma),
+        height_score=whole.peaks.get("height", 0.0),
+        picture_score=whole.peaks.get("picture", 0.0),
         pixel_um=cells.pixel_um,
     )
 
@@ -203,14 +207,16 @@ def _on_edge(whole: Gathered, inside: NDArray[np.bool_], outline: Outline, cells
     sides = (np.abs(u), np.abs(u - cells.grid.width_um), np.abs(v), np.abs(v - cells.grid.height_um))
     on_edge = np.minimum.reduce(sides) <= near
     along_um = float(np.count_nonzero(on_edge)) * cells.pixel_um**2 / (2 * near)
-    return min(1.0, along_um / (math.pi * max(cells.pixel_um, (outline.major_um + outline.minor_um) / 2)))
+    a, b = outline.major_um / 2, outline.minor_um / 2
+    around_um = math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
+    return min(1.0, along_um / max(cells.pixel_um, around_um))
 
 
-def _place(whole: Gathered, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
+def _place(outline: Outline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
     """On which die, and where on it."""
     if not on_dies:
         return {"die": "", "in_die": None}
-    x_um, y_um = np.array([whole.x_um.mean()]), np.array([whole.y_um.mean()])
+    x_um, y_um = np.array([outline.x_um]), np.array([outline.y_um])
     col, row, u_um, v_um = (a.item() for a in cells.grid.to_die(x_um, y_um))
     return {"die": cells.grid.name(int(col), int(row)), "in_die": Point(x_um=float(u_um), y_um=float(v_um))}
 

@@ -29,7 +29,7 @@ from wafer_viewer.model.surface import Mosaic
 TILE_PX = 1024
 """Without a grid a surface is gone through in squares of so many pixels."""
 MOST_DEFECTS = 5000
-OTHER_PRODUCT = 0.3
+OTHER_PRODUCT = 0.1
 Progress = Callable[[float], None]
 
 

@@ -19,7 +19,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface import HeightMap, Mosaic
-from wafer_viewer.numerics.cells import read_affine
+from wafer_viewer.numerics.cells import bridged, read_affine
 
 Plane = NDArray[np.float32]
 Place = tuple[int, int]
@@ -80,8 +80,8 @@ class Source:
         z_um, picture = self.layers(part)
         out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
         way = _way(cells, place, (rows.start, cols.start), part, shift)
-        read_affine(z_um, way, out_z)
-        read_affine(picture, way, out_picture)
+        read_affine(z_um, bridged(z_um), way, out_z)
+        read_affine(picture, picture, way, out_picture)
         return out_z, out_picture
 
     def layers(self, part: HeightMap) -> tuple[Plane, Plane]:

@@ -24,9 +24,11 @@ PATCH_PX = 384
 """Shifts are found on the middle of the dies."""
 FURTHEST_PX = 3.0
 ROUNDS = 3
+POOLED_PX, POOLED_AS = (5, 21), 20
+"""The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
 FLOOR = 0.7
 """Of the usual spread: no place is taken to be steadier."""
-EDGE_OFF_PX, EDGE_BLUR = 0.03, 0.06
+EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
 """How far off a registered die may still lie, and how much of a bend is lost between pixels (k = 1)."""
 Cell = tuple[Plane, Plane]
 
@@ -88,7 +90,7 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
         for k in range(2 if known else 0):
             stack = np.stack([cell[k] for cell in known])
             typical(stack, min(LEAST_DIES, len(known)), layers[2 * k][block], layers[2 * k + 1][block])
-    spreads = (_with_edges(steadied(layers[k + 1]), layers[k]) for k in (0, 2))
+    spreads = (_with_edges(steadied(layers[k + 1], len(poses)), layers[k]) for k in (0, 2))
     shifts = {place: pose.shift for place, pose in poses.items()}
     return Golden(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
@@ -150,15 +152,16 @@ def levelled_pair(cell: Cell) -> Cell:
     return _less_median(cell[0]), _less_median(cell[1])
 
 
-def steadied(spread: Plane, floor: float = FLOOR) -> Plane:
+def steadied(spread: Plane, n_dies: int) -> Plane:
     """The spread of a place and its neighbours together, for that of few dies is unsure; never far under the usual."""
     from scipy.ndimage import uniform_filter
 
     known = np.isfinite(spread)
-    share = uniform_filter(known.astype(np.float32), 5)
-    square = uniform_filter(np.where(known, spread, 0) ** 2, 5) / np.maximum(share, 1e-3)
+    share, squared = known.astype(np.float32), np.where(known, spread, np.float32(0)) ** 2
+    near, wide = (uniform_filter(squared, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in POOLED_PX)
+    pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
     usual = float(np.median(spread[known])) if known.any() else 1.0
-    held = np.maximum(np.sqrt(square), max(floor * usual, 1e-6))
+    held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, 1e-6))
     return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
@@ -169,7 +172,7 @@ def _with_edges(spread: Plane, middle: Plane) -> Plane:
     down, right = np.gradient(middle)
     bend = np.abs(np.gradient(down, axis=0)) + np.abs(np.gradient(right, axis=1))
     edge = EDGE_OFF_PX * np.hypot(down, right) + EDGE_BLUR * bend
-    return np.hypot(spread, maximum_filter(np.nan_to_num(edge), 3)).astype(np.float32)
+    return np.hypot(spread, maximum_filter(np.nan_to_num(edge), 5)).astype(np.float32)
 
 
 def robust_sigma(values: NDArray[np.float32]) -> float:

@@ -14,11 +14,33 @@ MAD_TO_SIGMA = 1.4826
 
 
 @kernel
-def read_affine(plane: Float32s, way: Float64s, out: Float32s) -> None:
+def bridged(plane: Float32s) -> Float32s:
+    """A copy in which single unknown pixels are the mean of the two opposite neighbours that differ least.
+
+    That is along an edge, never across it.
+    """
+    out = plane.copy()
+    for r in range(1, plane.shape[0] - 1):
+        for c in range(1, plane.shape[1] - 1):
+            if plane[r, c] == plane[r, c]:
+                continue
+            least = np.float32(np.inf)
+            for k in range(4):
+                down, right = (0, 1) if k == 0 else (1, k - 2)
+                one, other = plane[r - down, c - right], plane[r + down, c + right]
+                if abs(one - other) < least:
+                    least = abs(one - other)
+                    out[r, c] = np.float32(0.5) * (one + other)
+    return out
+
+
+@kernel
+def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) -> None:
     """out[i, j] = plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
 
+    NaN where the nearest pixel is unknown. whole: the plane `bridged`, so that a lost pixel takes no others with it.
     Bicubic (Catmull and Rom) where all 16 pixels round a place are known, else bilinear of those of the four next to it
-    that are; NaN where the nearest one is unknown, or where unknown ones would weigh more than a quarter.
+    that are, NaN where unknown ones would weigh more than a quarter.
     """
     n_rows, n_cols = plane.shape
     for i in range(out.shape[0]):
@@ -29,12 +51,15 @@ def read_affine(plane: Float32s, way: Float64s, out: Float32s) -> None:
             if row < 0 or col < 0 or row >= n_rows or col >= n_cols:
                 continue
             y, x = np.float32(r - row), np.float32(c - col)
+            nearest = plane[min(n_rows - 1, int(r + 0.5)), min(n_cols - 1, int(c + 0.5))]
+            if nearest != nearest:
+                continue
             if 0 < row < n_rows - 2 and 0 < col < n_cols - 2:
-                value = _bicubic(plane, row, col, y, x)
+                value = _bicubic(whole, row, col, y, x)
                 if value == value:
                     out[i, j] = value
                     continue
-            out[i, j] = _bilinear(plane, row, col, y, x)
+            out[i, j] = _bilinear(whole, row, col, y, x)
 
 
 @kernel
