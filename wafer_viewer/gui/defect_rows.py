@@ -10,16 +10,16 @@ from wafer_viewer.gui.defect_listing import SORTS, DefectListing
 from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_looks import VERDICT_LOOKS
 
-MOST_ROWS = 40
+MOST_ROWS, ROWS_BEFORE = 40, 2
 """So many are in the list at once: a page with thousands of pictures would be slow."""
 JUDGED = {"open": "open", "accepted": "real", "rejected": "not a defect"}
 
 
 def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[ReviewItem]:
-    """The items that are shown: a page of the list, the one with the item under review."""
+    """The items that are shown: from a little before the one under review, which so is always in sight."""
     keys = [item.key for item in items]
     at = keys.index(now.key) if now is not None and now.key in keys else 0
-    first = at - at % MOST_ROWS
+    first = max(0, at - ROWS_BEFORE)
     return items[first : first + MOST_ROWS]
 
 
@@ -30,7 +30,7 @@ def rows(
     if not shown:
         return html.empty("None of the defects is listed so.")
     first = items.index(shown[0])
-    before, after = items[max(0, first - MOST_ROWS) : first], items[first + len(shown) :]
+    before, after = items[:first][::-1], items[first + len(shown) :]
     body = [
         _row(item, now is not None and item.key == now.key, thumb) for item, thumb in zip(shown, thumbs, strict=True)
     ]

@@ -32,7 +32,7 @@ from wafer_viewer.session.state import Snapshot
 AGAINST: dict[str, Against] = {"Die with die": "dies", "With the fitted form": "form"}
 EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
 DIAL = "0 finds only what is plain, 1 all that might be something"
-LAYERS = (Look(), Look(all_in_focus=1.0))
+LAYERS = (Look(), Look(colour_by="grey"))
 """Of the thumbnails: heights, and the all-in-focus picture."""
 LEAST_PX = 48
 """A thumbnail shows at least so many pixels of the surface."""

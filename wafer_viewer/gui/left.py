@@ -49,11 +49,12 @@ class LeftPanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
-        checking = view.step == "gauge"  # its points and earlier checks need the room
+        checking = view.step == "gauge"  # its points and earlier checks need the room, as do defects
         set_prop(self._where, "visible", not checking)
         self.map.show(snapshot, view)
         self._works.show(job_list(snapshot, view))
-        self._views.show("" if checking else views_html(snapshot, view))
+        reviewing = view.step == "review" and bool(snapshot.inspection.defects)
+        self._views.show("" if checking or reviewing else views_html(snapshot, view))
         self.defects.show(snapshot, view)
         self._review.show(review_list(snapshot, view))
         self._gauge.show(snapshot, view)
