@@ -12,7 +12,7 @@ from wafer_viewer.gui.defect_items import chosen_defect, number_of
 from wafer_viewer.gui.defect_lines import cut_through
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing, listed
 from wafer_viewer.gui.defect_rows import MOST_ROWS, rows, rows_of
-from wafer_viewer.gui.defect_words import KINDS, classes, counts, nothing_found, per_mm2, summary
+from wafer_viewer.gui.defect_words import KINDS, classes, counts, facts, nothing_found, per_mm2, summary
 from wafer_viewer.gui.header import all_judged, possible
 from wafer_viewer.gui.judging import can_undo
 from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
@@ -103,7 +103,7 @@ def test_thousands_are_shown_a_page_at_a_time_with_the_one_under_review():
 
 
 def test_a_die_that_was_not_inspected_never_looks_clean():
-    said = summary(InspectionState(INSPECTION))
+    said = summary(InspectionState(INSPECTION)) + facts(INSPECTION)
     assert "Not all of it was inspected" in said
     assert "1 die not scanned" in said
     assert "2 dies cut" in said

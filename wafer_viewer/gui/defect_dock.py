@@ -78,7 +78,7 @@ class DefectDock:
 
 
 def _told(defect: Defect, cut: Cut, n_curves: int) -> Iterator[str]:
-    yield f'{html.chip("A", "#E8590C")} <span class="dim">row through the middle</span>'
+    yield f'{html.chip("A", "#E8590C")} <span class="dim">through the middle</span>'
     yield f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
     if cut.beside and n_curves > 1:
-        yield f'{html.chip("B", "#7B2CBF")} <span class="dim">the same row of die {html.safe(cut.beside)}</span>'
+        yield f'{html.chip("B", "#7B2CBF")} <span class="dim">same row, die {html.safe(cut.beside)}</span>'

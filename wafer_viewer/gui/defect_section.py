@@ -170,14 +170,15 @@ class DefectSection:
         if inspection is None:
             return ""
         if not inspection.defects:
-            return words.nothing_found(inspection)
+            return words.nothing_found(inspection) + words.facts(inspection)
         items = [i for i in review_items(snapshot, view.review_filter, view.defects) if i.defect is not None]
         now = chosen_item(snapshot, view.review, view.defects)
         judged = sum(defect.judgement != "open" for defect in inspection.defects)
         head = html.head("Found", f"{judged} of {len(inspection.defects)} judged")
         choices = words.counts(inspection.defects, view.defects.kind) + filters(view) + sorting(view.defects)
         shown = rows_of(items, now)
-        return head + choices + rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
+        there = rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
+        return head + choices + there + words.facts(inspection)
 
     def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> str:
         """Heights and picture of a defect."""

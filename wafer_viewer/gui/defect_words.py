@@ -79,7 +79,7 @@ def per_mm2(count: float | None) -> str:
 
 
 def summary(state: InspectionState) -> str:
-    """What was inspected and found, what is not known, and what stands against believing it, as HTML."""
+    """What is not known, and what stands against believing the list, as HTML."""
     inspection = state.inspection
     problem = html.note("attention", "Nothing new is known", state.problem) if state.problem else ""
     if inspection is None:
@@ -89,8 +89,12 @@ def summary(state: InspectionState) -> str:
         if state.stale
         else ""
     )
-    lines = "".join(f'<div class="wv-sub">{html.safe(html.micro(line))}</div>' for line in _facts(inspection))
-    return problem + stale + unknown(inspection) + lines
+    return problem + stale + unknown(inspection)
+
+
+def facts(inspection: Inspection) -> str:
+    """What was inspected, how, and how much of what was found is expected to be false, as HTML."""
+    return "".join(f'<div class="wv-sub">{html.safe(html.micro(line))}</div>' for line in _facts(inspection))
 
 
 def unknown(inspection: Inspection) -> str:
