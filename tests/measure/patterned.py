@@ -54,12 +54,7 @@ def made(wafer: Wafer = Wafer(), gap: Region | None = None, no_die: tuple[tuple[
     x_um = np.arange(wafer.cols) * wafer.pixel_um
     y_um = (wafer.rows - 1 - np.arange(wafer.rows)) * wafer.pixel_um
     x, y = np.meshgrid(x_um, y_um)
-    col, row, u, v = wafer.grid.to_die(x, y)
-    inset = np.minimum(np.minimum(u, wafer.width_um - u), np.minimum(v, wafer.height_um - v)) / wafer.pixel_um
-    for at in no_die:
-        inset[(col == at[0]) & (row == at[1])] = -9
-    die = np.clip(inset + 0.5, 0, 1)
-    shape = pattern(u / wafer.width_um, v / wafer.height_um) * die
+    die, shape = covered(wafer, x, y, no_die)
     far = ((x - x.mean()) / np.ptp(x_um)) ** 2 + ((y - y.mean()) / np.ptp(y_um)) ** 2
     z = wafer.bow_um * far + 0.002 * x + wafer.die_over_street_um * (die + 0.3 * shape)
     z += wafer.noise_um * rng.standard_normal(z.shape)
@@ -82,6 +77,24 @@ def made(wafer: Wafer = Wafer(), gap: Region | None = None, no_die: tuple[tuple[
         y0_um=float(y_um[0]),
         provenance=Provenance(simulated=True),
     )
+
+
+def covered(wafer: Wafer, x, y, no_die):
+    """The share of each pixel that is die, and how much is printed on it: means of 3 x 3 places, each by chance.
+
+    Without chance a whole edge would be off by the same part of a pixel.
+    """
+    rng, parts = np.random.default_rng(wafer.seed), (np.arange(3) - 1) / 3
+    total = np.zeros((2, *x.shape))
+    for dx in parts:
+        for dy in parts:
+            at_x, at_y = np.array([dx, dy])[:, None, None] + rng.uniform(-1 / 6, 1 / 6, (2, *x.shape))
+            col, row, u, v = wafer.grid.to_die(x + at_x * wafer.pixel_um, y + at_y * wafer.pixel_um)
+            die = (u > 0) & (u < wafer.width_um) & (v > 0) & (v < wafer.height_um)
+            for at in no_die:
+                die &= (col != at[0]) | (row != at[1])
+            total += die, die * pattern(u / wafer.width_um, v / wafer.height_um)
+    return total / 9
 
 
 def pattern(u, v):

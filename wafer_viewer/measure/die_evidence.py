@@ -15,10 +15,15 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.binning import binned
+from wafer_viewer.numerics.filters import blurred
 
 Evidence = Literal["height", "picture", "both"]
 COARSE_PIXELS = 400_000
 """The whole surface is read as about so many pixels at most."""
+SOFT_PX = 1.0
+LEAST_PIXELS = 10
+LEAST_SHARE = 0.4
+"""Of what lies under the blur: with less of it known a pixel is unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +116,26 @@ def read_cell(
     box = Region.rectangle(x_um.min() - pad, y_um.min() - pad, x_um.max() + pad, y_um.max() + pad)
     part = surface.window(box, level)
     rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
-    return tuple(sampled(layer, rows, cols) for layer in layers_of(part, evidence))
+    return tuple(flattened(sampled(softened(layer), rows, cols)) for layer in layers_of(part, evidence))
+
+
+def softened(layer: Float32s) -> Float32s:
+    """A blur of about a pixel over the known pixels: edges sharper than that move as they are read between pixels."""
+    known = np.isfinite(layer)
+    share = blurred(known, SOFT_PX)
+    total = blurred(np.where(known, layer, np.float32(0)), SOFT_PX)
+    return np.divide(total, share, out=np.full(layer.shape, np.nan, np.float32), where=share > LEAST_SHARE)
+
+
+def flattened(layer: Float32s) -> Float32s:
+    """Less the plane of least squares through its known pixels: a bow leaves each die another tilt."""
+    rows, cols = np.nonzero(np.isfinite(layer))
+    if rows.size < LEAST_PIXELS:
+        return layer
+    down, across = (np.arange(n) - (n - 1) / 2 for n in layer.shape)
+    design = np.stack([down[rows], across[cols], np.ones(rows.size)], axis=1)
+    slope_down, slope_across, middle = np.linalg.lstsq(design.T @ design, design.T @ layer[rows, cols], rcond=None)[0]
+    return (layer - (slope_down * down[:, None] + slope_across * across + middle)).astype(np.float32)
 
 
 def sampled(layer: Float32s, rows: Floats, cols: Floats) -> Float32s:

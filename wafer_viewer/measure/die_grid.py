@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.die_evidence import Coarse, Evidence, bounds_of, read_coarse
-from wafer_viewer.measure.die_registration import Registered, cells_over, half_cell, refined
+from wafer_viewer.measure.die_registration import Registered, cells_over, refined
 from wafer_viewer.measure.die_streets import Street, street_of
 from wafer_viewer.measure.periodicity import Periods, periods_of
 from wafer_viewer.measure.reading import Reading
@@ -18,6 +18,8 @@ from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 
+ACROSS = 9
+"""A die lies on the surface when one of so many places across and up does."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 
@@ -114,10 +116,10 @@ def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows of the dies that lie on the surface in part at least. Raises MeasureError where none does."""
     low_x, low_y, high_x, high_y = bounds_of(surface)
     cols, rows = cells_over(grid, (low_x, low_y, high_x, high_y))
-    u, v = half_cell(replace(grid, pitch_x_um=grid.width_um, pitch_y_um=grid.height_um))
+    share = np.linspace(0, 1, ACROSS)
+    u, v = grid.width_um * np.tile(share, ACROSS), grid.height_um * np.repeat(share, ACROSS)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
-    on = (x_um.max(axis=1) > low_x) & (x_um.min(axis=1) < high_x) & (y_um.max(axis=1) > low_y)
-    on &= y_um.min(axis=1) < high_y
+    on = ((x_um > low_x) & (x_um < high_x) & (y_um > low_y) & (y_um < high_y)).any(axis=1)
     if not on.any():
         raise MeasureError("No die of the lattice lies on the surface: give an origin and a pitch that fit it.")
     return cols[on], rows[on]

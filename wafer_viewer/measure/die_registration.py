@@ -11,12 +11,11 @@ import numpy as np
 from wafer_viewer.measure.die_evidence import CellLattice, Evidence, bounds_of, median_cell, read_cell
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.level import robust_fit
-from wafer_viewer.measure.periodicity import vertex
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.arrays import Bools, Float32s
 from wafer_viewer.numerics.likeness import contrast, likeness
 
 MOST_DIES, LEAST_DIES = 100, 36
@@ -29,9 +28,13 @@ LEAST_KNOWN = 0.4
 """Of a cell: with less of it measured it is not registered."""
 LEAST_ALIKE = 0.35
 """Correlation with the median die from which on a cell is one of them."""
+AS_CLEAR = 0.5
+"""Of the layer that is most alike: one with less is noise and is left out."""
 LEAST_SHARE = 0.5
 """Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies."""
-ROUNDS = 4
+MOST_U = 0.003
+"""Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
+ROUNDS = 3
 Cell = tuple[Float32s, ...]
 
 
@@ -59,6 +62,8 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     lattice = CellLattice.of(grid, surface.pixel_um * 2 ** levels[-1])
     cells = cells_of(surface, grid, lattice, levels[-1], evidence)
     shifts = registered_shifts(cells, lattice)
+    if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
+        raise not_alike("Too few of the", lattice)
     return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
 
 
@@ -140,37 +145,73 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
     shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
     if len(shifts) < max(2, LEAST_SHARE * len(cells)):
-        raise MeasureError(
-            f"Only {len(shifts)} of {len(cells)} places that repeat every {lattice.cols * lattice.step_x_um:.0f} x "
-            f"{lattice.rows * lattice.step_y_um:.0f} um look alike, so they are no whole dies: scan at least two dies "
-            "along each axis, or give pitch, origin and size of the dies instead."
-        )
+        raise not_alike(f"Only {len(shifts)} of {len(cells)}", lattice)
     return shifts
 
 
-def _contrasts(cell: Cell) -> list[tuple[Float32s, np.ndarray] | None]:
+def not_alike(how_many: str, lattice: CellLattice) -> MeasureError:
+    """What to say where something repeats and it is not dies."""
+    width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
+    return MeasureError(
+        f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
+        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead."
+    )
+
+
+Contrast = tuple[Float32s, Bools]
+
+
+def _contrasts(cell: Cell) -> list[Contrast | None]:
     size = max(5, min(cell[0].shape) // 2)
     return [_contrast(layer, size) for layer in cell]
 
 
-def _contrast(layer: Float32s, size: int) -> tuple[Float32s, np.ndarray] | None:
+def _contrast(layer: Float32s, size: int) -> Contrast | None:
     known = np.isfinite(layer)
     if known.mean() < LEAST_KNOWN / 2 or float(np.ptp(layer[known])) == 0:
         return None
     return contrast(np.where(known, layer, np.float32(0)), known, size), known
 
 
-def _shift(reference: list[tuple[Float32s, np.ndarray] | None], cell: list[tuple[Float32s, np.ndarray] | None]):
+def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]) -> tuple[float, float] | None:
     """The lag (row, col) at which a cell is most like the median one; None where it is not like it."""
     pairs = [(a, b) for a, b in zip(reference, cell, strict=True) if a is not None and b is not None]
     if not pairs:
         return None
-    alike = np.mean([likeness(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs], axis=0)
+    each = [likeness(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
+    best = max(float(alike.max()) for alike in each)
+    clear = [k for k, alike in enumerate(each) if alike.max() >= AS_CLEAR * best]
+    alike = np.mean([each[k] for k in clear], axis=0)
     row, col = (int(k) for k in np.unravel_index(int(np.argmax(alike)), alike.shape))
     if alike[row, col] < LEAST_ALIKE or not (0 < row < 2 * REACH_PX and 0 < col < 2 * REACH_PX):
         return None
-    down, right = vertex(*alike[row - 1 : row + 2, col]), vertex(*alike[row, col - 1 : col + 2])
-    return row - REACH_PX + down, col - REACH_PX + right
+    lag = row - REACH_PX, col - REACH_PX
+    down, right = _between([pairs[k] for k in clear], lag)
+    return lag[0] + down, lag[1] + right
+
+
+def _between(pairs: Sequence[tuple[Contrast, Contrast]], lag: tuple[int, int]) -> Floats:
+    """What is left of a lag between the pixels: least squares on the slopes of the median cell.
+
+    The top of a correlation of sharp edges is a cusp, and a parabola through it leans to whole pixels.
+    """
+    normal, right = np.zeros((4, 4)), np.zeros(4)
+    for (first, first_known), (second, second_known) in pairs:
+        a, b = _overlap(first, lag, 1), _overlap(second, lag, -1)
+        known = _overlap(first_known, lag, 1) & _overlap(second_known, lag, -1)
+        down, across = np.gradient(a)
+        design = np.stack([plane[known] for plane in (down, across, a, np.ones_like(a))], axis=1).astype(np.float64)
+        values = b[known].astype(np.float64) / max(float(b[known].std()), 1e-9)
+        normal += design.T @ design
+        right += design.T @ values
+    found = np.linalg.lstsq(normal, right, rcond=None)[0]
+    return np.asarray(np.clip(found[:2] / max(float(found[2]), 1e-9), -1, 1), np.float64)
+
+
+def _overlap(plane: np.ndarray, lag: tuple[int, int], way: int) -> np.ndarray:
+    """The part of the first of two cells (way 1) or the second (-1) that lies on the other at a lag."""
+    (rows, cols), (down, right) = plane.shape, (way * k for k in lag)
+    return plane[max(0, down) : rows + min(0, down), max(0, right) : cols + min(0, right)]
 
 
 def moved(grid: DieGrid, shifts: Shifts) -> DieGrid:

@@ -146,19 +146,32 @@ def _without_form(seen: Seen) -> Float32s:
 
 
 def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
-    """(correlation with the median cell, share of the die unlike it, what that correlation usually is), [n] each."""
+    """(correlation with the median cell or half of it, share of the die unlike it), [n] each, and the usual one."""
     middle = np.array([float(np.median(one[np.isfinite(one)])) if np.isfinite(one).any() else 0.0 for one in layer])
     cells = layer - middle[:, None, None].astype(np.float32)
     some = [one for one in cells if np.isfinite(one).mean() > LEAST_MEASURED] or list(cells)
     median = median_of(np.stack(some[:: max(1, len(some) // MEDIAN_OF)]))
+    n_known = (np.isfinite(cells) & np.isfinite(median)).sum(axis=(1, 2))
+    alike = np.max([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)], axis=0)
+    return alike, _unlike(cells, median, on_die), _usual(alike, n_known)
+
+
+def _parts(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
+    """The whole cell and its four halves: what is left of a die that is cut is still like it."""
+    (rows, cols), whole = shape, slice(None)
+    first, last = (slice(rows // 2), slice(cols // 2)), (slice(rows // 2, None), slice(cols // 2, None))
+    return [(whole, whole), (first[0], whole), (last[0], whole), (whole, first[1]), (whole, last[1])]
+
+
+def _alike(cells: Float32s, median: Float32s) -> Floats:
+    """Correlation of each of n cells with the median one."""
     both = np.isfinite(cells) & np.isfinite(median)
     a, b = np.where(both, cells, 0.0), np.where(both, median, 0.0)
     n = np.maximum(both.sum(axis=(1, 2)), 1)
     mean_a, mean_b = a.sum(axis=(1, 2)) / n, b.sum(axis=(1, 2)) / n
     covariance = (a * b).sum(axis=(1, 2)) / n - mean_a * mean_b
     spread = ((a**2).sum(axis=(1, 2)) / n - mean_a**2) * ((b**2).sum(axis=(1, 2)) / n - mean_b**2)
-    alike: Floats = np.divide(covariance, np.sqrt(spread), out=np.zeros(len(n)), where=spread > 0)
-    return alike, _unlike(cells, median, on_die), _usual(alike, n)
+    return np.divide(covariance, np.sqrt(np.maximum(spread, 0)), out=np.zeros(len(n)), where=spread > 0)
 
 
 def _unlike(cells: Float32s, median: Float32s, on_die: Bools) -> Floats:
