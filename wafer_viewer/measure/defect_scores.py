@@ -16,14 +16,16 @@ from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.golden import Cell, Golden, robust_sigma
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
-from wafer_viewer.numerics.cells import count_peaks, typical
+from wafer_viewer.numerics.cells import typical
 from wafer_viewer.numerics.smoothing import coarseness, gaussian_sums
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5
 """A defect reaches as far as it is over this share of the threshold, and over so many deviations."""
 HISTOGRAM_STEP, HISTOGRAM_END = 0.125, 12.0
-FITTED_FROM, FITTED_TO, LEAST_COUNTED = 3.0, 4.5, 8
+COUNTED_FROM, FITTED_FROM, ANCHORED_TO, FITTED_TO, LEAST_COUNTED = 2.25, 2.75, 3.75, 4.5, 8
+NORMAL_FALL, SLOWEST_FALL = 0.5, 0.15
+"""Of the logarithm of how many places reach a deviation, by its square: of normal noise, and the slowest believed."""
 TILT_POINTS = 6_000
 LAYERS = ("height", "picture")
 Mask = NDArray[np.bool_]
@@ -95,7 +97,7 @@ def _sureness(left: Plane) -> Plane:
     from scipy.ndimage import uniform_filter
 
     known = uniform_filter(np.isfinite(left).astype(np.float32), NEAR_HOLES_PX)
-    return 1 / (1 + np.float32(UNSURE) * (1 - known))
+    return (1 / (1 + np.float32(UNSURE) * (1 - known))).astype(np.float32)
 
 
 def noise_of(many: Sequence[dict[tuple[str, float], Plane]]) -> Noise:
@@ -184,32 +186,47 @@ def new_counts() -> NDArray[np.int64]:
 
 
 def count(scores: Scores, recipe: DefectRecipe, counts: NDArray[np.int64]) -> None:
-    """Add the peaks of a cell to a histogram of all layers and scales, each by its own limit."""
+    """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layer's limit."""
     for (layer, scale), plane in scores.planes.items():
-        crowd = min(9, recipe.min_area_px) if scale == 0 else 1
-        by = plane / np.float32(limit_of(layer, scale, recipe.evidence, 1.0))
-        count_peaks(np.ascontiguousarray(by), 2.0, crowd, HISTOGRAM_STEP, counts)
+        by = (np.abs(plane) / limit_of(layer, scale, recipe.evidence, 1.0)).astype(np.float32)
+        least = recipe.min_area_px if scale == 0 else 1
+        tops = _tops(by, least)
+        counts += np.bincount(np.minimum(tops / HISTOGRAM_STEP, len(counts) - 1).astype(int), minlength=len(counts))
+
+
+def _tops(plane: Plane, least_px: int) -> NDArray[np.float32]:
+    """The highest value of each place over COUNTED_FROM that has so many pixels."""
+    from scipy.ndimage import label
+
+    labels = np.zeros(plane.shape, np.int32)
+    over = plane >= COUNTED_FROM
+    label(over, np.ones((3, 3), int), output=labels)
+    numbers = labels[over]
+    tops = np.zeros(int(numbers.max(initial=0)) + 1, np.float32)
+    np.maximum.at(tops, numbers, plane[over])
+    large = np.bincount(numbers, minlength=len(tops)) >= least_px
+    return tops[large & (tops > 0)]
 
 
 def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:
-    """From the histogram of peaks: those of noise fall as exp(-t2 / 2 s2), and defects are few of the lower ones.
+    """From the histogram of places: those of noise fall as exp(-s t2), and defects are few of the lower ones.
 
-    The fall is fitted between 3 and 4.5 sigma by how many peaks there are, and followed to all thresholds.
+    The fall is fitted where places are many, taken as that of normal noise where they are too few for that, and
+    followed to all thresholds.
     """
-    thresholds = np.arange(0, len(counts)) * HISTOGRAM_STEP
-    above = counts[::-1].cumsum()[::-1].astype(float)
-    used = (thresholds >= FITTED_FROM) & (thresholds <= FITTED_TO) & (counts >= LEAST_COUNTED)
-    wanted = np.arange(2.0, 8.01, 0.25)
     if inspected_mm2 <= 0:
         return FalseCounts()
-    if np.count_nonzero(used) < 4:
-        rate = np.full(wanted.shape, max(above[used].min(initial=np.inf), 1e-9) if used.any() else 1e-9)
-        rate = np.where(np.isfinite(rate), rate, 1e-9) / inspected_mm2
-        return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rate.tolist()))
-    slope, start = np.polyfit(thresholds[used] ** 2, np.log(counts[used]), 1, w=np.sqrt(counts[used]))
-    fitted = np.exp(np.minimum(50.0, start + min(slope, -0.05) * (wanted[:, None] + thresholds[None, :]) ** 2))
-    rate = fitted.sum(axis=1) / inspected_mm2
-    return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rate.tolist()))
+    middles = (np.arange(len(counts)) + 0.5) * HISTOGRAM_STEP
+    used = (middles >= FITTED_FROM) & (middles <= FITTED_TO) & (counts >= LEAST_COUNTED)
+    steep = NORMAL_FALL
+    if np.count_nonzero(used) >= 4:
+        slope = np.polyfit(middles[used] ** 2, np.log(counts[used]), 1, w=np.sqrt(counts[used]))[0]
+        steep = float(np.clip(-slope, SLOWEST_FALL, NORMAL_FALL))
+    anchor = (middles >= FITTED_FROM) & (middles <= ANCHORED_TO)
+    scale = max(1.0, float(counts[anchor].sum())) / float(np.exp(-steep * middles[anchor] ** 2).sum())
+    wanted = np.arange(2.0, 8.01, 0.25)
+    rates = [scale * float(np.exp(-steep * (t + middles) ** 2).sum()) / inspected_mm2 for t in wanted]
+    return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rates))
 
 
 def enlarged(mask: Mask, side: int, shape: tuple[int, int]) -> Mask:

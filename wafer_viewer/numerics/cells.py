@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Int64s, Real
+from wafer_viewer.numerics.arrays import Float32s, Float64s, Real
 from wafer_viewer.numerics.jit import kernel
 
 MAD_TO_SIGMA = 1.4826
@@ -153,25 +153,3 @@ def shift_sums(here: Float32s, typical_one: Float32s, offset: Real, limit: Real)
                         for j in range(4):
                             sums[i, j] += line[i] * line[j]
     return sums
-
-
-@kernel
-def count_peaks(score: Float32s, low: Real, crowd: int, step: Real, counts: Int64s) -> None:
-    """Add the places where |score| is highest of 3 x 3 pixels, by |score| in steps; one per place.
-
-    They count where `crowd` pixels of the nine have the same sign and are over `low`.
-    """
-    for r in range(1, score.shape[0] - 1):
-        for c in range(1, score.shape[1] - 1):
-            v = score[r, c]
-            if abs(v) < low:
-                continue
-            sign = np.float32(1) if v > 0 else np.float32(-1)
-            n, highest = 0, True
-            for a in range(r - 1, r + 2):
-                for b in range(c - 1, c + 2):
-                    other = sign * score[a, b]
-                    n += other >= low
-                    highest = highest and not other > sign * v
-            if highest and n >= crowd:
-                counts[min(int(abs(v) / step), counts.size - 1)] += 1
