@@ -180,6 +180,8 @@ def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]
         return None
     each = [likeness(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
     best = max(float(alike.max()) for alike in each)
+    if best < LEAST_ALIKE:
+        return None
     clear = [k for k, alike in enumerate(each) if alike.max() >= AS_CLEAR * best]
     alike = np.mean([each[k] for k in clear], axis=0)
     row, col = (int(k) for k in np.unravel_index(int(np.argmax(alike)), alike.shape))
