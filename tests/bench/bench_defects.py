@@ -41,7 +41,7 @@ def main() -> int:
     options.add_argument("--seed", type=int, default=1)
     given = options.parse_args()
     side = QUICK if given.quick else FULL
-    shape = (side * (DIE_PX + STREET_PX),) * 2
+    shape = (side * (DIE_PX + STREET_PX), side * (DIE_PX + STREET_PX))
     inspect((clean := made(side, given.seed, ())).surface, clean.grid)
     rows = [case(side, given.seed, ())]
     rows += [case(side, given.seed + k, scattered(k, N_PLANTED, shape, *c)) for k, c in enumerate(CASES, 1)]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ HEIGHT_SHARE = 0.4
 """Of the score: where heights show less of it, all pixels that differ are the outline."""
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
+UNSEEN = "It shows in the picture; most of its heights could not be measured."
 EDGE_PX = 2.0
 U_EDGE_PX = 0.5
 """Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
@@ -79,9 +80,12 @@ def defect_of(
     mean_um = float(np.nanmean(whole.smooth_um[inside])) if np.isfinite(whole.smooth_um[inside]).any() else 0.0
     shape = _shape(whole, inside, outline, height_um, mean_um, cells, recipe, on_dies)
     found = classify(shape, recipe.rules)
+    unseen = found.kind == "unmeasured" and not whole.first.unmeasured
+    if unseen:
+        found = classify(replace(shape, unmeasured_fraction=0.0), recipe.rules)
     resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um or whole.first.unmeasured
     return Defect(
-        **reading.told("", 0, *_notes(reading, resolved)),
+        **reading.told("", 0, *_notes(reading, resolved), *((UNSEEN,) if unseen else ())),
         center=Point(x_um=outline.x_um, y_um=outline.y_um),
         outline=_region(outline, cells.pixel_um),
         kind="unmeasured" if whole.first.unmeasured else found.kind,
