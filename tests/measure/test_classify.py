@@ -59,7 +59,7 @@ def test_the_reasons_bear_the_numbers():
 
 
 def test_a_shape_on_a_limit_is_unsure():
-    on_limit = classify(replace(PARTICLE, major_um=30.1, minor_um=7.5))
+    on_limit = classify(replace(PARTICLE, major_um=18.8, minor_um=7.5))
     assert on_limit.kind == "scratch"
     assert on_limit.confidence == pytest.approx(0.5, abs=0.02)
 

@@ -128,6 +128,7 @@ def _residue(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     faint = shape.picture_score / shape.height_score if shape.height_score else 0.0
     gentle = f"no steep rim: {shape.steepness:.2g} times its mean slope" if shape.steepness else "no rim known"
     return (
+        Condition(f"{shape.height_um:.3g} um high", shape.height_um, 0.0),
         Condition(f"{width_um:.3g} um wide", width_um, rules.residue_width_um),
         Condition(f"low: {aspect:.2g} of its width high", aspect, rules.residue_aspect, over=False),
         Condition(smooth, shape.roughness_ratio, rules.residue_roughness, over=False),
@@ -151,9 +152,9 @@ RULES: dict[DefectClass, Rule] = {
     "tilted die": _tilted_die,
     "missing die": _missing_die,
     "edge chip": _edge_chip,
+    "residue": _residue,
     "scratch": _scratch,
     "pattern": _pattern,
     "pit": _pit,
-    "residue": _residue,
 }
 """In the order in which they are asked; what none of them takes is a particle or bump."""

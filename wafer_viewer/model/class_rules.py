@@ -69,8 +69,8 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     die_fraction: Fraction = 0.5
     missing_height_um: Positive = 1.0
     tilt_mrad: NonNegative = 3.0
-    edge_fraction: Fraction = 0.05
-    scratch_ratio: Annotated[float, Within(1)] = 4.0
+    edge_fraction: Fraction = 0.03
+    scratch_ratio: Annotated[float, Within(1)] = 2.5
     scratch_length_um: NonNegative = 0.0
     residue_width_um: NonNegative = 4.0
     residue_aspect: Positive = 0.25
