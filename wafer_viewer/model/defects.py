@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import ClassVar, Literal
 
@@ -126,7 +127,7 @@ class FalseCounts(Spec, frozen=True, kw_only=True):
         points = list(zip(self.threshold_sigma, self.per_mm2, strict=True))
         if threshold_sigma <= points[0][0]:
             return points[0][1]
-        for (a, low), (b, high) in zip(points, points[1:], strict=False):
+        for (a, low), (b, high) in itertools.pairwise(points):
             if threshold_sigma <= b:
                 part = (threshold_sigma - a) / (b - a)
                 return math.exp((1 - part) * math.log(max(low, 1e-9)) + part * math.log(max(high, 1e-9)))
