@@ -18,8 +18,8 @@ from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.numerics.arrays import Bools, Float32s
 from wafer_viewer.numerics.likeness import contrast, likeness
 
-MOST_DIES, LEAST_DIES = 100, 36
-CELLS_PIXELS = 4_000_000
+MOST_DIES, LEAST_DIES = 100, 25
+CELLS_PIXELS = 2_000_000
 """So many dies, spread over the surface, are registered at most; fewer where their cells have more pixels together."""
 CELL_PX = 420
 """The longer side of a cell is read at a level that gives it at most so many pixels."""
@@ -34,7 +34,7 @@ LEAST_SHARE = 0.5
 """Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies."""
 MOST_U = 0.003
 """Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
-ROUNDS = 3
+ROUNDS = 2
 Cell = tuple[Float32s, ...]
 
 
