@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.volume import area_volume
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.conditions import Conditions
-    from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
-    from wafer_viewer.model.die_grid import DieGrid, DieStatus
+    from wafer_viewer.model.defects import DefectRecipe
+    from wafer_viewer.model.die_grid import DieGrid
     from wafer_viewer.model.errors import WaferViewerError
     from wafer_viewer.model.evidence import FocusCurve
     from wafer_viewer.model.findings import (
@@ -53,8 +53,6 @@ if TYPE_CHECKING:
         Radius,
     )
     from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeTerms
-    from wafer_viewer.model.golden import GoldenDie
-    from wafer_viewer.model.klarf import Klarf
     from wafer_viewer.model.levelling import Levelling
     from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
     from wafer_viewer.model.poses import Poses
@@ -94,11 +92,9 @@ _HOMES = {
     "Conditions": "model.conditions",
     "Coplanarity": "model.shape",
     "Dataset": "store.dataset",
-    "Defect": "model.defects",
     "DefectRecipe": "model.defects",
     "DieGrid": "model.die_grid",
     "DieSize": "model.shape",
-    "DieStatus": "model.die_grid",
     "Distance": "model.findings",
     "FaceAngle": "model.findings",
     "Field": "model.plan",
@@ -110,12 +106,9 @@ _HOMES = {
     "GaugeCheck": "model.gauge",
     "GaugeRR": "model.repeatability",
     "GaugeTerms": "model.gauge",
-    "GoldenDie": "model.golden",
     "HeightMap": "model.surface",
-    "Inspection": "model.defects",
     "Job": "model.plan",
     "KerfWidth": "model.shape",
-    "Klarf": "model.klarf",
     "Length": "model.quantities",
     "Levelling": "model.levelling",
     "Mosaic": "model.surface",
@@ -195,11 +188,9 @@ __all__ = [
     "Conditions",
     "Coplanarity",
     "Dataset",
-    "Defect",
     "DefectRecipe",
     "DieGrid",
     "DieSize",
-    "DieStatus",
     "Distance",
     "FaceAngle",
     "Field",
@@ -211,12 +202,9 @@ __all__ = [
     "GaugeCheck",
     "GaugeRR",
     "GaugeTerms",
-    "GoldenDie",
     "HeightMap",
-    "Inspection",
     "Job",
     "KerfWidth",
-    "Klarf",
     "Length",
     "Levelling",
     "Mosaic",
@@ -294,8 +282,7 @@ def __getattr__(name: str) -> object:
     import importlib
 
     found = getattr(importlib.import_module(f"wafer_viewer.{_HOMES[name]}"), name)
-    globals()[name] = found
-    return found
+    return globals().setdefault(name, found)
 
 
 def __dir__() -> list[str]:
