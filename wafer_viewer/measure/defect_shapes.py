@@ -29,7 +29,7 @@ HEIGHT_SHARE = 0.4
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
 UNSEEN = "It shows in the picture; most of its heights could not be measured."
-EDGE_PX = 2.0
+EDGE_PX, CROSSING = 2.0, 0.1
 U_EDGE_PX = 0.5
 """Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
 
@@ -205,11 +205,18 @@ def _steepness(whole: Gathered, height_um: float, outline: Outline) -> float:
 
 
 def _on_edge(whole: Gathered, inside: NDArray[np.bool_], outline: Outline, cells: CellGrid) -> float:
-    """The share of its border that lies on the die's edge, by how many of its pixels lie near that."""
+    """The share of its border that lies on the die's edge, by how many of its pixels lie near that.
+
+    What goes on into the street crosses the edge, and lies not on it.
+    """
     near = EDGE_PX * cells.pixel_um
     u, v = whole.u_um[inside], whole.v_um[inside]
     sides = (np.abs(u), np.abs(u - cells.grid.width_um), np.abs(v), np.abs(v - cells.grid.height_um))
     on_edge = np.minimum.reduce(sides) <= near
+    width, height = cells.grid.width_um, cells.grid.height_um
+    in_street = (u < -near) | (u > width + near) | (v < -near) | (v > height + near)
+    if in_street.mean() > CROSSING:
+        return 0.0
     along_um = float(np.count_nonzero(on_edge)) * cells.pixel_um**2 / (2 * near)
     a, b = outline.major_um / 2, outline.minor_um / 2
     around_um = math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
