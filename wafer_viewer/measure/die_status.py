@@ -152,8 +152,11 @@ def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
     some = [one for one in cells if np.isfinite(one).mean() > LEAST_MEASURED] or list(cells)
     median = median_of(np.stack(some[:: max(1, len(some) // MEDIAN_OF)]))
     n_known = (np.isfinite(cells) & np.isfinite(median)).sum(axis=(1, 2))
-    alike = np.max([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)], axis=0)
-    return alike, _unlike(cells, median, on_die), _usual(alike, n_known)
+    each = np.array([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)])
+    usual = _usual(each[0], n_known)
+    # A place that is like the median die in one half only is no whole die, whatever its levels are.
+    unlike = np.where(each[0] < LEAST_ALIKE * usual, 1.0, _unlike(cells, median, on_die))
+    return each.max(axis=0), unlike, usual
 
 
 def _parts(shape: tuple[int, ...]) -> list[tuple[slice, slice]]:
