@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.chipping import chipping
     from wafer_viewer.measure.circle import circle_size
     from wafer_viewer.measure.coplanarity import coplanarity
+    from wafer_viewer.measure.defects import golden_of_surface, inspect
+    from wafer_viewer.measure.die_grid import find_dies
     from wafer_viewer.measure.die_size import die_size
+    from wafer_viewer.measure.die_status import statuses
     from wafer_viewer.measure.find_faces import find_faces
     from wafer_viewer.measure.flatness import flatness
     from wafer_viewer.measure.gauge import gauge_check, gauge_repeat
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.volume import area_volume
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.conditions import Conditions
+    from wafer_viewer.model.defects import DefectRecipe
+    from wafer_viewer.model.die_grid import DieGrid
     from wafer_viewer.model.errors import WaferViewerError
     from wafer_viewer.model.evidence import FocusCurve
     from wafer_viewer.model.findings import (
@@ -71,7 +76,10 @@ if TYPE_CHECKING:
     from wafer_viewer.store.certificates import read_certificate
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export, write_surface
+    from wafer_viewer.store.golden import open_golden, save_golden
     from wafer_viewer.store.importers import import_dataset, open_stack
+    from wafer_viewer.store.klarf import write_klarf
+    from wafer_viewer.store.klarf_reading import read_klarf
     from wafer_viewer.store.npz import read_npz
     from wafer_viewer.store.readers import read_surface
 
@@ -84,6 +92,8 @@ _HOMES = {
     "Conditions": "model.conditions",
     "Coplanarity": "model.shape",
     "Dataset": "store.dataset",
+    "DefectRecipe": "model.defects",
+    "DieGrid": "model.die_grid",
     "DieSize": "model.shape",
     "Distance": "model.findings",
     "FaceAngle": "model.findings",
@@ -132,31 +142,39 @@ _HOMES = {
     "distance": "measure.point",
     "export": "store.exporters",
     "face_angle": "measure.angle",
+    "find_dies": "measure.die_grid",
     "find_faces": "measure.find_faces",
     "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
     "gauge_check": "measure.gauge",
     "gauge_repeat": "measure.gauge",
     "gauge_rr": "measure.repeatability",
+    "golden_of_surface": "measure.defects",
     "import_dataset": "store.importers",
+    "inspect": "measure.defects",
     "kerf_width": "measure.kerf",
     "levelled": "measure.levelled",
+    "open_golden": "store.golden",
     "open_stack": "store.importers",
     "point_height": "measure.point",
     "profile": "measure.profile",
     "read_certificate": "store.certificates",
+    "read_klarf": "store.klarf_reading",
     "read_npz": "store.npz",
     "read_surface": "store.readers",
     "reconstruct": "reconstruct.field",
     "repeats_of": "measure.repeatability",
     "roughness": "measure.roughness",
+    "save_golden": "store.golden",
     "site_ranges": "measure.one_sided",
+    "statuses": "measure.die_status",
     "step_height": "measure.step",
     "step_profile": "measure.step_profile",
     "stitch": "reconstruct.stitch",
     "studies_of": "session.repeat_study",
     "study_rr": "measure.repeatability",
     "texture": "measure.texture",
+    "write_klarf": "store.klarf",
     "write_surface": "store.exporters",
 }
 """Where each public name lives."""
@@ -170,6 +188,8 @@ __all__ = [
     "Conditions",
     "Coplanarity",
     "Dataset",
+    "DefectRecipe",
+    "DieGrid",
     "DieSize",
     "Distance",
     "FaceAngle",
@@ -219,31 +239,39 @@ __all__ = [
     "distance",
     "export",
     "face_angle",
+    "find_dies",
     "find_faces",
     "flatness",
     "focus_curve",
     "gauge_check",
     "gauge_repeat",
     "gauge_rr",
+    "golden_of_surface",
     "import_dataset",
+    "inspect",
     "kerf_width",
     "levelled",
+    "open_golden",
     "open_stack",
     "point_height",
     "profile",
     "read_certificate",
+    "read_klarf",
     "read_npz",
     "read_surface",
     "reconstruct",
     "repeats_of",
     "roughness",
+    "save_golden",
     "site_ranges",
+    "statuses",
     "step_height",
     "step_profile",
     "stitch",
     "studies_of",
     "study_rr",
     "texture",
+    "write_klarf",
     "write_surface",
 ]
 
@@ -254,8 +282,7 @@ def __getattr__(name: str) -> object:
     import importlib
 
     found = getattr(importlib.import_module(f"wafer_viewer.{_HOMES[name]}"), name)
-    globals()[name] = found
-    return found
+    return globals().setdefault(name, found)
 
 
 def __dir__() -> list[str]:

@@ -30,6 +30,7 @@ COMMANDS: dict[str, str] = {
     "measure roughness": "the roughness along a line",
     "measure kerf": "the width of a kerf, on the picture",
     "measure die": "the size of a die, on the picture",
+    "measure dies": "the lattice of the dies, and which are whole, cut, not scanned or missing",
     "measure circle": "the diameter of something round, on the picture",
     "measure chipping": "the chips along an edge of a die, on the picture",
     "measure coplanarity": "how far bumps lie from one plane, and how high each is",
@@ -37,6 +38,7 @@ COMMANDS: dict[str, str] = {
     "measure site-range": "front-surface site range, as mounted",
     "measure gauge": "check the instrument against certified gauge blocks; the history of such checks",
     "measure rr": "repeatability and reproducibility of repeated measurements",
+    "measure defects": "the defects of a patterned wafer, with a status by limits for each die",
     "measure verdict": "whether a wafer is good by the features of its job",
     "calibrate z": "set the z scale by a signed check against gauge blocks",
     "compare": "the second of two surfaces minus the first, aligned before",
@@ -49,6 +51,8 @@ COMMANDS: dict[str, str] = {
 }
 FUNCTIONS = {"import": "import_", "measure site-range": "measure_site_range"}
 """The functions that are not called as their command is, with underscores for spaces."""
+OWN_RECIPE = frozenset({"measure defects"})
+"""Commands whose --recipe is not one that makes surfaces: they read it themselves."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -114,7 +118,7 @@ def _call(name: str, rest: list[str]) -> int | None:
     from wafer_viewer.flags import for_people, recipe_file
 
     function = _function(FUNCTIONS.get(name, name.replace(" ", "_")))
-    recipe, rest = recipe_file(rest)
+    recipe, rest = (None, rest) if name in OWN_RECIPE else recipe_file(rest)
     if recipe is not None:
         function = functools.partial(function, recipe=recipe)
     prog = f"{PROGRAM} {name}"
@@ -126,6 +130,8 @@ def _function(name: str) -> Callable[..., int | None]:
     from wafer_viewer import (
         commands,
         compare_command,
+        defect_commands,
+        die_commands,
         gauge_commands,
         measure_commands,
         operator_commands,
@@ -144,6 +150,8 @@ def _function(name: str) -> Callable[..., int | None]:
         surface_commands,
         operator_commands,
         compare_command,
+        defect_commands,
+        die_commands,
         commands,
     )
     return next(found for room in rooms if (found := getattr(room, name, None)) is not None)

@@ -19,6 +19,7 @@ from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.gauge_blocks import certificate
 from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
+from tests.browser.inspected_session import inspected_session
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
@@ -277,6 +278,12 @@ SCREENS: dict[str, Screen] = {
     "review": Screen(noted, "review", seen=True, then=(press("PageDown"),)),
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),
+    "review-defects": Screen(inspected_session, "review", seen=True, then=(press("PageDown", "y", "PageDown"),)),
+    "review-defect-form": Screen(
+        inspected_session, "review", seen=True, then=(press("PageDown"), click("[data-pick=defect-form]"))
+    ),
+    "review-nothing-found": Screen(lambda: inspected_session(0), "review", seen=True),
+    "review-not-inspected": Screen(lambda: StitchedSession(3, 3), "review", seen=True),
     "report": Screen(noted, "report", seen=True),
     "trial": operated(operator.tried, "plan", unfold, bring_into_sight("On stored wafers")),
     "feature": operated(operator.tried, "plan", unfold, press_button("Feature…")),

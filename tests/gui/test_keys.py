@@ -12,6 +12,7 @@ import pytest
 from tests.browser import fake_session as fake
 from wafer_viewer.gui.commands import Command, looking, spoken
 from wafer_viewer.gui.compare_section import CompareSection
+from wafer_viewer.gui.defect_section import DefectSection
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import sheet_html
 from wafer_viewer.gui.palette import Palette
@@ -45,7 +46,7 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, ReportPanel, CompareSection, Welcome)
+    panels = (ReviewPanel, ReportPanel, CompareSection, DefectSection, Welcome)
     of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
     return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
 
@@ -126,7 +127,8 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (EMPTY, View(), "Picture at print size", "no dataset is open"),
         (EMPTY, View(), "Undo", "nothing was changed in Plan"),
         (PLANNED, View(), "Acquire", "no scan runs"),
-        (PLANNED, View(), "Accept", "no result is kept"),
+        (PLANNED, View(), "Accept", "no dataset is open"),
+        (MEASURED, View(step="review"), "Class: Particle", "no defect is under review"),
         (MEASURED, View(), "Hillshade", "go to Surface first"),
         (MEASURED, View(step="surface"), "Accept", "go to Review first"),
         (MEASURED, View(step="surface", show=2), "Fields and overlaps", "over the stitched surface"),

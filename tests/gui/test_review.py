@@ -10,7 +10,7 @@ from tests.browser import fake_session as fake
 from tests.browser import operator_session as operator
 from wafer_viewer.gui.camera import Pose
 from wafer_viewer.gui.field_map import field_at
-from wafer_viewer.gui.header import done, possible
+from wafer_viewer.gui.header import done
 from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers, review_list
 from wafer_viewer.gui.saved_views import LOOKED, choices, saved
@@ -95,13 +95,12 @@ def test_features_of_one_name_are_judged_apart():
     assert [item.judgement.note for item in review_items(now)][:2] == ["", "dust"]
 
 
-def test_features_alone_are_reason_for_a_review_and_it_ends_when_they_are_judged():
+def test_a_review_of_features_ends_when_they_are_judged():
     now = dataclasses.replace(operator.judged(operator.PASS), findings=())
-    assert possible("review", now)
     assert not done("review", now)
     judgements = (Judgement(key=key, verdict="accepted") for key in keys_of_features(operator.PASS))
     assert done("review", noted(now, *judgements))
-    assert not possible("review", dataclasses.replace(now, operating=Operating()))
+    assert not done("review", dataclasses.replace(now, operating=Operating()))
 
 
 def test_a_view_is_kept_and_taken_up_again_as_it_was():

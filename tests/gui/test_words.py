@@ -88,7 +88,7 @@ def test_a_step_is_possible_when_it_has_contents():
     assert of(fake.scanning()) == {"plan", "acquire", "surface", "gauge"}
     measured = fake.measured()
     assert of(measured) == set(STEPS)
-    assert of(dataclasses.replace(measured, findings=())) == set(STEPS) - {"review"}
+    assert of(dataclasses.replace(measured, surface=None)) == set(STEPS) - {"measure", "review", "report"}
     assert {step for step in STEPS if done(step, measured)} == {"plan", "acquire", "surface"}
     judged = tuple(Judgement(key=key_of_result(f.number), verdict="accepted") for f in measured.findings)
     reviewed = dataclasses.replace(measured, notebook=NotebookState(Notebook(judgements=judged)))

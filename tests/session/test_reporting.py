@@ -166,7 +166,7 @@ def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dat
     monkeypatch.setattr(reporting, "gather", lambda *_: material)
     said = contents(dataset, RESULT)
     assert {part for part, holds in said.items() if holds.nothing} == {
-        *("verdict", "results", "profiles", "gauge", "pictures", "surface")
+        *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface")
     }
     assert (said["results"].words, said["surface"].words) == ("no results yet", "not stitched yet")
     rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))

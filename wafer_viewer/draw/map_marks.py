@@ -6,6 +6,7 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from wafer_viewer.draw.symbols import symbol
 from wafer_viewer.draw.wafer_map import Frame, Outline
 
 _LEAST_SEEN_PX = 5.0
@@ -14,7 +15,7 @@ _LEAST_SEEN_PX = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A place on the map, stage um, with the colour of its sign and its name; `attributes` make it a button."""
+    """A place on the map, stage um, with colour and shape of its sign and its name; `attributes` make it a button."""
 
     x_um: float
     y_um: float
@@ -22,6 +23,7 @@ class Mark:
     name: str
     chosen: bool = False
     attributes: str = ""
+    shape: str = "disc"
 
 
 def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark]) -> str:
@@ -49,5 +51,5 @@ def _mark(frame: Frame, mark: Mark) -> str:
     name = html.escape(mark.name, quote=True)
     return (
         f'<g {mark.attributes} aria-label="{name}"><title>{name}</title>{ring if mark.chosen else ""}'
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.6" fill="{mark.colour}" stroke="#fff" stroke-width="1.2"/></g>'
+        f'<g stroke="#fff" stroke-width="1.2" paint-order="stroke">{symbol(mark.shape, mark.colour, x, y, 3.6)}</g></g>'
     )

@@ -12,6 +12,7 @@ from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.curves import Curves
+from wafer_viewer.gui.defect_dock import DefectDock
 from wafer_viewer.gui.gauge_dock import GaugeDock
 from wafer_viewer.gui.gauge_glass import GaugeGlass
 from wafer_viewer.gui.gauge_panel import GaugePanel
@@ -159,6 +160,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             ProfileDock(page, curves),
             WhyDock(page, why),
             GaugeDock(page),
+            DefectDock(page),
             GaugeGlass(page, lambda: gauge.live.answer),
         ),
         welcome,
@@ -172,7 +174,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     _listen_to_page(page, scene, left, measure)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, gauge, review, report, left.compare
+    with_verbs = welcome, gauge, review, report, left.compare, left.defects
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))

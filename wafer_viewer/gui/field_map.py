@@ -6,16 +6,20 @@ Over it, in a drawing of its own because it changes with every move of the camer
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from wafer_viewer.draw.map_marks import Mark, map_marks_svg
 from wafer_viewer.draw.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell, Gui
-from wafer_viewer.gui.review_items import ReviewItem, review_items
+from wafer_viewer.gui.review_item import ReviewItem
+from wafer_viewer.gui.review_items import review_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.plan import Field
 from wafer_viewer.session.state import Snapshot
 
+MOST_MARKS = 400
+"""Of more things under review the first of the list are marked: more signs than these hide each other."""
 Drawn = tuple[tuple[Field, ...], dict[int, str], tuple[float, float] | None]
 
 
@@ -112,8 +116,10 @@ def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
 def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
     """Where results are; in Review what is under review."""
     if view.step == "review":
-        items = [item for item in review_items(snapshot, view.review_filter) if item.box_um is not None]
-        return [_judged(item, item.key == view.review) for item in items]
+        listed = review_items(snapshot, view.review_filter, view.defects)
+        placed = [item for item in listed if item.box_um is not None]
+        few = [*placed[:MOST_MARKS], *(item for item in placed[MOST_MARKS:] if item.key == view.review)]
+        return [_judged(item, item.key == view.review) for item in few]
     if view.step != "measure":
         return []
     results = [item for item in review_items(snapshot) if item.number is not None]
@@ -123,6 +129,8 @@ def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
 def _judged(item: ReviewItem, chosen: bool) -> Mark:
     colours = {"open": "var(--ink3)", "accepted": "var(--good)", "rejected": "var(--fault)"}
     verdict = item.judgement.verdict
+    if item.defect is not None:
+        return replace(_at(item, item.colour, chosen, html.pick("review", item.key), f", {verdict}"), shape=item.shape)
     return _at(item, colours[verdict], chosen, html.pick("review", item.key), f", {verdict}")
 
 

@@ -30,7 +30,7 @@ HANDS_ON = frozenset(
         "Try on wafers…",
         "Dies…",
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
-        *("Accepted", "Rejected", "Note", "Save view", "Move there"),
+        *("Accepted", "Rejected", "Note", "Save view", "Move there", "Inspect"),
         *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),
         *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
     }
@@ -41,12 +41,14 @@ viser's button groups cannot be disabled: what they do is refused.
 """
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
 OF_GAUGE = ("gauge-tick", "gauge-drop")
+OF_DEFECTS = ("defect-class",)
 OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
 PICKS = (
     *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),
     *OF_JOBS,
     *OF_VIEWS,
     *OF_GAUGE,
+    *OF_DEFECTS,
 )
 """Elements of HTML that do the same."""
 _OFF = ",".join(f"[data-pick={what}]" for what in PICKS)

@@ -67,10 +67,8 @@ def possible(step: Step, snapshot: Snapshot) -> bool:
             return snapshot.scanning or snapshot.scan is not None or (data is not None and not data.finished)
         case "surface":
             return data is not None and (data.finished or bool(data.stamps))
-        case "measure" | "report":
+        case "measure" | "review" | "report":
             return snapshot.surface is not None
-        case "review":
-            return snapshot.surface is not None and bool(_under_review(snapshot))
 
 
 def done(step: Step, snapshot: Snapshot) -> bool:
@@ -91,9 +89,10 @@ def done(step: Step, snapshot: Snapshot) -> bool:
 
 
 def all_judged(snapshot: Snapshot) -> bool:
-    """Whether every result, and every feature of a verdict, was accepted or rejected."""
-    keys = _under_review(snapshot)
-    return bool(keys) and snapshot.notebook.book.judged(keys) == len(keys)
+    """Whether every result, every feature of a verdict and every defect was accepted or rejected."""
+    keys, defects = _under_review(snapshot), snapshot.inspection.defects
+    noted = snapshot.notebook.book.judged(keys) == len(keys)
+    return bool(keys or defects) and noted and all(defect.judgement != "open" for defect in defects)
 
 
 def _under_review(snapshot: Snapshot) -> tuple[str, ...]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.findings import (
     AnyFinding,
     AreaVolume,
-    Defect,
     Distance,
     FaceAngle,
     Flatness,

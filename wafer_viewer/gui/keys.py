@@ -10,6 +10,7 @@ from typing import Any
 import viser
 
 from wafer_viewer.draw.colours import COLOUR_MAPS
+from wafer_viewer.gui import judging
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.dialogs import load_plan_dialog, open_dialog
@@ -228,11 +229,11 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
 
     def undo() -> None:
         of_step = {"plan": session.undo, "acquire": session.undo, "measure": session.undo_findings}
-        page.ask("Nothing was undone", of_step.get(page.view.step, session.notebook.undo)())
+        page.ask("Nothing was undone", of_step.get(page.view.step, lambda: judging.undo(session, page.view))())
 
     def redo() -> None:
         of_step = {"plan": session.redo, "acquire": session.redo, "measure": session.redo_findings}
-        page.ask("Nothing was redone", of_step.get(page.view.step, session.notebook.redo)())
+        page.ask("Nothing was redone", of_step.get(page.view.step, lambda: judging.redo(session, page.view))())
 
     def leave() -> None:
         """What was opened last is left first."""

@@ -8,6 +8,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
+from wafer_viewer.gui.defect_section import DefectSection
 from wafer_viewer.gui.dialogs import dataset_table, open_dataset, open_dialog
 from wafer_viewer.gui.exchange_dialogs import import_dialog
 from wafer_viewer.gui.field_map import FieldMap
@@ -35,6 +36,7 @@ class LeftPanel:
                 self.map = FieldMap(page.gui)
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
+            self.defects = DefectSection(page)
             self._review = Cell(page.gui)
             self._gauge = GaugeList(page)
             self.compare = CompareSection(page)
@@ -47,11 +49,13 @@ class LeftPanel:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
-        checking = view.step == "gauge"  # its points and earlier checks need the room
+        checking = view.step == "gauge"  # its points and earlier checks need the room, as do defects
         set_prop(self._where, "visible", not checking)
         self.map.show(snapshot, view)
         self._works.show(job_list(snapshot, view))
-        self._views.show("" if checking else views_html(snapshot, view))
+        reviewing = view.step == "review" and bool(snapshot.inspection.defects)
+        self._views.show("" if checking or reviewing else views_html(snapshot, view))
+        self.defects.show(snapshot, view)
         self._review.show(review_list(snapshot, view))
         self._gauge.show(snapshot, view)
         self.compare.show(snapshot, view)

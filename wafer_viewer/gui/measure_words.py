@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.findings import AnyFinding, AreaVolume, Defect, GaugeCheck, Profile, StepProfile
+from wafer_viewer.gui.defect_words import KINDS
+from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.findings import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
 from wafer_viewer.model.quantities import Quantity
 
 REGION_COLOUR = "#15202B"
@@ -53,7 +55,7 @@ _MAIN = {
     "gauge_check": "error",
 }
 """What the number is that stands for a result, where its tool's name does not say so."""
-_SIGNED = ("point", "gauge_check")
+_SIGNED = ("point", "gauge_check", "defect")
 UNIT_SIGNS = {"um": "µm", "um2": "µm²", "um3": "µm³", "deg": "°", "mrad": "mrad"}
 _LARGER = {"um2": ((1e5, 1e-6, "mm²"),), "um3": ((1e5, 1e-6, "nl"), (0.0, 1e-3, "pl"))}
 """By unit: from which value on, by which factor, as what it reads."""
@@ -104,7 +106,9 @@ def sign_colour(finding: AnyFinding) -> str:
     """Its colour, the same in list, curve and scene."""
     if isinstance(finding, Profile):
         return PROFILE_COLOURS[0]
-    return OTHER_COLOUR if isinstance(finding, GaugeCheck | Defect) else REGION_COLOUR
+    if isinstance(finding, Defect):
+        return KINDS[finding.seen_as].colour
+    return OTHER_COLOUR if isinstance(finding, GaugeCheck) else REGION_COLOUR
 
 
 def of_what(finding: AnyFinding) -> str:

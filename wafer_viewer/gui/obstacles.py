@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from wafer_viewer.gui import judging
 from wafer_viewer.gui.commands import Obstacle
+from wafer_viewer.gui.defect_items import chosen_defect
 from wafer_viewer.gui.header import TITLES, possible
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.cuts import MOST_LINES
@@ -10,7 +12,6 @@ from wafer_viewer.session.state import Snapshot
 
 _STEPS: dict[Step, str] = {
     "acquire": "no scan runs, and the open dataset lacks no frame.",
-    "review": "no result is kept, and no feature has a verdict.",
 }
 
 
@@ -73,6 +74,19 @@ def no_comparison(_: Snapshot, view: View) -> str | None:
     return None if view.show < 0 else "no comparison is on show."
 
 
+def no_defects(snapshot: Snapshot, view: View) -> str | None:
+    """For what is done to defects."""
+    return no_way_to("review")(snapshot, view)
+
+
+def no_defect(snapshot: Snapshot, view: View) -> str | None:
+    """For what is done to the defect under review."""
+    chosen = chosen_defect(snapshot, view.review) is not None
+    return elsewhere("review")(snapshot, view) or (
+        None if chosen else "no defect is under review: Page Down goes to one."
+    )
+
+
 def no_line(_: Snapshot, view: View) -> str | None:
     """For what is done to profile lines."""
     shown = view.step == "measure" and view.tool == "profile" and view.lines
@@ -99,10 +113,14 @@ def no_result(snapshot: Snapshot, view: View) -> str | None:
 def nothing_to_undo(snapshot: Snapshot, view: View) -> str | None:
     """For undo: each step has its own."""
     of = {"plan": snapshot.draft.can_undo, "acquire": snapshot.draft.can_undo, "measure": snapshot.findings_undo}
-    return None if of.get(view.step, snapshot.notebook.can_undo) else f"nothing was changed in {TITLES[view.step]}."
+    return (
+        None if of.get(view.step, judging.can_undo(snapshot, view)) else f"nothing was changed in {TITLES[view.step]}."
+    )
 
 
 def nothing_to_redo(snapshot: Snapshot, view: View) -> str | None:
     """For redo."""
     of = {"plan": snapshot.draft.can_redo, "acquire": snapshot.draft.can_redo, "measure": snapshot.findings_redo}
-    return None if of.get(view.step, snapshot.notebook.can_redo) else f"nothing was undone in {TITLES[view.step]}."
+    return (
+        None if of.get(view.step, judging.can_redo(snapshot, view)) else f"nothing was undone in {TITLES[view.step]}."
+    )

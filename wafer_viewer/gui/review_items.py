@@ -1,42 +1,38 @@
-"""What is under review: the features of a job's verdict, the gravest first, and results, all as one kind of item.
+"""What is under review: defects, the features of a job's verdict, the gravest first, results, all as one kind.
 
-Another kind of thing to be judged, such as a defect, joins by a function in `SOURCES`.
+Another kind of thing to be judged joins by a function in `SOURCES`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
 
-import viser
-
+from wafer_viewer.gui.defect_items import defect_item, defect_items
+from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.kept_places import Box, bounds_of
 from wafer_viewer.gui.measure_words import letter, list_text, of_what, sign_colour, value_texts
-from wafer_viewer.gui.verdict_words import LOOKS, in_short
+from wafer_viewer.gui.review_item import ReviewItem, Row
+from wafer_viewer.gui.verdict_words import in_short
 from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.feature import on_die
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import Judgement, key_of_result, keys_of_features
+from wafer_viewer.model.notebook import key_of_result, keys_of_features
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.verdict import Judged, Word
 from wafer_viewer.session.state import Snapshot
 
-Row = tuple[str, str, str, str]
-"""Name, value, U, unit."""
-VERDICTS = {"open": "open", "accepted": "accepted", "rejected": "rejected"}
-VERDICT_LOOKS = {
-    "open": (viser.Icon.CIRCLE_DASHED, "ink3"),
-    "accepted": (viser.Icon.CIRCLE_CHECK, "good"),
-    "rejected": (viser.Icon.CIRCLE_X, "fault"),
-}
-"""Sign and colour of each judgement; its word stands beside them."""
-FILTERS: tuple[tuple[ReviewFilter, str], ...] = (("all", "All"), ("open", "Open"), ("rejected", "Rejected"))
+FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
+    ("all", "All"),
+    ("open", "Open"),
+    ("accepted", "Accepted"),
+    ("rejected", "Rejected"),
+)
+EVERYTHING = DefectListing()
 GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
 """What a person has to look at first."""
 _QUANTITIES = {
@@ -50,62 +46,43 @@ _QUANTITIES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class ReviewItem:
-    """One thing to be judged: its sign, where it is, its numbers, what the instrument says, what people say.
-
-    value: what the list shows, HTML. show: the surface it was measured on; number: of the result it is, if it is one.
-    word: what the instrument says of it, and `said` why; None where it says nothing.
-    """
-
-    key: str
-    sign: str
-    colour: str
-    title: str
-    below: str
-    value: str
-    rows: tuple[Row, ...]
-    judgement: Judgement
-    box_um: Box | None = None
-    show: int = 0
-    levelling: Levelling = Levelling()
-    number: int | None = None
-    word: Word | None = None
-    said: str = ""
-
-    @property
-    def told(self) -> str:
-        """What the instrument says and what people say of it, in words."""
-        people = VERDICTS[self.judgement.verdict]
-        return people if self.word is None else f"{LOOKS[self.word][0]}, {people}"
+def review_items(
+    snapshot: Snapshot, only: ReviewFilter = "all", listing: DefectListing = EVERYTHING
+) -> tuple[ReviewItem, ...]:
+    """Everything under review, of which `only` what is still open, or was judged so; defects as they are listed."""
+    items = (item for source in SOURCES for item in source(snapshot, listing))
+    return tuple(item for item in items if only in ("all", item.judgement.verdict))
 
 
-def review_items(snapshot: Snapshot, only: ReviewFilter = "all") -> tuple[ReviewItem, ...]:
-    """Everything under review, of which `only` what is still open, or was rejected."""
-    items = tuple(item for source in SOURCES for item in source(snapshot))
-    return items if only == "all" else tuple(item for item in items if item.judgement.verdict == only)
-
-
-def chosen_item(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
+def chosen_item(snapshot: Snapshot, key: str | None, listing: DefectListing = EVERYTHING) -> ReviewItem | None:
     """The item of a key; the first one where none was chosen or it is gone."""
-    items = review_items(snapshot)
+    known = defect_item(snapshot, key)
+    if known is not None:
+        return known
+    items = review_items(snapshot, "all", listing)
     return next((item for item in items if item.key == key), items[0] if items else None)
 
 
-def neighbour(snapshot: Snapshot, key: str | None, by: int, only: ReviewFilter = "all") -> ReviewItem | None:
+def neighbour(
+    snapshot: Snapshot,
+    key: str | None,
+    by: int,
+    only: ReviewFilter = "all",
+    listing: DefectListing = EVERYTHING,
+) -> ReviewItem | None:
     """Where one goes from the item of a key, round the ends of the list: on, to the next that is open, or back by one.
 
     Where no other is open one goes on to the next of those listed, which are `only` some of all.
     """
-    items, listed = review_items(snapshot), {item.key for item in review_items(snapshot, only)}
+    items = review_items(snapshot, "all", listing)
     at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
-    round_trip = [items[(at + by * n) % len(items)] for n in range(1, len(items) + 1)]
-    ahead = [item for item in round_trip if item.key in listed]
-    still_open = [item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open"]
-    return next(iter(still_open or ahead), None)
+    round_trip = (items[(at + by * n) % len(items)] for n in range(1, len(items) + 1))
+    ahead = [item for item in round_trip if only in ("all", item.judgement.verdict)]
+    still_open = (item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open")
+    return next(still_open, next(iter(ahead), None))
 
 
-def _results(snapshot: Snapshot) -> Iterator[ReviewItem]:
+def _results(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
     for finding in snapshot.findings:
         key = key_of_result(finding.number)
         yield ReviewItem(
@@ -126,7 +103,7 @@ def _results(snapshot: Snapshot) -> Iterator[ReviewItem]:
         )
 
 
-def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
+def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
     verdict, data = snapshot.operating.verdict, snapshot.dataset
     if verdict is None or data is None:
         return
@@ -148,7 +125,7 @@ def _features(snapshot: Snapshot) -> Iterator[ReviewItem]:
         )
 
 
-SOURCES: tuple[Callable[[Snapshot], Iterator[ReviewItem]], ...] = (_features, _results)
+SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] = (defect_items, _features, _results)
 
 
 def _kind(finding: AnyFinding) -> str:

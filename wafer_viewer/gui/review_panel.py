@@ -9,18 +9,24 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
-from wafer_viewer.gui import html
+from wafer_viewer.gui import html, judging
 from wafer_viewer.gui.commands import Command, unless
+from wafer_viewer.gui.defect_items import chosen_defect
+from wafer_viewer.gui.defect_words import KINDS, classes
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
-from wafer_viewer.gui.obstacles import elsewhere
+from wafer_viewer.gui.note_dialog import note_dialog
+from wafer_viewer.gui.obstacles import elsewhere, no_defect
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.review_items import ReviewItem, chosen_item, neighbour, review_items
+from wafer_viewer.gui.review_item import ReviewItem
+from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers, picture, progress
 from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.gui.verdict_section import awaited
 from wafer_viewer.gui.verdict_words import waiting
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.defects import DefectClass
 from wafer_viewer.model.notebook import Verdict
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.state import Snapshot
@@ -47,31 +53,36 @@ class ReviewPanel:
             self._build()
         self._edits = Edits(self._commit_note, guarded(page, "The note stays"))
         page.on_pick("review", self.go_to)
+        page.on_pick("defect-class", self.classify)
         page.on_pick("review-filter", lambda key: page.change(review_filter=key))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
         there = view.step == "review" and not view.explains
-        item = chosen_item(snapshot, view.review) if there else None
+        item = chosen_item(snapshot, view.review, view.defects) if there else None
         set_prop(self._folder, "visible", item is not None)
         waits = there and item is None
-        self._waiting.show(self._page.notes(snapshot) + waiting(snapshot.operating.judging) if waits else "")
+        self._waiting.show(self._page.notes(snapshot) + _nothing_yet(snapshot) if waits else "")
         if item is None:
             return
+        if item.defect is not None and view.review != item.key:
+            self._page.change(review=item.key)
         self._title.show(html.title(f"{item.sign} · {item.title}", item.below))
         self._notes.show(self._page.notes(snapshot))
         self._picture.show(picture(item, self._painted(item, snapshot)))
         self._numbers.show(numbers(item))
+        defect = chosen_defect(snapshot, item.key)
+        self._classes.show(classes(defect) if defect is not None else "")
         self._judgement.show(item.judgement.verdict)
         self._done.show(progress(review_items(snapshot)))
-        set_prop(self._undo, "disabled", not snapshot.notebook.can_undo)
-        set_prop(self._redo, "disabled", not snapshot.notebook.can_redo)
+        set_prop(self._undo, "disabled", not judging.can_undo(snapshot, view))
+        set_prop(self._redo, "disabled", not judging.can_redo(snapshot, view))
         if not self._edits.under_way:
             self._note_of = item.key
             self._note.show(item.judgement.note)
 
     def commands(self) -> list[Command]:
-        """By keyboard alone: on, back, accept, reject."""
+        """By keyboard alone: on, back, accept, reject, put into a class, note down."""
         icon = viser.Icon
         return unless(
             elsewhere("review"),
@@ -79,6 +90,8 @@ class ReviewPanel:
             Command("Previous under review", "pageup", lambda: self.step(-1), icon.ARROW_LEFT, group="Review"),
             Command("Accept", "Y", lambda: self.judge("accepted"), icon.CHECK, group="Review"),
             Command("Reject", "N", lambda: self.judge("rejected"), icon.X, group="Review"),
+            Command("Note…", "enter", self.note, icon.NOTE, "shift", group="Review"),
+            *_class_commands(self.classify),
         )
 
     def step(self, by: int) -> None:
@@ -87,8 +100,8 @@ class ReviewPanel:
         if view.step != "review":
             return
         snapshot = page.session.snapshot
-        now = chosen_item(snapshot, view.review)
-        item = neighbour(snapshot, now.key if now else None, by, view.review_filter)
+        now = chosen_item(snapshot, view.review, view.defects)
+        item = neighbour(snapshot, now.key if now else None, by, view.review_filter, view.defects)
         if item is not None:
             self._look_at(item)
 
@@ -100,14 +113,32 @@ class ReviewPanel:
 
     def judge(self, verdict: Verdict) -> None:
         """Accept or reject the item; the same once more opens it again."""
-        page, item = self._page, chosen_item(self._page.session.snapshot, self._page.view.review)
-        if page.view.step == "review" and item is not None:
+        page, item = self._page, self._chosen
+        if item is not None:
             new: Verdict = "open" if item.judgement.verdict == verdict else verdict
-            page.ask("The judgement stays", page.session.notebook.judge(item.key, new))
+            page.ask("The judgement stays", judging.judge(page.session, item.key, new))
+
+    def classify(self, kind: DefectClass) -> None:
+        """Put the defect into a class."""
+        page, item = self._page, self._chosen
+        if item is not None and item.defect is not None:
+            page.ask("The class stays", page.session.defects.judge(item.defect, kind=kind))
+
+    def note(self) -> None:
+        """Note something down without the mouse."""
+        item = self._chosen
+        if item is not None:
+            note_dialog(self._page, item)
+
+    @property
+    def _chosen(self) -> ReviewItem | None:
+        view = self._page.view
+        there = view.step == "review"
+        return chosen_item(self._page.session.snapshot, view.review, view.defects) if there else None
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
-        self._title, self._notes, self._picture, self._numbers = (Cell(gui) for _ in range(4))
+        self._title, self._notes, self._picture, self._numbers, self._classes = (Cell(gui) for _ in range(5))
         Cell(gui, html.head("Judgement", "keys Y and N"))
         self._judgement = Choice(gui, "It is", JUDGEMENTS, guarded(page, "The judgement stays")(self.judge))
         note = gui.add_text("Note", "", hint="Kept with the judgement; it stands in the report")
@@ -121,7 +152,8 @@ class ReviewPanel:
 
     def _taking_back(self, verb: Literal["undo", "redo"]) -> Callable[[Any], Any]:
         page, failed = self._page, f"Nothing was {'undone' if verb == 'undo' else 'done again'}"
-        return guarded(page, failed)(lambda _: page.ask(failed, getattr(page.session.notebook, verb)()))
+        taking = judging.undo if verb == "undo" else judging.redo
+        return guarded(page, failed)(lambda _: page.ask(failed, taking(page.session, page.view)))
 
     def _look_at(self, item: ReviewItem) -> None:
         """Show the item as it was measured, and fly there."""
@@ -137,7 +169,7 @@ class ReviewPanel:
 
     def _commit_note(self) -> Future[Any] | None:
         page = self._page
-        answer = page.session.notebook.judge(self._note_of, note=self._note.value)
+        answer = judging.note(page.session, self._note_of, self._note.value)
         page.ask("The note stays", answer)
         return answer
 
@@ -153,6 +185,28 @@ class ReviewPanel:
             future.add_done_callback(lambda _: self._page.redraw())
         data = future.result() if future.done() and future.exception() is None else b""
         return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}" if data else ""
+
+
+def _class_commands(classify: Callable[[DefectClass], None]) -> list[Command]:
+    """A key for each class."""
+    return unless(
+        no_defect,
+        *(
+            Command(f"Class: {look.title}", look.key, lambda k=kind: classify(k), viser.Icon.TAG, group="Review")
+            for kind, look in KINDS.items()
+        ),
+    )
+
+
+def _nothing_yet(snapshot: Snapshot) -> str:
+    """What there is to do where nothing is under review."""
+    if awaited(snapshot):
+        return waiting(snapshot.operating.judging)
+    there = snapshot.inspection.inspection is not None
+    say = (
+        "No defect was found, and no result is kept." if there else "Inspect for defects on the left, or keep a result."
+    )
+    return html.title("Review", "One thing after the other, by keyboard alone.") + html.empty(say)
 
 
 def framed(item: ReviewItem, snapshot: Snapshot) -> tuple[float, float, float, float]:

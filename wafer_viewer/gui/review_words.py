@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 from wafer_viewer.gui import html, verdict_words
-from wafer_viewer.gui.review_items import FILTERS, VERDICT_LOOKS, VERDICTS, ReviewItem, chosen_item, review_items
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.review_item import VERDICTS, ReviewItem
+from wafer_viewer.gui.review_items import FILTERS, chosen_item, review_items
+from wafer_viewer.gui.review_looks import VERDICT_LOOKS
+from wafer_viewer.gui.view import ReviewFilter, View
 from wafer_viewer.session.state import Snapshot
+
+_NONE: dict[ReviewFilter, str] = {
+    "all": "Nothing is under review.",
+    "open": "Nothing is left open.",
+    "accepted": "Nothing was accepted.",
+    "rejected": "Nothing was rejected.",
+}
 
 
 def review_list(snapshot: Snapshot, view: View) -> str:
-    """The list in the left panel, with the filter over it; nothing in other steps."""
-    if view.step != "review":
+    """The list of features and results in the left panel, with the filter over it; nothing in other steps.
+
+    Where there are defects, which have a list of their own over it, the filter stands there.
+    """
+    everything = [item for item in review_items(snapshot) if item.defect is None]
+    if view.step != "review" or not everything:
         return ""
-    everything, listed = review_items(snapshot), review_items(snapshot, view.review_filter)
-    now = chosen_item(snapshot, view.review)
+    listed = [item for item in review_items(snapshot, view.review_filter) if item.defect is None]
+    now = chosen_item(snapshot, view.review, view.defects)
     judged = sum(item.judgement.verdict != "open" for item in everything)
     rows = [_row(item, now is not None and item.key == now.key) for item in listed]
-    empty = html.empty("Nothing is left open." if view.review_filter == "open" else "Nothing was rejected.")
-    body = html.table([], rows, "  n") if rows else empty
+    body = html.table([], rows, "  n") if rows else html.empty(_NONE[view.review_filter])
     head = html.head("Under review", f"{judged} of {len(everything)} judged")
-    return f'{head}{_filters(view)}{body}<div style="height:6px"></div>'
+    over = "" if snapshot.inspection.defects else filters(view)
+    return f'{head}{over}{body}<div style="height:6px"></div>'
 
 
 def picture(item: ReviewItem, url: str) -> str:
@@ -60,7 +73,8 @@ def _row(item: ReviewItem, chosen: bool) -> str:
     return html.row([html.chip(item.sign, item.colour), name, item.value], "  n", attributes, "sel" if chosen else "")
 
 
-def _filters(view: View) -> str:
+def filters(view: View) -> str:
+    """Which of all are listed."""
     chosen = view.review_filter
     buttons = "".join(
         f'<span class="{"on" if key == chosen else ""}" aria-pressed="{str(key == chosen).lower()}" '

@@ -22,7 +22,7 @@ from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.steady import Steady
-from wafer_viewer.gui.surface_scene import only_grew, source_of, surface_contents
+from wafer_viewer.gui.surface_scene import marked, only_grew, source_of, surface_contents
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.levelling import LevelBy, Levelling
@@ -270,9 +270,9 @@ class SceneView:
         seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
         whole = self._stage.show((*seen, *contents.items), contents.stretch)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
-        handled = view, snapshot.findings, contents.on_show
+        handled = view, marked(snapshot, view), contents.on_show
         if whole or handled != self._handled:  # handles do not wait for the last tile
-            self._tools.show(view, contents.on_show, self._book, snapshot.findings)
+            self._tools.show(view, contents.on_show, self._book, handled[1])
             self._handled = handled
         return whole and not contents.awaits_more
 

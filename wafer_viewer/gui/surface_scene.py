@@ -10,6 +10,7 @@ import viser
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Clear
 from wafer_viewer.gui.contents import Contents, OnShow, corners_of
+from wafer_viewer.gui.defect_items import chosen_defect
 from wafer_viewer.gui.ground import block_items, figure_height_mm, plinth_mm
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_items import pose_items
@@ -21,6 +22,7 @@ from wafer_viewer.gui.terrain import heights_of
 from wafer_viewer.gui.tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.comparison import Face, comparison_of
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.session.changes import stamp_of
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
@@ -40,6 +42,12 @@ def source_of(snapshot: Snapshot, show: int) -> Source | None:
         return None if stamp is None else Source(data.path, result_of(snapshot), show, stamp)
     info = snapshot.surface
     return None if info is None else Source(data.path, info.result, 0, info.stamp)
+
+
+def marked(snapshot: Snapshot, view: View) -> tuple[AnyFinding, ...]:
+    """The findings whose outlines lie on the surface: in a review of defects only the one that is looked at."""
+    defect = chosen_defect(snapshot, view.review) if view.step == "review" else None
+    return snapshot.findings if defect is None else (defect,)
 
 
 def only_grew(begun: tuple[Snapshot, View], now: tuple[Snapshot, View]) -> bool:

@@ -35,16 +35,22 @@ class Thumbnails:
     def of(self, finding: AnyFinding, snapshot: Snapshot) -> str:
         """The picture of a result, its places outlined in its colour, as HTML."""
         request = picture_of(finding, snapshot)
-        data = self._painted(request) if request is not None else b""
-        image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(data).decode()}">' if data else ""
-        return f'<span class="wv-thumb">{image}{outlines(finding, box_of(finding, snapshot))}</span>'
+        data = self.painted(request) if request is not None else b""
+        return thumbnail(data, outlines(finding, box_of(finding, snapshot)))
 
-    def _painted(self, request: PaintRequest) -> bytes:
+    def painted(self, request: PaintRequest) -> bytes:
+        """A picture as JPEG; no bytes until it is painted."""
         future = self._asked.get(request)
         if future is None or future.cancelled():
             future = self._asked[request] = self._page.session.paint(request)
             future.add_done_callback(lambda _: self._page.redraw())
         return future.result() if future.done() and future.exception() is None else b""
+
+
+def thumbnail(jpeg: bytes, over: str = "") -> str:
+    """A small picture with what is drawn over it, as HTML."""
+    image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">' if jpeg else ""
+    return f'<span class="wv-thumb">{image}{over}</span>'
 
 
 def painted(page: Page, finding: AnyFinding, wait_s: float) -> bytes | None:

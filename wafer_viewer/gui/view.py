@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.plot_view import PlotView
 from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Levelling
@@ -16,8 +17,11 @@ Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "repo
 Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Tool = Literal["none"] | ToolName
-ReviewFilter = Literal["all", "open", "rejected"]
-Below = Literal["none", "profile", "why", "gauge"]
+ReviewFilter = Literal["all", "open", "accepted", "rejected"]
+Below = Literal["none", "profile", "why", "gauge", "defect"]
+
+OF_DEFECT = "defect "
+"""What the keys of defects begin with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +39,8 @@ class View:
     why: the place, stage um, whose height is being explained.
     faces: of the gauge blocks, the upper one first; none: they are still to be found. check: which earlier check is
     looked at, by its key; None the one that is being made.
-    review: the key of what is under review, None the first; review_filter: which of all are listed.
+    review: the key of what is under review, None the first; review_filter: which of all are listed; defects: how those
+    are listed.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     """
 
@@ -65,6 +70,7 @@ class View:
     check: str | None = None
     review: str | None = None
     review_filter: ReviewFilter = "all"
+    defects: DefectListing = DefectListing()
     everything: bool = False
 
     @property
@@ -100,4 +106,6 @@ class View:
             return "why"
         if self.step == "gauge":
             return "gauge"
+        if self.step == "review" and self.review is not None and self.review.startswith(OF_DEFECT):
+            return "defect"
         return "profile" if self.step == "measure" and self.tool == "profile" else "none"

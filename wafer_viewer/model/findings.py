@@ -11,6 +11,7 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.finding import Finding
 from wafer_viewer.model.gauge import GaugeCheck
@@ -157,24 +158,6 @@ class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
     def main(self) -> Quantity:
         """FLTt."""
         return self.flt_t.quantity
-
-
-class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
-    """A place that differs from its reference: where, how large, what class, how it was judged."""
-
-    center: Point
-    outline: Region
-    kind: str
-    diameter: Length
-    height: Length
-    area_um2: NonNegative
-    score: float
-    judgement: Literal["open", "real", "nuisance"] = "open"
-
-    @property
-    def main(self) -> Quantity:
-        """The height."""
-        return self.height.quantity
 
 
 AnyFinding = (

@@ -12,6 +12,7 @@ from wafer_viewer.model.spec import Spec
 Part = Literal[
     "verdict",
     "results",
+    "defects",
     "profiles",
     "gauge",
     "pictures",
@@ -27,6 +28,7 @@ PARTS: tuple[Part, ...] = get_args(Part)
 PART_TITLES: dict[Part, str] = {
     "verdict": "Verdict",
     "results": "Results",
+    "defects": "Defects",
     "profiles": "Profiles",
     "gauge": "Gauge checks",
     "pictures": "Pictures",

@@ -14,6 +14,7 @@ from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.comparing import ComparingKeeper
+from wafer_viewer.session.defects import DefectKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting, suggested_name
 from wafer_viewer.session.evidence import focus_curve
@@ -50,6 +51,7 @@ class Conductor:
         self.book = RecordBook(desk, self.library)
         self.notebook = NotebookKeeper(desk, self.library)
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
+        self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
         self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
         self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
@@ -62,6 +64,7 @@ class Conductor:
     def start(self) -> None:
         """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
         self.rig.start()
+        self.defects.watch()
         self.drafting.price()
         self.library.refresh()
         self.jobs.refresh()
@@ -194,6 +197,7 @@ class Conductor:
         self.book.open()
         self.notebook.open()
         self.comparing.open()
+        self.defects.open()
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"

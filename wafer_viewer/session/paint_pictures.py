@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.draw.bake import bake
+from wafer_viewer.draw.bake import bake, grey_image
 from wafer_viewer.draw.glb import jpeg
 from wafer_viewer.draw.look import Light, Look
 from wafer_viewer.draw.reduce import reduced
@@ -22,7 +23,10 @@ _UNMEASURED = np.array([200, 208, 216], np.uint8)
 
 
 def picture(shelf: Shelf, request: PaintRequest) -> bytes:
-    """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured."""
+    """The box of a request as JPEG, over its own range of heights; no bytes where nothing of it is measured.
+
+    Coloured by ``grey`` it is the all-in-focus image.
+    """
     if request.box_um is None:
         return b""
     surface = shelf.surface(request.source)
@@ -36,8 +40,10 @@ def picture(shelf: Shelf, request: PaintRequest) -> bytes:
     there = np.isfinite(part.z_um)
     if 0 in part.shape or not there.any():
         return b""
-    low, high = (float(v) for v in np.percentile(part.z_um[there], [1, 99]))
+    grey = request.look.colour_by == "grey"
+    low, high = (float(v) for v in np.percentile(grey_image(part)[there] if grey else part.z_um[there], [1, 99]))
     span = max(high - low, 1e-3)
-    look = Look(low=low, high=low + span, hillshade=0.6)
+    heights = Look(low=low, high=low + span, hillshade=0.6)
+    look = replace(heights, colour_by="grey", colours="grey", hillshade=0.0) if grey else heights
     baked = bake(part, look, Light(light_gain(part.z_um, part.pixel_um), span))
     return jpeg(np.where(baked[..., 3:] > 0, baked[..., :3], _UNMEASURED), _QUALITY)

@@ -9,11 +9,11 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
+from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import (
     AnyFinding,
     AreaVolume,
-    Defect,
     Distance,
     FaceAngle,
     Findings,

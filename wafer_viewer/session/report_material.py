@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.defects import Inspection
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge import GaugeCheck
 from wafer_viewer.model.notebook import Notebook
@@ -30,6 +31,7 @@ class Material:
     findings: tuple[AnyFinding, ...]
     notebook: Notebook
     verdict: WaferVerdict | None = None
+    inspection: Inspection | None = None
 
     @property
     def day(self) -> str:
@@ -75,9 +77,18 @@ def gather(folder: Path, result_name: str) -> Material:
     """Read what a report needs of a dataset. Raises DatasetError when the folder is none."""
     from wafer_viewer.session.summary import load_summary
     from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.defects import read_inspection
     from wafer_viewer.store.notebook import read_notebook
 
     dataset = Dataset.open(folder)
     result = dataset.result(result_name)
     info = load_summary(result) if result.has_mosaic else None
-    return Material(dataset, result, info, result.findings().items, read_notebook(result.path), kept_verdict(result))
+    return Material(
+        dataset,
+        result,
+        info,
+        result.findings().items,
+        read_notebook(result.path),
+        kept_verdict(result),
+        read_inspection(result.path),
+    )

@@ -13,6 +13,7 @@ from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.notebook import keys_of_features, keys_under_review
 from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
 from wafer_viewer.session.finding_numbers import not_evaluated
+from wafer_viewer.session.report_defects import defects, defects_held
 from wafer_viewer.session.report_material import Material, gather
 from wafer_viewer.session.report_results import gauge, profiles, results, verdict
 from wafer_viewer.session.report_words import (
@@ -44,6 +45,7 @@ def _goes_in(part: Part, material: Material) -> bool:
     """Parts of what this dataset has nothing to do with are left out, not told to be empty."""
     held = {
         "verdict": material.asks_for_a_verdict or material.verdict is not None,
+        "defects": material.inspection is not None,
         "profiles": bool(material.lines),
         "gauge": bool(material.gauge_checks),
         "pictures": bool(material.pictures),
@@ -71,6 +73,7 @@ def contents(folder: Path, result_name: str) -> Contents:
     return {
         "verdict": _verdict_held(material),
         "results": _results_held(material),
+        "defects": defects_held(material),
         "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
         "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
         "pictures": Holds(taken, nothing=not pictures),
@@ -215,6 +218,7 @@ def _signatures(material: Material) -> Section:
 _MADE: dict[Part, Callable[[Material], Section]] = {
     "verdict": verdict,
     "results": results,
+    "defects": defects,
     "profiles": profiles,
     "gauge": gauge,
     "pictures": _pictures,

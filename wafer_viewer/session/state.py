@@ -17,6 +17,7 @@ from wafer_viewer.model.stack import Image
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.hands import Hands
+from wafer_viewer.session.inspection_state import InspectionState
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.operating import Operating
 
@@ -260,6 +261,7 @@ class Snapshot:
     notebook: NotebookState = NotebookState()
     comparisons: tuple[Compared, ...] = ()
     gauge: GaugeState = GaugeState()
+    inspection: InspectionState = InspectionState()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
 

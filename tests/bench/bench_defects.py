@@ -1,0 +1,100 @@
+"""How many planted defects are captured on noisy height maps, how many false ones a mm2, how long and with what memory.
+
+    python tests/bench/bench_defects.py [--quick] [--large] [--seed N]
+
+Made-up patterned wafers (tests/measure/noisy_wafer.py): dies 360 px wide, up to half a pixel off their places, normal
+noise, 2 % of the pixels unmeasured, a bow of 10 um, pixels of 0.5 um; bumps and pits that show in the heights only.
+Goals: 0.95 captured of 6 sigma and 6 px, and of 3 sigma and 20 px; at most 0.1 false a mm2; 9 Mpx in 6 s on two cores,
+165 Mpx in 120 s, 3 GB. Heights from focus err in patches: what that does is measured by bench_defects_truth.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import resource
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tests.bench.tables import Cell, met, percent, show
+from tests.measure.noisy_wafer import Planted, Wafer, scattered, wafer
+from wafer_viewer.measure.defects import inspect
+from wafer_viewer.model.defects import Inspection
+
+DIE_PX, STREET_PX = 360, 20
+FULL, QUICK, LARGE = 8, 4, 33
+"""Dies along each side."""
+N_PLANTED = 40
+CAPTURE, FALSE_PER_MM2, SECONDS, LARGE_SECONDS, GIGABYTES = 0.95, 0.1, 6.0, 120.0, 3.0
+CASES = ((6.0, 6.0), (20.0, 3.0), (40.0, 6.0))
+"""Diameter in px, height in sigma."""
+
+
+def main() -> int:
+    """All cases, then the time that they took."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--quick", action="store_true", help="a wafer of 2.3 Mpx")
+    options.add_argument("--large", action="store_true", help="one clean wafer of 157 Mpx as well")
+    options.add_argument("--seed", type=int, default=1)
+    given = options.parse_args()
+    side = QUICK if given.quick else FULL
+    shape = (side * (DIE_PX + STREET_PX), side * (DIE_PX + STREET_PX))
+    inspect((clean := made(side, given.seed, ())).surface, clean.grid)
+    rows = [case(side, given.seed, ())]
+    rows += [case(side, given.seed + k, scattered(k, N_PLANTED, shape, *c)) for k, c in enumerate(CASES, 1)]
+    rows += [case(LARGE, given.seed, ())] if given.large else []
+    header = ("Planted", "Mpx", "captured", "%", "goal", "false", "a mm2", "goal", "foretold", "s", "cpu s", "goal")
+    show("Defects on noisy height maps", header, rows)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+    print(f"\nPeak memory, the wafers themselves with it: {peak:.2f} GB (goal {GIGABYTES:g} GB).")
+    return 0
+
+
+def made(side: int, seed: int, planted: tuple[Planted, ...]) -> Wafer:
+    """One wafer of side x side dies."""
+    return wafer(seed, (side, side), (DIE_PX, DIE_PX), planted, street_px=STREET_PX)
+
+
+def case(side: int, seed: int, planted: tuple[Planted, ...]) -> list[Cell]:
+    """One line of the table."""
+    of = made(side, seed, planted)
+    start, cpu = time.perf_counter(), time.process_time()
+    found = inspect(of.surface, of.grid)
+    took, cpu_took = time.perf_counter() - start, time.process_time() - cpu
+    hits, false = judged(of, found)
+    mpx = of.surface.z_um.size / 1e6
+    per_mm2 = false / found.inspected_mm2
+    share = hits / len(planted) if planted else math.nan
+    name = f"{planted[0].size_px:g} px, {planted[0].height_sigma:g} sigma" if planted else "none"
+    limit_s = SECONDS * mpx / 9 if side < LARGE else LARGE_SECONDS
+    captured = [f"{hits}/{len(planted)}", percent(share), met(share, CAPTURE, True)] if planted else [None, None, None]
+    foretold = found.expected_false_per_mm2
+    return [
+        name,
+        mpx,
+        *captured,
+        false,
+        per_mm2,
+        met(per_mm2, FALSE_PER_MM2),
+        foretold,
+        took,
+        cpu_took,
+        met(took, limit_s),
+    ]
+
+
+def judged(of: Wafer, found: Inspection) -> tuple[int, int]:
+    """How many planted ones have a defect on them, and how many defects lie on none."""
+    near = [
+        [math.hypot(d.center.x_um - p.x_um, d.center.y_um - p.y_um) <= max(2.0, p.size_px / 4) for d in found.found]
+        for p in of.planted
+    ]
+    false = sum(not any(line[k] for line in near) for k in range(len(found.found)))
+    return sum(any(line) for line in near), false
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""What finding defects on large mosaics takes: seconds of clock and processor, and memory, in a process of its own.
+
+The mosaics are made up (patterned dies with noise of their own, 2 % unmeasured, some defects), written as any other is
+and kept between runs under the folder for temporary files.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from tests.bench.tables import met, show
+from tests.truth.defects import DEPTH_UM, Plan
+from tests.truth.patterned import scene_of
+from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
+from wafer_viewer.rigs.virtual.scene import Scene, Window
+from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic
+
+GOALS = {3_000: (6.0, 3.0), 12_850: (120.0, 3.0)}
+"""Side in px: seconds, and GB of memory."""
+QUICK_PX = 1_500
+NOISE_UM, SMOOTH_PX = 0.15, 3
+
+
+@dataclass(frozen=True)
+class MadePattern:
+    """A patterned wafer of about side_px x side_px, read as any mosaic is; every window costs its pixels."""
+
+    side_px: int
+    pixel_um: float = PIXEL_UM
+    levels: int = 1
+    provenance: Provenance = Provenance(simulated=True)
+
+    @property
+    def plan(self) -> Plan:
+        """Whole dies and a margin."""
+        cols, rows = (max(3, round((self.side_px - 120) / pitch)) for pitch in PITCH_PX)
+        return Plan(cols=cols, rows=rows, seed=7, defective=0.05)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.plan.shape
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of pixel (0, 0)."""
+        return (0.5 - self.plan.margin_px) * PIXEL_UM
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of pixel (0, 0)."""
+        return self.plan.size_um[1] + (self.plan.margin_px - 0.5) * PIXEL_UM
+
+    @cached_property
+    def planted(self) -> tuple[Planted, ...]:
+        """What is wrong with it."""
+        return planted(self.plan, NOISE_UM)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The wafer itself."""
+        return scene_of(self.plan, self.planted)
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part that holds a region."""
+        whole = slice(0, self.shape[0]), slice(0, self.shape[1])
+        rows, cols = whole if region is None else pixel_window(self, region, level)
+        n_rows, n_cols = rows.stop - rows.start, cols.stop - cols.start
+        x0_um, y0_um = self.x0_um + cols.start * PIXEL_UM, self.y0_um - rows.start * PIXEL_UM
+        sheets = self.scene.raster(Window(x0_um, y0_um, PIXEL_UM, n_rows, n_cols))
+        rng = np.random.default_rng((rows.start, cols.start))
+        coarse = rng.standard_normal((n_rows // SMOOTH_PX + 1, n_cols // SMOOTH_PX + 1), np.float32)
+        noise = NOISE_UM * np.repeat(np.repeat(coarse, SMOOTH_PX, 0), SMOOTH_PX, 1)[:n_rows, :n_cols]
+        gone = np.abs(noise) > 2.326 * NOISE_UM
+        z_um = np.where(gone, np.float32(np.nan), sheets.surface_um() + noise).astype(np.float32)
+        grey = np.clip(255 * self.scene.gain * sheets.radiance(), 0, 255).astype(np.uint8)
+        return HeightMap(
+            z_um=z_um, z_raw_um=z_um, confidence=np.where(gone, np.float32(0.1), np.float32(0.9)), all_in_focus=grey,
+            origin=np.where(gone, np.uint8(Origin.NO_TEXTURE), np.uint8(Origin.MEASURED)), pixel_um=PIXEL_UM,
+            x0_um=x0_um, y0_um=y0_um, provenance=self.provenance,
+            overlap_um=np.full(z_um.shape, np.nan, np.float32),
+        )  # fmt: skip
+
+
+def made_mosaic(side_px: int) -> Path:
+    """A mosaic on disk, made now or kept from before."""
+    folder = Path(tempfile.gettempdir()) / "wafer-viewer-bench"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"patterned-{side_px}-{DEPTH_UM:g}.zarr"
+    if not path.exists():
+        write_mosaic(path, MadePattern(side_px))
+    return path
+
+
+def show_speed(quick: bool) -> None:
+    """Each size in a process of its own."""
+    rows = [row(side_px, made_mosaic(side_px)) for side_px in ((QUICK_PX,) if quick else GOALS)]
+    header = ("mosaic", "clock s", "processor s", "memory GB", "defects", "goals")
+    show("Finding defects on made-up mosaics, all cores", header, rows)
+
+
+def row(side_px: int, path: Path) -> tuple[str | float | int, ...]:
+    command = [sys.executable, "-m", "tests.bench.defects_speed", str(path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
+    told = json.loads(said.stdout.splitlines()[-1])
+    if side_px not in GOALS:
+        goals = "-"
+    else:
+        most_s, most_gb = GOALS[side_px]
+        goals = f"{most_s:g} s {met(told['clock_s'], most_s)}, {most_gb:g} GB {met(told['memory_gb'], most_gb)}"
+    name = f"{told['pixels'] / 1e6:.1f} Mpx"
+    return name, told["clock_s"], told["processor_s"], told["memory_gb"], told["defects"], goals
+
+
+def measured(path: Path) -> dict[str, float | int]:
+    """One inspection, kernels compiled before."""
+    from wafer_viewer.measure.defects import inspect
+    from wafer_viewer.measure.die_grid import find_dies
+
+    small = MadePattern(1_500).window()
+    inspect(small, find_dies(small))
+    mosaic = ZarrMosaic.open(path)
+    begin, before = time.perf_counter(), time.process_time()
+    found = inspect(mosaic, find_dies(mosaic))
+    return {
+        "pixels": mosaic.shape[0] * mosaic.shape[1],
+        "clock_s": time.perf_counter() - begin,
+        "processor_s": time.process_time() - before,
+        "memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
+        "defects": len(found.found),
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(measured(Path(sys.argv[1]))))

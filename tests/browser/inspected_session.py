@@ -1,0 +1,169 @@
+"""A stitched surface with defects on it, found and listed: what a reviewer has before the first judgement."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+
+from tests.browser.stitched_session import PITCH_UM, STREET_UM, StitchedSession
+from tests.store.inspections import defect, inspection
+from wafer_viewer.model.defects import Defect, DefectClass, FalseCounts, Inspection
+from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.sections import Section, SectionAsked
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.cutting import cut
+
+GRID = DieGrid(
+    pitch_x_um=PITCH_UM,
+    pitch_y_um=PITCH_UM,
+    width_um=PITCH_UM - STREET_UM,
+    height_um=PITCH_UM - STREET_UM,
+    x0_um=STREET_UM,
+    y0_um=STREET_UM,
+    first_col=-3,
+    first_row=-2,
+    cols=6,
+    rows=4,
+    by="found",
+)
+PLANTED: tuple[tuple[DefectClass, int, int, float, float, float, float], ...] = (
+    ("particle", -1, 0, 60.0, 60.0, 12.0, 14.0),
+    ("residue", 1, 0, 50.0, 70.0, 30.0, 3.0),
+    ("pit", 0, -1, 80.0, 40.0, 10.0, -7.0),
+    ("particle", -2, -1, 30.0, 80.0, 9.0, 8.0),
+    ("scratch", 0, 0, 60.0, 60.0, 45.0, -2.5),
+    ("edge chip", 1, -1, 116.0, 60.0, 14.0, -9.0),
+    ("pattern", -1, -1, 61.0, 61.0, 11.0, 4.0),
+    ("unmeasured", -2, 0, 90.0, 30.0, 16.0, 0.0),
+)
+"""Class, column, row, place on the die, half its length and its height, um."""
+
+
+def inspected_session(n_defects: int = len(PLANTED)) -> InspectedSession:
+    """A surface with its first so many defects."""
+    return InspectedSession(n_defects)
+
+
+class InspectedSession(StitchedSession):
+    """Its sections are cut through the surface on show."""
+
+    def __init__(self, n_defects: int) -> None:
+        super().__init__(3, 3)
+        planted = PLANTED[:n_defects]
+        self.shelf.surfaces[0] = _with(self.shelf.surfaces[0], planted)
+        self.defects = FakeDefects(self)
+        self.sections = CutSections(self.shelf.surfaces)
+        self.change(inspection=dataclasses.replace(self.snapshot.inspection, inspection=found(planted)))
+
+
+class CutSections:
+    """Sections of a surface in memory."""
+
+    def __init__(self, surfaces: dict[int, HeightMap]) -> None:
+        self._surfaces = surfaces
+
+    def section(self, asked: SectionAsked) -> Section:
+        return cut(asked, self._surfaces[asked.show], True, "coupon-07")
+
+    def others(self) -> tuple[()]:
+        return ()
+
+
+class FakeDefects:
+    """Judges at once, with undo."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+        self._before: list[Inspection] = []
+
+    def inspect(self, *asked: Any) -> Future[Any]:
+        return self._session._done("defects.inspect", asked, {})
+
+    def judge(self, number: int, judgement: Any = None, kind: Any = None, note: Any = None) -> Future[Any]:
+        asked = {"judgement": judgement, "judged_kind": kind, "note": note}
+        given = {name: value for name, value in asked.items() if value is not None}
+        return self._put("judge", (number,), lambda d: replace(d, **given) if d.number == number else d)
+
+    def undo(self) -> Future[Any]:
+        if self._before:
+            self._show(self._before.pop())
+        return self._session._done("defects.undo", (), {})
+
+    def redo(self) -> Future[Any]:
+        return self._session._done("defects.redo", (), {})
+
+    def _put(self, verb: str, asked: tuple[Any, ...], change: Callable[[Defect], Defect]) -> Future[Any]:
+        now = self._session.snapshot.inspection.inspection
+        self._before.append(now)
+        self._show(replace(now, defects=tuple(change(d) for d in now.defects)))
+        return self._session._done(f"defects.{verb}", asked, {})
+
+    def _show(self, now: Inspection) -> None:
+        state = dataclasses.replace(self._session.snapshot.inspection, inspection=now, can_undo=bool(self._before))
+        self._session.change(inspection=state)
+
+
+def found(planted: tuple[Any, ...]) -> Inspection:
+    """What a search would have found of what was planted."""
+    defects = tuple(_defect(n, *made) for n, made in enumerate(planted, 1))
+    states = {"2,1": "not scanned", "-3,1": "partly scanned", "-3,-2": "cut", "2,-2": "cut"}
+    dies = tuple(_die(col, row, states.get(GRID.name(col, row), "whole"), defects) for col, row in GRID.places)
+    counts = FalseCounts(threshold_sigma=(2.0, 3.0, 4.0, 5.0, 6.0, 8.0), per_mm2=(40.0, 3.0, 0.3, 0.04, 0.006, 1e-4))
+    return inspection(
+        *defects,
+        grid=GRID,
+        dies=dies,
+        inspected_mm2=0.61,
+        unmeasured_mm2=0.01,
+        false_counts=counts,
+        expected_false_per_mm2=0.04,
+    )
+
+
+def _defect(
+    number: int, kind: DefectClass, col: int, row: int, u_um: float, v_um: float, half_um: float, high_um: float
+) -> Defect:
+    x, y = (float(um) for um in GRID.to_stage(col, row, u_um, v_um))
+    across_um = half_um * (0.12 if kind == "scratch" else 0.9)
+    return replace(
+        defect(1, "0,0", 0.0, 0.0),
+        number=number,
+        name=f"Defect {number}",
+        kind=kind,
+        center=Point(x_um=x, y_um=y),
+        die=GRID.name(col, row),
+        in_die=Point(x_um=u_um, y_um=v_um),
+        outline=Region.rectangle(x - half_um, y - across_um, x + half_um, y + across_um),
+        major=Length(value_um=2 * half_um, expanded_um=0.9, status="evaluated"),
+        minor=Length(value_um=2 * across_um, expanded_um=0.9, status="evaluated"),
+        height=Length(value_um=high_um, expanded_um=0.4, status="evaluated"),
+        repeats=kind == "pattern",
+        simulated=True,
+    )
+
+
+def _die(col: int, row: int, state: Any, defects: tuple[Defect, ...]) -> DieStatus:
+    name = GRID.name(col, row)
+    on_it = sum(d.die == name for d in defects) if state != "not scanned" else None
+    return DieStatus(name=name, col=col, row=row, state=state, measured_fraction=0.97, defects=on_it)
+
+
+def _with(surface: HeightMap, planted: tuple[Any, ...]) -> HeightMap:
+    """The surface with what is planted on it, which the picture shows too."""
+    z, grey = surface.z_um.copy(), np.where(np.nan_to_num(surface.z_um) > 5, 150, 90).astype(np.uint8)
+    for kind, col, row, u_um, v_um, half_um, high_um in planted:
+        x_um, y_um = (float(um) for um in GRID.to_stage(col, row, u_um, v_um))
+        across_um = half_um * (0.12 if kind == "scratch" else 0.9)
+        away = ((surface.x_um - x_um) / half_um)[None, :] ** 2 + ((surface.y_um - y_um) / across_um)[:, None] ** 2
+        z += np.where(away < 1, high_um * np.sqrt(np.clip(1 - away, 0, 1)), 0.0).astype(np.float32)
+        grey[away < 1] = 30 if high_um > 0 else 215
+        if kind == "unmeasured":
+            z[away < 1] = np.nan
+    return dataclasses.replace(surface, z_um=z, z_raw_um=z, all_in_focus=grey)

@@ -1,0 +1,62 @@
+"""Defects reviewed by keyboard alone: on, back, real or not, the class, a note, and taken back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.inspected_session import InspectedSession, inspected_session
+from tests.browser.steps import eventually, notes, title_is
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
+
+
+def defect(session: InspectedSession, number: int):
+    return session.snapshot.inspection.defect(number)
+
+
+def test_defects_are_gone_through_judged_and_classed_without_the_mouse(serve: Callable[..., Page]):
+    session = inspected_session()
+    page = serve(session)
+    page.keyboard.press("Shift+R")
+    title_is(page, "D5 · Scratch")
+    page.keyboard.press("PageDown")
+    title_is(page, "D2 · Residue")
+    expect(page.locator(".wv-below .wv-curve").first).to_be_attached()
+    expect(page.locator(".wv-defects tr.sel")).to_contain_text("D2")
+    page.keyboard.press("y")
+    eventually(lambda: defect(session, 2).judgement == "real", "it is real")
+    page.keyboard.press("6")
+    eventually(lambda: defect(session, 2).judged_kind == "pit", "it is a pit")
+    title_is(page, "D2 · Pit")
+    page.keyboard.press("Control+z")
+    title_is(page, "D2 · Residue")
+    page.keyboard.press("PageDown")
+    expect(page.locator(".wv-defects tr.sel")).not_to_contain_text("D2")
+    page.keyboard.press("n")
+    eventually(lambda: sum(d.judgement == "nuisance" for d in session.snapshot.inspection.defects) == 1, "it is none")
+    page.keyboard.press("Shift+Enter")
+    dialog = page.locator(".mantine-Modal-content")
+    expect(dialog.locator("input")).to_be_visible()
+    dialog.locator("input").focus()
+    page.keyboard.type("dust")
+    page.wait_for_timeout(200)
+    page.keyboard.press("Enter")
+    eventually(lambda: any(d.note == "dust" for d in session.snapshot.inspection.defects), "it is noted down")
+    assert notes(page).count() == 0
+
+
+def test_a_surface_that_was_not_inspected_says_what_to_do(serve: Callable[..., Page]):
+    session = inspected_session(0)
+    session.change(inspection=type(session.snapshot.inspection)())
+    page = serve(session)
+    page.keyboard.press("Shift+R")
+    expect(page.get_by_text("Nothing was inspected yet:")).to_be_visible()
+    page.get_by_role("button", name="Inspect", exact=True).click()
+    eventually(lambda: any(verb == "defects.inspect" for verb, _, _ in session.asked), "it is searched")

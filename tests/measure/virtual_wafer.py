@@ -1,0 +1,31 @@
+"""The true surface of the virtual rig's wafer, with noise and holes, without a scan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.rigs.virtual.scene import SCENES, Window
+from wafer_viewer.rigs.virtual.scenes.wafer import RADIUS_UM
+
+
+def virtual_wafer(pixel_um: float, noise_um: float = 0.3, unmeasured_fraction: float = 0.02) -> HeightMap:
+    half_um, rng = RADIUS_UM + 50, np.random.default_rng(3)
+    side = round(2 * half_um / pixel_um)
+    window = Window(-half_um + pixel_um / 2, half_um - pixel_um / 2, pixel_um, side, side)
+    sheets = SCENES["wafer"].raster(window)
+    z = sheets.surface_um().astype(np.float32)
+    z += noise_um * rng.standard_normal(z.shape).astype(np.float32)
+    z[rng.random(z.shape) < unmeasured_fraction] = np.nan
+    grey = sheets.radiance_a * sheets.cover + sheets.radiance_b * (1 - sheets.cover)
+    return HeightMap(
+        z_um=z,
+        z_raw_um=z,
+        confidence=np.ones_like(z),
+        all_in_focus=np.clip(250 * grey, 0, 255).astype(np.uint8),
+        origin=np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8),
+        pixel_um=pixel_um,
+        x0_um=window.x0_um,
+        y0_um=window.y0_um,
+        provenance=Provenance(simulated=True),
+    )

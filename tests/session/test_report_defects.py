@@ -1,0 +1,53 @@
+"""The defects of a surface in its report: by die, by class, the largest listed; nothing unknown looks clean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.session.judged_datasets import RESULT, judged_dataset, released_job
+from tests.store.inspections import defect, inspection
+from wafer_viewer.model.report import ReportOrder, Section
+from wafer_viewer.session.reporting import contents, report_of
+from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.defects import write_inspection
+from wafer_viewer.store.report import report_html
+
+ORDER = ReportOrder(parts=("defects",))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "coupon.wafer"
+    judged_dataset(path, 12.3, released_job())
+    return path
+
+
+def test_without_an_inspection_there_is_no_such_part(dataset: Path):
+    assert report_of(dataset, RESULT, ORDER).sections == ()
+    assert contents(dataset, RESULT)["defects"].nothing
+
+
+def test_it_tells_dies_classes_and_what_is_not_known(dataset: Path):
+    found = inspection(
+        defect(1, "0,0", 100.0, 50.0, judgement="real", judged_by="RB"),
+        defect(2, "0,0", 200.0, 50.0, judged_kind="residue", size_resolved=False),
+        defect(3, "2,1", 10.0, 10.0, kind="unmeasured"),
+        states={"1,1": "not scanned"},
+        notes=("Only the strongest are listed.",),
+    )
+    write_inspection(Dataset.open(dataset).result(RESULT).path, found)
+    report = report_of(dataset, RESULT, ORDER)
+    section: Section = report.sections[0]
+    assert section.table is not None
+    assert [row[:3] for row in section.table.rows] == [("1", "particle", "0,0"), ("2", "residue", "0,0")]
+    assert [row[-1] for row in section.table.rows] == ["real RB", ""]
+    assert section.table.rows[1][4] == "not resolved"
+    assert "Not or only partly scanned, so not clean: 1,1." in section.sentences
+    assert section.sentences[-1] == "Only the strongest are listed."
+    page = report_html(report)
+    assert "Die 0,0: 2 defects" in page
+    assert "Die 1,1: not scanned" in page
+    assert "stroke-dasharray" in page
+    assert contents(dataset, RESULT)["defects"].words == "2 defects, 1 judged"

@@ -1,0 +1,67 @@
+"""Inspections for tests: a few dies with a few defects on them, as if found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.region import Point, Region
+
+GRID = DieGrid(
+    pitch_x_um=1000.0, pitch_y_um=800.0, width_um=950.0, height_um=760.0, x0_um=-1000.0, y0_um=-800.0, cols=3, rows=2
+)
+
+
+def defect(number: int, die: str, u_um: float, v_um: float, **changes: Any) -> Defect:
+    """A round particle of 12 um at a place of a die."""
+    col, row = (int(part) for part in die.split(","))
+    x, y = (float(um) for um in GRID.to_stage(col, row, u_um, v_um))
+    values: dict[str, Any] = {
+        "number": number,
+        "name": f"Defect {number}",
+        "center": Point(x_um=x, y_um=y),
+        "die": die,
+        "in_die": Point(x_um=u_um, y_um=v_um),
+        "outline": Region.rectangle(x - 6, y - 5, x + 6, y + 5),
+        "kind": "particle",
+        "reasons": ("6 um high", "1.2 times as long as wide"),
+        "major": Length(value_um=12.0, expanded_um=0.9, status="evaluated"),
+        "minor": Length(value_um=10.0, expanded_um=0.9, status="evaluated"),
+        "height": Length(value_um=6.0, expanded_um=0.4, status="evaluated"),
+        "area": Quantity(value=94.0, unit="um2"),
+        "volume": Quantity(value=300.0, unit="um3"),
+        "score": 11.5,
+        "confidence": 0.9,
+    }
+    return Defect(**(values | changes))
+
+
+def inspection(*defects: Defect, states: dict[str, str] | None = None, **changes: Any) -> Inspection:
+    """Six dies, all scanned but those that `states` says otherwise of."""
+    told = states or {}
+    on = [d.die for d in defects if d.kind != "unmeasured"]
+    dies = tuple(
+        DieStatus(
+            name=GRID.name(col, row),
+            col=col,
+            row=row,
+            state=told.get(GRID.name(col, row), "whole"),  # pyright: ignore[reportArgumentType]
+            measured_fraction=0.98,
+            defects=None if told.get(GRID.name(col, row)) == "not scanned" else on.count(GRID.name(col, row)),
+        )
+        for col, row in GRID.places
+    )
+    values: dict[str, Any] = {
+        "recipe": DefectRecipe(product="LX-7"),
+        "product": "LX-7",
+        "reference": "dies",
+        "grid": GRID,
+        "dies": dies,
+        "defects": defects,
+        "inspected_mm2": 4.3,
+        "expected_false_per_mm2": 0.08,
+        "simulated": True,
+    }
+    return Inspection(**(values | changes))

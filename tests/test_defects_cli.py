@@ -1,0 +1,110 @@
+"""Defects from the command line: JSON, files, a status by limits, and bad input in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.measure.patterned import Wafer, made
+from wafer_viewer.__main__ import main
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.golden import open_golden
+from wafer_viewer.store.klarf_reading import read_klarf
+from wafer_viewer.store.npz import write_npz
+
+WAFER = Wafer(unmeasured_fraction=0.0)
+AT_UM = (480.0, 420.0)
+GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--die-um", "173", "121")
+
+
+def bumped(surface: HeightMap) -> HeightMap:
+    """With a dome, 12 um high and 60 um across."""
+    rows, cols = surface.z_um.shape
+    x = surface.x0_um + np.arange(cols)[None, :] * surface.pixel_um
+    y = surface.y0_um - np.arange(rows)[:, None] * surface.pixel_um
+    inside = 1 - ((x - AT_UM[0]) ** 2 + (y - AT_UM[1]) ** 2) / 30.0**2
+    z = (surface.z_um + 12 * np.sqrt(np.clip(inside, 0, None))).astype(np.float32)
+    return replace(surface, z_um=z, z_raw_um=z)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("wafers")
+    write_npz(bumped(made(WAFER)), path / "bumped.npz")
+    write_npz(made(WAFER, gap=Region.rectangle(700, 500, 1100, 900)), path / "gap.npz")
+    return path
+
+
+def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "csv", "training")}
+    flags = [word for what, path in out.items() for word in (f"--{what}", path)]
+    golden = ("--save-golden", str(tmp_path / "std"))
+    status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
+    told = json.loads(capsys.readouterr().out)
+    worst = told["inspection"]["defects"][0]
+    assert (status, worst["kind"], told["inspection"]["grid"]["by"]) == (1, "particle", "found")
+    assert worst["die"] in told["verdict"]["failing"]
+    assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
+    klarf = read_klarf(out["klarf"])
+    assert len(klarf.defects) == told["verdict"]["counted"]
+    with Path(out["csv"]).open() as file:
+        assert len(list(csv.DictReader(file))) == len(told["inspection"]["defects"])
+    with (Path(out["training"]) / "features.csv").open() as file:
+        row = next(csv.DictReader(file))
+    heights = np.load(Path(out["training"]) / row["heights"])
+    assert row["class"] == "particle"
+    assert np.nanmax(heights) - np.nanmedian(heights) > 8
+    assert open_golden(told["files"]["golden"]).header.version == 1
+
+
+def test_within_its_limits_the_status_is_0(folder: Path, capsys: pytest.CaptureFixture[str]):
+    flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN)
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 0
+    assert json.loads(capsys.readouterr().out)["inspection"]["recipe"]["sensitivity"] == 0.2
+
+
+def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["measure", "defects", str(folder / "gap.npz"), *GIVEN]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert verdict["not_inspected"]
+    assert "not clean" in verdict["why"][0]
+
+
+@pytest.mark.parametrize(
+    ("flags", "sentence"),
+    [
+        (("--pitch-um", "200", "150"), "give both, or neither"),
+        (("--die-um", "200", "150"), "go with their pitch and origin"),
+        (("--sensitivity", "3"), "sensitivity is 3.0: it must be between 0 and 1"),
+        (("--recipe", "gone.toml"), "gone.toml cannot be read"),
+        (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),
+        (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
+        (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    folder: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], sentence: str
+):
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert sentence in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tmp_path / "r.toml"
+    for product, flags in (("A", ("--save-golden", str(tmp_path / "std"))), ("B", ())):
+        recipe.write_text(f'product = "{product}"')
+        golden = () if flags else ("--golden", str(tmp_path / "std.1.golden.npz"))
+        status = main(
+            ["measure", "defects", str(folder / "bumped.npz"), "--recipe", str(recipe), *GIVEN, *flags, *golden]
+        )
+        assert (status == 2) == bool(golden)
+    assert "is of product 'A' and this wafer is of 'B'" in capsys.readouterr().err

@@ -1,0 +1,129 @@
+"""The command that looks for defects, for people and for automation: JSON, KLARF, CSV, and a status by limits.
+
+A signature is the command's flags, its docstring the help.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from tyro.conf import arg
+
+from wafer_viewer.arguments import Count, File, Source, Um
+from wafer_viewer.command_output import print_json, progress
+from wafer_viewer.model.defect_limits import DefectLimits, verdict_of
+from wafer_viewer.model.defects import DefectRecipe, Inspection
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_offline import GivenDies, Wafer, dies_on, inspected, wafer_of
+
+BEYOND = 1
+Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
+
+
+def measure_defects(
+    src: Source,
+    recipe: File = None,
+    sensitivity: Annotated[float | None, arg(metavar="0..1")] = None,
+    against: Literal["dies", "form"] = "dies",
+    golden: File = None,
+    save_golden: Annotated[Path | None, arg(metavar="FOLDER/NAME")] = None,
+    klarf: File = None,
+    csv: File = None,
+    training: Annotated[Path | None, arg(metavar="FOLDER")] = None,
+    max_per_die: Count = None,
+    max_per_mm2: Um = None,
+    pitch_um: Pair = None,
+    origin_um: Pair = None,
+    die_um: Pair = None,
+    angle_mrad: float = 0.0,
+    result: str = "default",
+) -> int:
+    """The defects of a patterned wafer, each with size, height and class, as JSON; dies that were not scanned are told.
+
+    Status 0: within the limits; 1: beyond them, or dies were not or only partly scanned; 2: bad input. What people
+    judged a nuisance in the dataset does not count.
+
+    Args:
+        src: A NAME.wafer or a surface file.
+        recipe: How defects are looked for, a TOML file.
+        sensitivity: The dial: 0 finds only what is plain, 1 all that might be something; the recipe's by default.
+        against: Compare dies with each other, or the surface with its fitted form.
+        golden: A NAME.golden.npz to compare with instead; shows what repeats in every die.
+        save_golden: Keep the typical die of this wafer as the next version of NAME.
+        klarf: Write a KLARF 1.2 file.
+        csv: Write a table.
+        training: Write a folder of cut-outs with the classes given by the rules and by people.
+        max_per_die: The most defects on one die.
+        max_per_mm2: The most defects on one mm2 of what was inspected.
+        pitch_um: From die to die along x and y; found by default.
+        origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
+        die_um: Width and height of a die without its street; as large as the pitch by default.
+        angle_mrad: How the dies are turned, anticlockwise.
+        result: Name of the reconstruction.
+    """
+    limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
+    given = GivenDies(pitch_um, origin_um, die_um, angle_mrad)
+    asked = _recipe(recipe, sensitivity)
+    stored = _golden(golden, against)
+    wafer = wafer_of(src, result)
+    with progress("Looking for defects") as tell:
+        found = inspected(wafer, asked, given, stored, against, tell)
+    kept = _files(wafer, found, given, {"klarf": klarf, "csv": csv, "training": training, "golden": save_golden})
+    verdict = verdict_of(found, limits)
+    print_json({"verdict": msgspec.to_builtins(verdict), "files": kept, "inspection": msgspec.to_builtins(found)})
+    return 0 if verdict.within else BEYOND
+
+
+def _recipe(path: Path | None, sensitivity: float | None) -> DefectRecipe:
+    from wafer_viewer.store.defect_recipes import read_defect_recipe
+
+    recipe = read_defect_recipe(path) if path is not None else DefectRecipe()
+    return recipe if sensitivity is None else replace(recipe, sensitivity=sensitivity)
+
+
+def _golden(path: Path | None, against: str) -> Any:
+    from wafer_viewer.store.golden import open_golden
+
+    if path is not None and against == "form":
+        raise MeasureError("A golden die is compared die by die: leave --golden or --against form out.")
+    return open_golden(path) if path is not None else None
+
+
+def _files(wafer: Wafer, found: Inspection, given: GivenDies, asked: dict[str, Path | None]) -> dict[str, str]:
+    """Write what was asked for; where each lies."""
+    paths = {what: path for what, path in asked.items() if path is not None}
+    return {what: str(_WRITERS[what](wafer, found, given, path)) for what, path in paths.items()}
+
+
+def _write_klarf(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
+    from wafer_viewer.store.klarf import write_klarf
+
+    return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
+
+
+def _write_csv(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
+    from wafer_viewer.store.defects_csv import defects_csv
+    from wafer_viewer.store.files import write_text
+
+    write_text(path, defects_csv(found))
+    return path
+
+
+def _write_training(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
+    from wafer_viewer.store.training import write_training_set
+
+    return write_training_set(found, wafer.surface, path)
+
+
+def _write_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
+    from wafer_viewer.measure.defects import golden_of_surface
+    from wafer_viewer.store.golden import save_golden
+
+    grid = found.grid or dies_on(wafer, given)
+    return save_golden(golden_of_surface(wafer.surface, grid, found.recipe, product=found.product), path)
+
+
+_WRITERS = {"klarf": _write_klarf, "csv": _write_csv, "training": _write_training, "golden": _write_golden}

@@ -1,0 +1,72 @@
+"""The list of defects as HTML: those round the one under review, with thumbnails, and how they are sorted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_listing import SORTS, DefectListing
+from wafer_viewer.gui.review_item import ReviewItem
+from wafer_viewer.gui.review_looks import VERDICT_LOOKS
+
+MOST_ROWS, ROWS_BEFORE = 40, 2
+"""So many are in the list at once: a page with thousands of pictures would be slow."""
+JUDGED = {"open": "open", "accepted": "real", "rejected": "not a defect"}
+
+
+def rows_of(items: Sequence[ReviewItem], now: ReviewItem | None) -> Sequence[ReviewItem]:
+    """The items that are shown: from a little before the one under review, which so is always in sight."""
+    keys = [item.key for item in items]
+    at = keys.index(now.key) if now is not None and now.key in keys else 0
+    first = max(0, at - ROWS_BEFORE)
+    return items[first : first + MOST_ROWS]
+
+
+def rows(
+    items: Sequence[ReviewItem], shown: Sequence[ReviewItem], now: ReviewItem | None, thumbs: Sequence[str]
+) -> str:
+    """The list, with the way to what stands before and after."""
+    if not shown:
+        return html.empty("None of the defects is listed so.")
+    first = items.index(shown[0])
+    before, after = items[:first][::-1], items[first + len(shown) :]
+    body = [
+        _row(item, now is not None and item.key == now.key, thumb) for item, thumb in zip(shown, thumbs, strict=True)
+    ]
+    more = _more(before, "before") + html.table([], body, "  n") + _more(after, "more")
+    return f'<div class="wv-defects">{more}</div><div style="height:8px"></div>'
+
+
+def sorting(listing: DefectListing) -> str:
+    """What comes first, and the die that alone is listed."""
+    buttons = "".join(
+        f'<span class="{"on" if sort == listing.sort else ""}" aria-pressed="{str(sort == listing.sort).lower()}" '
+        f"{html.pick('defect-sort', sort)}>{name}</span>"
+        for sort, (name, _) in SORTS.items()
+    )
+    away = f'<span class="wv-link" {html.pick("defect-die", listing.die)}>all dies</span>'
+    die = f'<div class="wv-lab">Die {html.safe(listing.die)} alone · {away}</div>' if listing.die else ""
+    return f'<div class="wv-segments" aria-label="Sort by">{buttons}</div>{die}'
+
+
+def _more(items: Sequence[ReviewItem], word: str) -> str:
+    if not items:
+        return ""
+    link = f'<span class="wv-link" {html.pick("review", items[0].key)}>{len(items)} {word} …</span>'
+    return f'<div class="wv-lab">{link}</div>'
+
+
+def _row(item: ReviewItem, chosen: bool, thumbs: str) -> str:
+    sign, colour = VERDICT_LOOKS[item.judgement.verdict]
+    judged = JUDGED[item.judgement.verdict]
+    name = (
+        f'<span class="wv-cut wv-short">{symbol_svg(item.shape, item.colour)} {html.safe(item.title)}</span>'
+        f"<small>{html.safe(item.sign)} · {html.safe(item.below.split(' · ')[0].lower())}</small>"
+        f'<small style="color:var(--{colour})">{html.icon(sign, 13)} {judged}</small>'
+    )
+    told = html.safe(f"{item.sign}, {item.title}, {judged}")
+    attributes = f'{html.pick("review", item.key)} aria-label="{told}"'
+    return html.row(
+        [f'<div class="wv-pair">{thumbs}</div>', name, item.value], "  n", attributes, "sel" if chosen else ""
+    )

@@ -1,0 +1,152 @@
+"""What the page says of defects: classes with colour and shape, what was inspected, and what nothing is known of."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.gui import html
+from wafer_viewer.model.defects import Defect, DefectClass, Inspection
+from wafer_viewer.session.inspection_state import InspectionState
+
+TINY_PER_MM2 = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class KindLook:
+    """A class of defects on the page: its name, colour and shape, and the key that puts a defect into it."""
+
+    title: str
+    colour: str
+    shape: str
+    key: str
+
+
+KINDS: dict[DefectClass, KindLook] = {
+    "particle": KindLook("Particle", "#D55E00", "disc", "1"),
+    "scratch": KindLook("Scratch", "#0072B2", "bar", "2"),
+    "residue": KindLook("Residue", "#B5529B", "square", "3"),
+    "missing die": KindLook("Missing die", "#7A8794", "ring", "4"),
+    "pattern": KindLook("Pattern", "#008F6B", "triangle", "5"),
+    "pit": KindLook("Pit", "#8A6D00", "diamond", "6"),
+    "edge chip": KindLook("Edge chip", "#4B4FA6", "corner", "7"),
+    "tilted die": KindLook("Tilted die", "#56616C", "slant", "8"),
+    "unmeasured": KindLook("Unmeasured", "#7A8794", "cross", "9"),
+}
+"""The shape is needed: by colour alone some come close for eyes that do not tell red from green."""
+REFERENCES = {
+    "dies": "compared with the median of the dies",
+    "golden": "compared with the golden die",
+    "form": "compared with the fitted form, for want of dies",
+}
+JUDGED = {"open": "open", "real": "real defect", "nuisance": "not a defect"}
+
+
+def sign_of(kind: DefectClass, side_px: int = 14) -> str:
+    """Colour and shape of a class, to stand before its name."""
+    return symbol_svg(KINDS[kind].shape, KINDS[kind].colour, side_px)
+
+
+def size_text(defect: Defect) -> str:
+    """How large it is; below the resolution only that it is there."""
+    return with_unit(defect.major.value_um, 0 if defect.major.value_um >= 100 else 1) if defect.size_resolved else "—"
+
+
+def below(defect: Defect) -> str:
+    """Where a defect is and who says of what class it is."""
+    where = f"Die {defect.die}" if defect.die else "Outside of the dies"
+    place = f"x {number(defect.center.x_um, 1)}, y {with_unit(defect.center.y_um, 1)}"
+    own = defect.judged_kind is None
+    by = f"proposed with {number(defect.confidence, 2)}" if own else f"proposed: {KINDS[defect.kind].title.lower()}"
+    return f"{where} · {place} · {by}"
+
+
+def said(defect: Defect) -> str:
+    """Why it was found and classed so."""
+    repeats = ("on every die: compare with a golden die",) if defect.repeats else ()
+    small = () if defect.size_resolved else ("detected, size not resolved",)
+    score = f"{number(defect.score, 1)} times the local noise"
+    return " · ".join((score, *small, *repeats, *defect.reasons))
+
+
+def per_mm2(count: float | None) -> str:
+    """A density that is expected; words where it is not known."""
+    if count is None:
+        return "not known before an inspection"
+    return f"under {number(TINY_PER_MM2, 3)} a mm²" if count < TINY_PER_MM2 else f"{number(count, 3)} a mm²"
+
+
+def summary(state: InspectionState) -> str:
+    """What is not known, and what stands against believing the list, as HTML."""
+    inspection = state.inspection
+    problem = html.note("attention", "Nothing new is known", state.problem) if state.problem else ""
+    if inspection is None:
+        return problem
+    stale = (
+        html.note("attention", "The surface was made again since", "Inspect again: places and heights may be others.")
+        if state.stale
+        else ""
+    )
+    return problem + stale + unknown(inspection)
+
+
+def facts(inspection: Inspection) -> str:
+    """What was inspected, how, and how much of what was found is expected to be false, as HTML."""
+    return "".join(f'<div class="wv-sub">{html.safe(html.micro(line))}</div>' for line in _facts(inspection))
+
+
+def unknown(inspection: Inspection) -> str:
+    """What no list of defects says anything of; nothing where all of it was looked at."""
+    blind = [die for die in inspection.dies if die.state not in ("whole", "missing")]
+    told = [f"{n} {'die' if n == 1 else 'dies'} {state}" for state, n in Counter(d.state for d in blind).items()]
+    if inspection.unmeasured_mm2 > 0:
+        told.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
+    if not told:
+        return ""
+    return html.note("attention", "Not all of it was inspected", f"{', '.join(told)}: nothing is known of these parts.")
+
+
+def nothing_found(inspection: Inspection) -> str:
+    """What stands where the list would be."""
+    if inspection.inspected_mm2 <= 0:
+        return html.empty("Nothing could be inspected:", "this is not a clean wafer.")
+    clean = sum(die.word == "clean" for die in inspection.dies)
+    where = f"on the {clean} dies inspected whole." if clean else f"on {number(inspection.inspected_mm2, 2)} mm²."
+    return html.empty("No defect was found", where)
+
+
+def counts(defects: tuple[Defect, ...], chosen: str) -> str:
+    """The classes there are with their numbers; a click lists one alone, a second all again."""
+    there = Counter(defect.seen_as for defect in defects)
+    chips = (
+        f'<span class="{"on" if kind == chosen else ""}" aria-pressed="{str(kind == chosen).lower()}" '
+        f"{html.pick('defect-kind', kind)}>{sign_of(kind)} {look.title} {there[kind]}</span>"
+        for kind, look in KINDS.items()
+        if there[kind]
+    )
+    return f'<div class="wv-legend wv-kinds">{"".join(chips)}</div>'
+
+
+def classes(defect: Defect) -> str:
+    """The classes to choose from, the one that counts marked; each with its key."""
+    now = defect.seen_as
+    tiles = (
+        f'<span class="{"on" if kind == now else ""}" aria-pressed="{str(kind == now).lower()}" '
+        f"{html.pick('defect-class', kind)}><kbd>{look.key}</kbd>{sign_of(kind)} {look.title}</span>"
+        for kind, look in KINDS.items()
+    )
+    return html.head("Class", "keys 1 – 9") + f'<div class="wv-classes">{"".join(tiles)}</div>'
+
+
+def _facts(inspection: Inspection) -> list[str]:
+    found, area = len(inspection.found), inspection.inspected_mm2
+    density = f", {number(found / area, 2)} a mm²" if area > 0 else ""
+    words = {True: "SIMULATED · ", False: ""}[inspection.simulated]
+    return [
+        f"{words}{found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",
+        f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false: "
+        f"{per_mm2(inspection.expected_false_per_mm2)}",
+        *inspection.notes,
+    ]

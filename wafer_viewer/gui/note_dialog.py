@@ -1,0 +1,25 @@
+"""A note on a thing under review, typed without a hand on the mouse."""
+
+from __future__ import annotations
+
+import viser
+
+from wafer_viewer.gui import judging
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.review_item import ReviewItem
+
+FAILED = "The note stays"
+
+
+def note_dialog(page: Page, item: ReviewItem) -> None:
+    """Ask for the note; Enter keeps it."""
+    dialog = Dialog(page, f"Note on {item.sign} · {item.title}", "Kept with the judgement; it stands in the report.")
+    with dialog.modal:
+        text = page.gui.add_text("Note", item.judgement.note, hint="Enter keeps it, Escape leaves the old one")
+    dialog.answers(
+        "Keep the note",
+        viser.Icon.NOTE,
+        lambda: page.ask(FAILED, judging.note(page.session, item.key, text.value)),
+        FAILED,
+    )

@@ -1,0 +1,160 @@
+"""The class of a defect by clear rules on its shape, with the reasons.
+
+The rules are asked in the order of RULES, and the first of which every condition holds names the class. A condition is
+a number over or under a limit of `ClassRules`; those that decided are the reasons, and how far they were from their
+limits is the confidence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from wafer_viewer.model.class_rules import ClassRules, DefectShape
+from wafer_viewer.model.defects import DefectClass
+
+_LEAST_PX = 6.0
+"""What is smaller shows too few pixels of its shape for a sure word."""
+
+
+@dataclass(frozen=True, slots=True)
+class Classified:
+    """A class, why, and how sure, 0 to 1: 0.5 where a number lies on its limit."""
+
+    kind: DefectClass
+    reasons: tuple[str, ...]
+    confidence: float
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One number beside its limit: `text` is what is said where it holds."""
+
+    text: str
+    value: float
+    limit: float
+    over: bool = True
+
+    @property
+    def holds(self) -> bool:
+        """Whether the number is on the right side of its limit."""
+        return self.value > self.limit if self.over else self.value <= self.limit
+
+    @property
+    def margin(self) -> float:
+        """How far from the limit, as a logarithm of their ratio, 0 on it; infinite where one of them is 0."""
+        if self.value <= 0 or self.limit <= 0:
+            return math.inf if self.value != self.limit else 0.0
+        return abs(math.log(self.value / self.limit))
+
+
+Rule = Callable[[DefectShape, ClassRules], tuple[Condition, ...]]
+
+
+def classify(shape: DefectShape, rules: ClassRules | None = None) -> Classified:
+    """The class of a defect of this shape; `rules` are the standard ones by default."""
+    limits = rules or ClassRules()
+    closest = math.inf
+    for kind, rule in RULES.items():
+        conditions = rule(shape, limits)
+        if all(condition.holds for condition in conditions):
+            closest = min([closest, *(condition.margin for condition in conditions)])
+            return Classified(kind, tuple(condition.text for condition in conditions), _confidence(closest, shape))
+        closest = min(closest, _least_missed(conditions))
+    return Classified("particle", tuple(_bump(shape)), _confidence(closest, shape))
+
+
+def _least_missed(conditions: tuple[Condition, ...]) -> float:
+    """How much would have had to be otherwise for a rule to hold that did not: its condition missed by most."""
+    return max(condition.margin for condition in conditions if not condition.holds)
+
+
+def _confidence(margin: float, shape: DefectShape) -> float:
+    """From half, on a limit, to one, twice the limit and more; less for what shows few pixels."""
+    resolved = min(1.0, max(shape.major_um, shape.pixel_um) / (_LEAST_PX * shape.pixel_um))
+    return round((1 - 0.5 * math.exp(-3 * margin)) * (0.5 + 0.5 * resolved), 3)
+
+
+def _unmeasured(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    share = shape.unmeasured_fraction
+    return (Condition(f"{share:.0%} of it unmeasured", share, rules.unmeasured_fraction),)
+
+
+def _missing_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    down_um = max(-shape.mean_height_um or -shape.height_um, 0.0)
+    return (
+        _of_die(shape, rules),
+        Condition(f"the die lies {down_um:.3g} um under the others", down_um, rules.missing_height_um),
+    )
+
+
+def _tilted_die(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    tilt = shape.die_tilt_mrad
+    return _of_die(shape, rules), Condition(f"the die is tilted by {tilt:.3g} mrad", tilt, rules.tilt_mrad)
+
+
+def _of_die(shape: DefectShape, rules: ClassRules) -> Condition:
+    return Condition(f"covers {shape.die_fraction:.0%} of its die", shape.die_fraction, rules.die_fraction)
+
+
+def _pattern(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    in_heights = f"{shape.height_score:.2g} times the noise of the heights"
+    return (
+        Condition("shows in the picture only", float(shape.evidence == "picture"), 0.5),
+        Condition(in_heights, shape.height_score, rules.pattern_height_score, over=False),
+    )
+
+
+def _edge_chip(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    share = shape.on_edge_fraction
+    return _lacks(shape), Condition(f"{share:.0%} of its border on the edge of a die", share, rules.edge_fraction)
+
+
+def _scratch(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    return (
+        Condition(f"{shape.ratio:.1f} times as long as wide", shape.ratio, rules.scratch_ratio),
+        Condition(f"{shape.major_um:.3g} um long", shape.major_um, rules.scratch_length_um),
+    )
+
+
+def _pit(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    return (_lacks(shape),)
+
+
+def _residue(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
+    width_um, aspect = shape.minor_um, shape.aspect
+    smooth = f"smooth: {shape.roughness_ratio:.2g} times the noise"
+    faint = shape.picture_score / shape.height_score if shape.height_score else 0.0
+    gentle = f"no steep rim: {shape.steepness:.2g} times its mean slope" if shape.steepness else "no rim known"
+    return (
+        Condition(f"{shape.height_um:.3g} um high", shape.height_um, 0.0),
+        Condition(f"{width_um:.3g} um wide", width_um, rules.residue_width_um),
+        Condition(f"low: {aspect:.2g} of its width high", aspect, rules.residue_aspect, over=False),
+        Condition(smooth, shape.roughness_ratio, rules.residue_roughness, over=False),
+        Condition(gentle, shape.steepness, rules.residue_steepness, over=False),
+        Condition(f"shows in the picture {faint:.2g} times as clearly", faint, rules.residue_picture, over=False),
+    )
+
+
+def _lacks(shape: DefectShape) -> Condition:
+    return Condition(f"{-shape.height_um:.3g} um deep", -shape.height_um, 0.0)
+
+
+def _bump(shape: DefectShape) -> Iterator[str]:
+    """What is said of what stands up and is nothing else."""
+    yield f"{shape.height_um:.3g} um high"
+    yield f"{shape.ratio:.1f} times as long as wide"
+
+
+RULES: dict[DefectClass, Rule] = {
+    "unmeasured": _unmeasured,
+    "tilted die": _tilted_die,
+    "missing die": _missing_die,
+    "edge chip": _edge_chip,
+    "residue": _residue,
+    "scratch": _scratch,
+    "pattern": _pattern,
+    "pit": _pit,
+}
+"""In the order in which they are asked; what none of them takes is a particle or bump."""

@@ -1,0 +1,119 @@
+"""One cell after another compared with its reference: a pure function, so that rows of dies may go to other workers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of, unmeasured_of
+from wafer_viewer.measure.defect_scores import (
+    LAYERS,
+    Noise,
+    Residual,
+    count,
+    new_counts,
+    noise_of,
+    quotients,
+    residual_of,
+    scores_of,
+)
+from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift, Source
+from wafer_viewer.measure.golden import Golden, registered, spaced
+from wafer_viewer.model.defects import DefectRecipe
+
+NOISE_CELLS = 16
+LEAST_MEASURED = 0.02
+LISTED_FROM = 0.3
+"""Of a cell less measured, unmeasured areas are not listed one by one: the state of the die says it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened."""
+
+    source: Source
+    cells: CellGrid
+    golden: Golden
+    recipe: DefectRecipe
+    on_dies: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellResult:
+    """What one cell showed: its pieces, its histogram of peaks, how it lies, how many pixels were compared or lack."""
+
+    place: Place
+    pieces: list[Piece] = field(default_factory=list[Piece])
+    peaks: NDArray[np.int64] = field(default_factory=new_counts)
+    tilt: tuple[float, float] = (0.0, 0.0)
+    offset_um: float = 0.0
+    compared_px: int = 0
+    missing_px: int = 0
+    differs_fraction: float = 0.0
+
+
+def compared(work: Work, places: Sequence[Place], noise: Noise) -> Iterator[CellResult]:
+    """Each cell against its reference."""
+    for place in places:
+        yield _result(work, place, noise)
+
+
+def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
+    """The usual noise at each scale, over a few of the cells."""
+    read = (_residual(work, place) for place in spaced(places, NOISE_CELLS))
+    many = [quotients(found[0], work.golden, work.recipe) for found in read if found is not None]
+    return noise_of(many) or {(layer, scale): 1.0 for layer in LAYERS for scale in work.recipe.scales_px}
+
+
+def spread_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> tuple[float, float]:
+    """Of heights over the form and of grey values, over a few cells: what a form is compared by."""
+    from wafer_viewer.measure.golden import robust_sigma
+
+    sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
+    read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
+    many = [(robust_sigma(cell[0]), robust_sigma(cell[1])) for cell in read if cell is not None]
+    z, grey = (np.array(each)[np.isfinite(each)] for each in zip(*many, strict=True)) if many else (np.ones(1),) * 2
+    return max(1e-6, float(np.median(z)) if z.size else 1.0), max(1e-6, float(np.median(grey)) if grey.size else 1.0)
+
+
+def _residual(work: Work, place: Place) -> tuple[Residual, Shift] | None:
+    shift = registered(work.source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
+    rows, cols = work.cells.shape
+    cell = work.source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
+    if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
+        return None
+    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies), shift
+
+
+def _result(work: Work, place: Place, noise: Noise) -> CellResult:
+    found = _residual(work, place)
+    if found is None:
+        return CellResult(place)
+    residual, shift = found
+    scores = scores_of(quotients(residual, work.golden, work.recipe), noise)
+    where, counts = Where(work.cells, shift), new_counts()
+    count(scores, work.recipe, counts)
+    pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
+    n_compared = int(np.count_nonzero(np.isfinite(residual.z_um)))
+    if n_compared >= LISTED_FROM * residual.z_um.size:
+        pieces += unmeasured_of(residual, where)
+    return CellResult(
+        place,
+        pieces,
+        counts,
+        residual.tilt,
+        residual.offset_um,
+        n_compared,
+        int(np.count_nonzero(residual.missing)),
+        _differs(residual.z_um, work.golden.z_spread_um),
+    )
+
+
+def _differs(z_um: Plane, spread_um: Plane) -> float:
+    """The share of what was compared that is far from the reference."""
+    some, by = np.abs(z_um[::3, ::3]), 5 * spread_um[::3, ::3]
+    known = np.isfinite(some) & np.isfinite(by)
+    return float((some[known] > by[known]).mean()) if known.any() else 0.0

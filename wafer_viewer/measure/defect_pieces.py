@@ -1,0 +1,209 @@
+"""Which pixels belong together: what is over the low threshold and has a peak over the high one. Pure.
+
+A piece keeps its pixels in stage um, so that pieces of one defect on several dies can be put together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.defect_scores import Mask, Residual, Scores, enlarged, limit_of, low_of
+from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
+from wafer_viewer.model.defects import DefectRecipe, Evidence
+from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.smoothing import coarseness, smooth
+
+Floats = NDArray[np.float64]
+SPARE_PX = 8
+BRIDGE_PX = 4
+"""Gaps so wide do not part a defect."""
+BORDER_PX = 4
+UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
+"""An unmeasured area has at least so many squares of so many pixels."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """One place of one cell that differs: its pixels in stage um, float64 [n], and what they show.
+
+    z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the piece's size; slope: how steep that is;
+    border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    """
+
+    place: Place
+    x_um: Floats
+    y_um: Floats
+    u_um: Floats
+    v_um: Floats
+    z_um: Floats
+    smooth_um: Floats
+    slope: Floats
+    border: Mask
+    peaks: dict[str, float]
+    scale_px: float
+    noise_um: float = 0.0
+    unmeasured: bool = False
+
+    @property
+    def score(self) -> float:
+        """The highest quotient."""
+        return max(self.peaks.values(), default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """The lattice of cells, and how far this one lies off its place."""
+
+    cells: CellGrid
+    shift: Shift
+
+
+def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: DefectRecipe, where: Where) -> list[Piece]:
+    """The places of a cell over the recipe's threshold; spread_um: of its heights from die to die."""
+    from scipy.ndimage import binary_dilation, find_objects, label
+
+    shape = residual.z_um.shape
+    low = _over(scores, recipe, (shape[0], shape[1]))
+    if not low.any():
+        return []
+    labels = np.zeros(shape, np.int32)
+    label(binary_dilation(low, np.ones((3, 3), bool), BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    boxes = enumerate(find_objects(labels), 1)
+    found = (_piece(residual, scores, spread_um, labels, n, box, low, where) for n, box in boxes)
+    return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
+
+
+def unmeasured_of(residual: Residual, where: Where) -> list[Piece]:
+    """Areas of a cell that the reference has and the cell has not."""
+    from scipy.ndimage import find_objects, label
+
+    side = UNMEASURED_BIN
+    rows, cols = (n // side * side for n in residual.missing.shape)
+    share = residual.missing[:rows, :cols].reshape(rows // side, side, cols // side, side).mean(axis=(1, 3))
+    labels = np.zeros(share.shape, np.int32)
+    label(share > 0.8, output=labels)
+    found: list[Piece] = []
+    for n, box in enumerate(find_objects(labels), 1):
+        inside = labels[box] == n
+        if np.count_nonzero(inside) >= UNMEASURED_BINS:
+            r, c = np.nonzero(inside)
+            at = (r + box[0].start) * side + (side - 1) / 2, (c + box[1].start) * side + (side - 1) / 2
+            found.append(_unmeasured(residual, at, where))
+    return found
+
+
+def _unmeasured(residual: Residual, at: tuple[Floats, Floats], where: Where) -> Piece:
+    x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
+    u_um, v_um = where.cells.in_die(*at)
+    nothing = np.full(len(x_um), np.nan)
+    border = _at_border(at[0], at[1], residual.z_um.shape)
+    return Piece(
+        residual.place, x_um, y_um, u_um, v_um, nothing, nothing, nothing, border, {}, UNMEASURED_BIN, unmeasured=True
+    )
+
+
+def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
+    """Pixels over the low threshold that hang together with one over the high one, at the same scale with its sign.
+
+    Unfiltered pixels count in a crowd of their like only.
+    """
+    mask = np.zeros(shape, bool)
+    for (layer, scale), plane in scores.planes.items():
+        high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
+        low = low_of(high)
+        for signed in (plane,) if layer == "joint" else (plane, -plane):
+            peaks = signed >= high
+            if peaks.any():
+                mask |= enlarged(_hanging_together(signed >= low, peaks, recipe, scale), coarseness(scale), shape)
+    return mask
+
+
+def _hanging_together(low: Mask, peaks: Mask, recipe: DefectRecipe, scale: float) -> Mask:
+    from scipy.ndimage import label, uniform_filter
+
+    if scale == 0:
+        peaks = peaks & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
+    labels = np.zeros(low.shape, np.int32)
+    label(low, np.ones((3, 3), int), output=labels)
+    wanted = np.zeros(int(labels.max()) + 1, bool)
+    wanted[labels[peaks]] = True
+    return wanted[labels]
+
+
+def _piece(
+    residual: Residual,
+    scores: Scores,
+    spread_um: Plane,
+    labels: NDArray[np.int32],
+    number: int,
+    box: tuple[slice, slice],
+    low: Mask,
+    where: Where,
+) -> Piece | None:
+    rows, cols = (
+        slice(max(0, side.start - SPARE_PX), min(n, side.stop + SPARE_PX))
+        for side, n in zip(box, labels.shape, strict=True)
+    )
+    inside = (labels[rows, cols] == number) & low[rows, cols]
+    if not inside.any():
+        return None
+    peaks, scale = _best(scores, inside, rows, cols)
+    own = (labels[rows, cols] == number) | (labels[rows, cols] == 0)
+    z_um = np.where(own, residual.z_um[rows, cols], np.float32(np.nan))
+    width = np.count_nonzero(inside) / math.hypot(*inside.shape)
+    sigma = float(np.clip(width / 8, 0.6, 4.0))
+    r, c = np.nonzero(inside)
+    at = (r + rows.start).astype(float), (c + cols.start).astype(float)
+    x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
+    u_um, v_um = where.cells.in_die(*at)
+    smoothed = smoothed_known(z_um, sigma)
+    down, right = np.gradient(smoothed)
+    slope = np.hypot(down, right) / where.cells.pixel_um
+    values, smooth_um, steep = (plane[r, c].astype(float) for plane in (z_um, smoothed, slope))
+    border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
+    return Piece(residual.place, x_um, y_um, u_um, v_um, values, smooth_um, steep, border, peaks, scale, noise_um)
+
+
+def _median(values: Float32s) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
+    """The highest quotient of each layer within a piece, and the scale of the highest."""
+    best: dict[str, tuple[float, float]] = {}
+    for (layer, scale), plane in scores.planes.items():
+        side = coarseness(scale)
+        part = plane[rows.start // side : -(-rows.stop // side), cols.start // side : -(-cols.stop // side)]
+        if side == 1:
+            part = part[inside]
+        top = float(np.nanmax(np.abs(part), initial=0.0))
+        if top > best.get(layer, (0.0, 0.0))[0]:
+            best[layer] = top, scale
+    peaks = {layer: top for layer, (top, _) in best.items()}
+    return peaks, max(best.values(), default=(0.0, 0.0))[1]
+
+
+def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
+    """Gaussian mean of what is known, NaN where nothing near is."""
+    known = np.isfinite(plane)
+    weight = smooth(known.astype(np.float32), sigma_px)
+    value = smooth(np.where(known, plane, np.float32(0)), sigma_px)
+    return np.divide(value, weight, out=np.full(plane.shape, np.nan, np.float32), where=weight > 0.2)
+
+
+def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
+    """Which layers show it, each for itself."""
+    limit = low_of(threshold_sigma)
+    height, picture = peaks.get("height", 0.0), peaks.get("picture", 0.0)
+    if min(height, picture) >= limit:
+        return "both"
+    return "picture" if picture > height else "height"
+
+
+def _at_border(rows: Floats, cols: Floats, shape: tuple[int, ...]) -> Mask:
+    return (rows < BORDER_PX) | (cols < BORDER_PX) | (rows >= shape[0] - BORDER_PX) | (cols >= shape[1] - BORDER_PX)

@@ -1,0 +1,216 @@
+"""Finds what is wrong on a patterned wafer: each die against the typical one, a stored golden one, or the fitted form.
+
+An empty list says nothing by itself: an inspection tells what was compared with what, how much of it was measured, and
+how many false defects are to be expected.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from wafer_viewer.measure.defect_cells import CellResult, Work, compared, noise_over, spread_over
+from wafer_viewer.measure.defect_merge import merged
+from wafer_viewer.measure.defect_scores import false_counts
+from wafer_viewer.measure.defect_shapes import defect_of
+from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
+from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
+from wafer_viewer.measure.reading import Reading
+from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
+from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Reference
+from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.golden import GoldenDie
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import Mosaic
+
+TILE_PX = 1024
+"""Without a grid a surface is gone through in squares of so many pixels."""
+MOST_DEFECTS = 5000
+OTHER_PRODUCT = 0.1
+Progress = Callable[[float], None]
+
+
+def inspect(
+    surface: Mosaic,
+    grid: DieGrid | None = None,
+    recipe: DefectRecipe = DefectRecipe(),
+    golden: GoldenDie | None = None,
+    *,
+    calibration_valid: bool = True,
+    progress: Progress | None = None,
+    should_stop: Callable[[], bool] | None = None,
+) -> Inspection:
+    """The defects of a surface, strongest first, with what was inspected.
+
+    grid: where its dies lie; fewer than five measured dies, or no grid: compared with the fitted form. golden: a stored
+    golden die to compare with instead, which shows what repeats in every die. progress: told the part done, 0 to 1.
+
+    Raises MeasureError where hardly anything is measured, the grid lies beside the surface, the golden die is of
+    something else, or the work was stopped.
+    """
+    reading = Reading.of(surface, None, calibration_valid)
+    source = source_of(surface, reading.layer, recipe.form_order)
+    work, reference, notes = _work(source, grid, recipe, golden)
+    places = work.cells.grid.places
+    noise = noise_over(work, places)
+    results = list(_watched(compared(work, places, noise), len(places), progress, should_stop))
+    _require_likeness(results, golden)
+    whole = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
+    defects = _defects(results, whole, work, reading)
+    if reference == "golden":
+        defects = marked_repeats(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
+    return _inspection(work, results, defects, reference, notes, reading, grid)
+
+
+def golden_of_surface(
+    surface: Mosaic, grid: DieGrid, recipe: DefectRecipe = DefectRecipe(), **told: str | bool
+) -> GoldenDie:
+    """The typical die of a surface, to be stored; told: product, name, made_of and the like of its header.
+
+    Raises MeasureError where fewer than five dies are measured.
+    """
+    reading = Reading.of(surface, None, True)
+    source = source_of(surface, reading.layer, recipe.form_order)
+    cells = CellGrid.of(grid, surface.pixel_um)
+    told = {"product": recipe.product, "simulated": surface.provenance.simulated, **told}
+    return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, **told)
+
+
+def _work(
+    source: Source, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None
+) -> tuple[Work, Reference, tuple[str, ...]]:
+    """What cells are compared with: a stored golden die, the typical one of the dies, or the form."""
+    if grid is None:
+        if golden is not None:
+            raise MeasureError("A golden die is compared die by die: say where the dies lie, or find them.")
+        return _by_form(source, recipe), "form", ("No grid of dies: compared with the fitted form.",)
+    cells = CellGrid.of(grid, source.surface.pixel_um)
+    places = _on_surface(source, cells)
+    if golden is not None:
+        sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
+        golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
+        street = () if not sum(cells.street) else ("The streets are not in the golden die: not inspected.",)
+        return Work(source, cells, Golden.stored(golden, cells), recipe, True), "golden", street
+    if len(places) < LEAST_DIES:
+        few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
+        return _by_form(source, recipe), "form", (few,)
+    return Work(source, cells, golden_of(source, cells, places), recipe, True), "dies", ()
+
+
+def _by_form(source: Source, recipe: DefectRecipe) -> Work:
+    """In squares, against what lies on the form everywhere."""
+    surface = source.surface
+    rows, cols = surface.shape
+    n_rows, n_cols = math.ceil(rows / TILE_PX), math.ceil(cols / TILE_PX)
+    side = math.ceil(rows / n_rows) * surface.pixel_um, math.ceil(cols / n_cols) * surface.pixel_um
+    half = surface.pixel_um / 2
+    tiles = DieGrid(
+        pitch_x_um=side[1],
+        pitch_y_um=side[0],
+        width_um=side[1],
+        height_um=side[0],
+        x0_um=surface.x0_um - half,
+        y0_um=surface.y0_um + half - n_rows * side[0],
+        rows=n_rows,
+        cols=n_cols,
+    )
+    cells = CellGrid.of(tiles, surface.pixel_um)
+    spread_um, grey = spread_over(source, cells, tiles.places)
+    heights_only = replace(recipe, evidence="height")
+    return Work(source, cells, Golden.nothing(cells.shape, spread_um, grey), heights_only, False)
+
+
+def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
+    """The dies whose middle lies on the surface. Raises MeasureError where there is none."""
+    surface, grid = source.surface, cells.grid
+    found: list[Place] = []
+    for place in grid.places:
+        x_um, y_um = (float(a) for a in grid.to_stage(*place, grid.width_um / 2, grid.height_um / 2))
+        row, col = (surface.y0_um - y_um) / surface.pixel_um, (x_um - surface.x0_um) / surface.pixel_um
+        if 0 <= row < surface.shape[0] and 0 <= col < surface.shape[1]:
+            found.append(place)
+    if not found:
+        raise MeasureError("No die of the grid lies on the surface: give its origin in stage um, or find the dies.")
+    return tuple(found)
+
+
+def _watched(
+    results: Iterator[CellResult], n: int, progress: Progress | None, should_stop: Callable[[], bool] | None
+) -> Iterator[CellResult]:
+    for k, result in enumerate(results, 1):
+        if should_stop is not None and should_stop():
+            raise MeasureError("The inspection was stopped: nothing of it is kept.")
+        if progress is not None:
+            progress(k / n)
+        yield result
+
+
+def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -> None:
+    """A golden die from which most dies differ nearly everywhere is none of theirs."""
+    differing = [result.differs_fraction for result in results if result.compared_px]
+    if not differing:
+        raise MeasureError("No die could be compared: the grid lies where the surface is not measured.")
+    if golden is not None and float(np.median(differing)) > OTHER_PRODUCT:
+        raise MeasureError(
+            f"The golden die {golden.title} is not like the dies of this surface: {np.median(differing):.0%} of them "
+            "differs; choose one of this product."
+        )
+
+
+def _defects(
+    results: Sequence[CellResult], whole: dict[str, Defect], work: Work, reading: Reading
+) -> tuple[Defect, ...]:
+    """Strongest first and numbered, those of a whole die instead of what lies on it."""
+    pieces = [
+        piece for result in results for piece in result.pieces if work.cells.grid.name(*result.place) not in whole
+    ]
+    together = merged(pieces, work.cells.pixel_um)
+    strongest = sorted(together, key=lambda group: -max(piece.score for piece in group))[:MOST_DEFECTS]
+    single = [defect_of(group, work.cells, reading, work.recipe, work.on_dies) for group in strongest]
+    ordered = sorted([*whole.values(), *single], key=lambda d: (d.kind == "unmeasured", -d.score))
+    return tuple(replace(defect, number=n, name=f"Defect {n}") for n, defect in enumerate(ordered, 1))
+
+
+def _inspection(
+    work: Work,
+    results: Sequence[CellResult],
+    defects: tuple[Defect, ...],
+    reference: Reference,
+    notes: tuple[str, ...],
+    reading: Reading,
+    grid: DieGrid | None,
+) -> Inspection:
+    """What was compared with what, and what came of it."""
+    mm2 = work.cells.pixel_um**2 / 1e6
+    inspected_mm2 = sum(result.compared_px for result in results) * mm2
+    counted = false_counts(np.sum([result.peaks for result in results], axis=0), inspected_mm2)
+    most = (f"Only the strongest {MOST_DEFECTS} places are listed.",) if len(defects) >= MOST_DEFECTS else ()
+    return Inspection(
+        recipe=work.recipe if reference != "form" else replace(work.recipe, evidence="height"),
+        reference=reference,
+        grid=grid,
+        dies=_statuses(reading.surface, grid, defects),
+        defects=defects,
+        inspected_mm2=inspected_mm2,
+        unmeasured_mm2=sum(result.missing_px for result in results) * mm2,
+        threshold_sigma=work.recipe.threshold_sigma,
+        expected_false_per_mm2=counted.at(work.recipe.threshold_sigma),
+        false_counts=counted,
+        surface=reading.layer,
+        product=work.recipe.product,
+        simulated=reading.surface.provenance.simulated,
+        notes=(*notes, *most),
+    )
+
+
+def _statuses(surface: Mosaic, grid: DieGrid | None, defects: Sequence[Defect]) -> tuple[DieStatus, ...]:
+    """Of every die, with how many defects lie on it."""
+    if grid is None:
+        return ()
+    from wafer_viewer.measure.die_status import statuses
+
+    on = [defect.die for defect in defects if defect.kind != "unmeasured"]
+    return tuple(replace(status, defects=on.count(status.name)) for status in statuses(surface, grid))

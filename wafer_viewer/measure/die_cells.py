@@ -1,0 +1,134 @@
+"""The cells of a lattice: each die with half of the streets round it, read on the die's own pixels. Pure.
+
+Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer, and
+grey values of the picture that is in focus everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.heights import Layer, Points, heights
+from wafer_viewer.measure.level import robust_fit
+from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.numerics.cells import bridged, read_affine
+
+Plane = NDArray[np.float32]
+Place = tuple[int, int]
+Shift = tuple[float, float]
+FORM_POINTS = 120_000
+MARGIN_PX = 4
+
+
+@dataclass(frozen=True, slots=True)
+class CellGrid:
+    """Where cells lie: the lattice, the cell's shape in pixels, and how many of them lie left of and above the die."""
+
+    grid: DieGrid
+    pixel_um: float
+    shape: tuple[int, int]
+    street: tuple[int, int]
+
+    @classmethod
+    def of(cls, grid: DieGrid, pixel_um: float) -> CellGrid:
+        """Of a lattice of dies."""
+        rows, cols = round(grid.pitch_y_um / pixel_um), round(grid.pitch_x_um / pixel_um)
+        return cls(grid, pixel_um, (rows, cols), (_half(grid.street_y_um, pixel_um), _half(grid.street_x_um, pixel_um)))
+
+    def in_die(self, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """(u_um, v_um) of cell pixels."""
+        u_um = (cols - self.street[1] + 0.5) * self.pixel_um
+        return u_um, self.grid.height_um - (rows - self.street[0] + 0.5) * self.pixel_um
+
+    def to_stage(
+        self, place: Place, rows: NDArray[np.float64], cols: NDArray[np.float64], shift: Shift = (0.0, 0.0)
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stage (x_um, y_um) of pixels of a cell that lies `shift` pixels (down, right) off its place."""
+        return self.grid.to_stage(*place, *self.in_die(rows + shift[0], cols + shift[1]))
+
+    def around(self, place: Place, rows: slice, cols: slice, shift: Shift) -> Region:
+        """What of the surface is read for a part of a cell."""
+        r, c = np.array([rows.start, rows.stop]), np.array([cols.start, cols.stop])
+        corner_rows, corner_cols = np.repeat(r, 2).astype(float), np.tile(c, 2).astype(float)
+        x_um, y_um = self.to_stage(place, corner_rows, corner_cols, shift)
+        spare = MARGIN_PX * self.pixel_um
+        return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A surface as it is inspected: which heights, over which form."""
+
+    surface: Mosaic
+    layer: Layer
+    form: Datum
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
+        """Heights and picture of a part of a cell; None where the surface has nothing of it."""
+        try:
+            part = self.surface.window(cells.around(place, rows, cols, shift))
+        except MeasureError:
+            return None
+        z_um, picture = self.layers(part)
+        out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
+        way = _way(cells, place, (rows.start, cols.start), part, shift)
+        read_affine(z_um, bridged(z_um), way, out_z)
+        read_affine(picture, picture, way, out_picture)
+        return out_z, out_picture
+
+    def layers(self, part: HeightMap) -> tuple[Plane, Plane]:
+        """Heights over the form, and the picture where there are heights' fields."""
+        from wafer_viewer.model.surface import Origin
+
+        zero = self.form.at(part.x_um[None, :], part.y_um[:, None])
+        z_um = (heights(part, self.layer) - zero).astype(np.float32)
+        picture = part.all_in_focus.astype(np.float32)
+        picture[part.origin == Origin.NOT_COVERED] = np.nan
+        return z_um, picture
+
+
+def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
+    """A surface with its form found: a polynomial that outliers do not disturb.
+
+    Raises MeasureError where too little is measured to find it.
+    """
+    points = _sample(surface, layer)
+    if len(points) < 100:
+        raise MeasureError("The surface has hardly any measured pixels: there is nothing to inspect for defects.")
+    powers = tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
+    center = float(points.x_um.mean()), float(points.y_um.mean())
+    u, v = points.x_um - center[0], points.y_um - center[1]
+    fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
+    at = Point(x_um=center[0], y_um=center[1])
+    return Source(surface, layer, Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist())))
+
+
+def _sample(surface: Mosaic, layer: Layer) -> Points:
+    """About FORM_POINTS measured pixels of the whole surface."""
+    pixels = surface.shape[0] * surface.shape[1]
+    level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))
+    part = surface.window(None, level)
+    step = max(1, round(math.sqrt(part.shape[0] * part.shape[1] / FORM_POINTS)))
+    z_um = heights(part, layer)[::step, ::step]
+    rows, cols = np.nonzero(np.isfinite(z_um))
+    return Points(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
+
+
+def _half(street_um: float, pixel_um: float) -> int:
+    return round(street_um / 2 / pixel_um)
+
+
+def _way(cells: CellGrid, place: Place, start: Place, part: HeightMap, shift: Shift) -> NDArray[np.float64]:
+    """From pixels of a part of a cell to pixels of a part of the surface, as `read_affine` takes it."""
+    corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
+    x_um, y_um = cells.to_stage(place, *corner, shift)
+    rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+    return np.array([rows[0], rows[1] - rows[0], rows[2] - rows[0], cols[0], cols[1] - cols[0], cols[2] - cols[0]])

@@ -1,0 +1,92 @@
+"""The golden die: what every die of a product should be, as height, spread and picture, each position by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.spec import Positive, Spec, Within
+
+SAME_PIXEL = 1e-3
+"""Pixel sizes that differ by less of themselves are the same."""
+SAME_SIZE_PX = 2.0
+"""Sizes of dies that differ by no more are the same."""
+
+
+class GoldenHeader(Spec, frozen=True, kw_only=True):
+    """What a golden die is of. version counts from 1 for each product and name; 0 was not kept yet.
+
+    made_of: the dataset or file it was made of; made_at: when, ISO 8601; dies: of how many dies.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    product: str = ""
+    name: str = ""
+    version: Annotated[int, Within(0)] = 0
+    pixel_um: Positive
+    width_um: Positive
+    height_um: Positive
+    dies: Annotated[int, Within(1)]
+    made_of: str = ""
+    made_at: str = ""
+    software_version: str = ""
+    simulated: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GoldenDie:
+    """A golden die: z_um, z_spread_um, picture, picture_spread, float32 [row, col], row 0 at the die's upper edge.
+
+    z_um is the robust median over the dies, z_spread_um its robust standard deviation from die to die (1.4826 MAD);
+    picture and picture_spread are the same of the all-in-focus image. Pixel (0, 0) has its centre at u = pixel_um / 2,
+    v = height_um - pixel_um / 2 from the die's lower left corner. NaN where too few dies were measured.
+    """
+
+    header: GoldenHeader
+    z_um: NDArray[np.float32]
+    z_spread_um: NDArray[np.float32]
+    picture: NDArray[np.float32]
+    picture_spread: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        if len({layer.shape for layer in self.layers.values()}) != 1:
+            shapes = ", ".join(f"{name} {layer.shape}" for name, layer in self.layers.items())
+            raise MeasureError(f"The layers of a golden die must be of one size; here are {shapes}.")
+
+    @property
+    def layers(self) -> dict[str, NDArray[np.float32]]:
+        """The arrays by their names."""
+        names = ("z_um", "z_spread_um", "picture", "picture_spread")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def title(self) -> str:
+        """How people call it: name and version."""
+        return f"{self.header.name or 'golden die'} version {self.header.version}"
+
+    def require_fit(self, *, product: str, pixel_um: float, width_um: float, height_um: float) -> None:
+        """Raises MeasureError where it is of another product, pixel size or size of die; '' is no product to compare.
+
+        A size that is 0 is not compared.
+        """
+        own = self.header
+        if product and own.product and product != own.product:
+            raise MeasureError(
+                f"{self.title} is of product '{own.product}' and this wafer is of '{product}': "
+                "choose a golden die of this product."
+            )
+        if abs(own.pixel_um / pixel_um - 1) > SAME_PIXEL:
+            raise MeasureError(
+                f"{self.title} has pixels of {own.pixel_um:.5g} um and this surface of {pixel_um:.5g} um: "
+                "choose one that was made at this magnification."
+            )
+        sizes = ((own.width_um, width_um), (own.height_um, height_um))
+        if any(size and abs(made - size) > SAME_SIZE_PX * pixel_um for made, size in sizes):
+            raise MeasureError(
+                f"{self.title} has dies of {own.width_um:.6g} x {own.height_um:.6g} um and this wafer of "
+                f"{width_um:.6g} x {height_um:.6g} um: choose one of this size."
+            )

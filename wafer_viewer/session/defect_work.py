@@ -1,0 +1,77 @@
+"""The inspection for defects as a worker's task: what is open on the disk in, what was found out."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from wafer_viewer.model.defects import DefectRecipe, Inspection
+from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.library import today
+from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.result import Result
+
+Against = Literal["dies", "form"]
+"""Each die with the others, or with a golden one; or all of the surface with a form fitted to it."""
+MARK_DIGITS = 16
+
+
+def inspect_dataset(
+    dataset: Path,
+    result: str,
+    recipe: DefectRecipe,
+    grid: DieGrid | None = None,
+    against: Against = "dies",
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Inspection:
+    """Look for defects on the stitched surface of a dataset; nothing is written.
+
+    grid: the dies; where they are not given those of the dataset's job are taken, and without these they are searched
+    for. Raises MeasureError where none are found or nothing can be said, DatasetError where there is no surface,
+    ComputeError when the work is stopped.
+    """
+    from wafer_viewer.measure.defects import inspect
+    from wafer_viewer.measure.die_grid import find_dies
+    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.golden import FOLDER, golden_named
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    surface, mark, job = kept.mosaic(), surface_mark(kept), data.scan.job
+    recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
+    dies = (grid or dies_of(data) or find_dies(surface)) if against == "dies" else None
+    golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
+    found = inspect(
+        surface,
+        dies,
+        recipe,
+        golden,
+        calibration_valid=data.calibration_problem(today()) is None,
+        progress=progress,
+        should_stop=should_stop,
+    )
+    if should_stop():
+        raise ComputeError("The inspection was stopped. What was found before it is kept.")
+    return replace(found, mark=mark)
+
+
+def dies_of(data: Dataset) -> DieGrid | None:
+    """The dies that a dataset's job names, where it says how the wafer lies on the stage."""
+    job = data.scan.job
+    if job.dies is None or job.dies.listed or job.alignment is None:
+        return None
+    return DieGrid.of(job.dies, job.alignment)
+
+
+def surface_mark(kept: Result) -> str:
+    """A word that changes when the surface is made by another recipe, of other frames or fields; a copy keeps it."""
+    header = kept.mosaic_path / "zarr.json"
+    return hashlib.sha256(header.read_bytes()).hexdigest()[:MARK_DIGITS] if header.exists() else ""
