@@ -21,13 +21,13 @@ from wafer_viewer.gui.job_dialogs import (
 )
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.review_items import spoken
 from wafer_viewer.gui.trial_words import trial
 from wafer_viewer.gui.verdict_words import RULES, limits
 from wafer_viewer.model.alignment import Marks
 from wafer_viewer.model.feature import Dies, Feature
 from wafer_viewer.model.measuring import TOOLS
 from wafer_viewer.model.plan import Job
+from wafer_viewer.session.finding_numbers import title_of
 from wafer_viewer.session.state import Snapshot
 
 
@@ -103,7 +103,7 @@ def _features(job: Job) -> str:
 
 def _feature(n: int, feature: Feature, released: bool) -> str:
     where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
-    what = " · ".join(part for part in (TOOLS[feature.tool].title, spoken(feature.quantity)) if part)
+    what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
     name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
     away = (
         f'<span class="wv-link" title="Take it off" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'

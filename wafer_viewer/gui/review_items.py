@@ -24,6 +24,7 @@ from wafer_viewer.model.plan import Job
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.verdict import Judged, Word
+from wafer_viewer.session.finding_numbers import title_of
 from wafer_viewer.session.state import Snapshot
 
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
@@ -35,15 +36,6 @@ FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
 EVERYTHING = DefectListing()
 GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
 """What a person has to look at first."""
-_QUANTITIES = {
-    "pt": "Pt",
-    "flt_t": "FLTt",
-    "flt_t_minimum_zone": "FLTt, minimum zone",
-    "flt_q": "FLTq",
-    "dz": "Δz",
-    "deviation": "Error",
-    "reference": "Certificate",
-}
 
 
 def review_items(
@@ -135,22 +127,17 @@ def _kind(finding: AnyFinding) -> str:
     return " · ".join(word for word in words if word)
 
 
-def spoken(name: str) -> str:
-    """A name of the program as words."""
-    return name.replace("_", " ").capitalize()
-
-
 def _rows(finding: AnyFinding) -> Iterator[Row]:
     for name in finding.__struct_fields__:
         held = getattr(finding, name)
         if isinstance(held, Length | Quantity):
             quantity = held.quantity if isinstance(held, Length) else held
-            yield (_QUANTITIES.get(name, spoken(name)), *value_texts(quantity))
+            yield (title_of(name), *value_texts(quantity))
 
 
 def _feature_rows(judged: Judged) -> tuple[Row, ...]:
     feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
-    measured = ((_QUANTITIES.get(what, spoken(what)), *value_texts(judged.measured)),) if judged.measured else ()
+    measured = ((title_of(what), *value_texts(judged.measured)),) if judged.measured else ()
     named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
     given = [(name, Quantity(value=value, unit=feature.unit)) for name, value in named if value is not None]
     texts = [(name, *value_texts(quantity)) for name, quantity in given]
