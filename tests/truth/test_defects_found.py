@@ -19,8 +19,7 @@ pytestmark = pytest.mark.slow
 SIGMA_UM = 0.186
 """Kept from height_noise_um(): a field less to render."""
 MOST_FALSE = 20
-"""On 0.4 mm2 with twenty whole dies, far over the goal: it only holds that there are not more than the 13 known, or
-hardly. Without the tails of the heights' noise there were 150."""
+"""On 0.4 mm2 with twenty whole dies, far over the goal: 13 are known, and this holds that there are not many more."""
 
 
 @dataclass(frozen=True)
