@@ -20,7 +20,7 @@ from wafer_viewer.store.npz import write_npz
 
 WAFER = Wafer(unmeasured_fraction=0.0)
 AT_UM = (480.0, 420.0)
-GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--die-um", "173", "121")
+GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--size-um", "173", "121")
 
 
 def bumped(surface: HeightMap) -> HeightMap:
@@ -80,7 +80,7 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
     ("flags", "sentence"),
     [
         (("--pitch-um", "200", "150"), "give both, or neither"),
-        (("--die-um", "200", "150"), "go with their pitch and origin"),
+        (("--size-um", "200", "150"), "go with their pitch and origin"),
         (("--sensitivity", "3"), "sensitivity is 3.0: it must be between 0 and 1"),
         (("--recipe", "gone.toml"), "gone.toml cannot be read"),
         (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),

@@ -37,8 +37,8 @@ def measure_defects(
     max_per_mm2: Um = None,
     pitch_um: Pair = None,
     origin_um: Pair = None,
-    die_um: Pair = None,
-    angle_mrad: float = 0.0,
+    size_um: Pair = None,
+    angle_deg: float = 0.0,
     result: str = "default",
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies that were not scanned are told.
@@ -60,12 +60,12 @@ def measure_defects(
         max_per_mm2: The most defects on one mm2 of what was inspected.
         pitch_um: From die to die along x and y; found by default.
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
-        die_um: Width and height of a die without its street; as large as the pitch by default.
-        angle_mrad: How the dies are turned, anticlockwise.
+        size_um: Width and height of a die without its street; as large as the pitch by default.
+        angle_deg: How the dies are turned, anticlockwise.
         result: Name of the reconstruction.
     """
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
-    given = GivenDies(pitch_um, origin_um, die_um, angle_mrad)
+    given = GivenDies(pitch_um, origin_um, size_um, angle_deg)
     asked = _recipe(recipe, sensitivity)
     stored = _golden(golden, against)
     wafer = wafer_of(src, result)

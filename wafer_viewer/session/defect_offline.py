@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +28,12 @@ class GivenDies:
     pitch_um: tuple[float, float] | None = None
     origin_um: tuple[float, float] | None = None
     size_um: tuple[float, float] | None = None
-    angle_mrad: float = 0.0
+    angle_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if (self.pitch_um is None) != (self.origin_um is None):
             raise MeasureError("Dies are given by their pitch and the corner of one of them: give both, or neither.")
-        if self.pitch_um is None and (self.size_um is not None or self.angle_mrad):
+        if self.pitch_um is None and (self.size_um is not None or self.angle_deg):
             raise MeasureError("The size and the angle of dies go with their pitch and origin: give these too.")
 
     def on(self, surface: Mosaic) -> DieGrid | None:
@@ -49,7 +50,7 @@ class GivenDies:
             y0_um=self.origin_um[1],
             width_um=width_um,
             height_um=height_um,
-            angle_rad=self.angle_mrad / 1000,
+            angle_rad=math.radians(self.angle_deg),
         )
         cols, rows = touching(grid, surface)
         first = {"first_col": int(cols.min()), "first_row": int(rows.min())}
