@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
 
 LOG_BYTES = 1_000_000
+HEARD_WITHIN_S = 0.5
+"""The system may hand a signal to any thread, and only the main one acts on it: it must not sleep for ever."""
 SWEPT_AFTER_S = 2.0
 """So long after a page has gone nothing of viser's holds it any more."""
 
@@ -63,7 +65,8 @@ def serve(
                 import webbrowser
 
                 webbrowser.open(running.address)
-            asked.wait()
+            while not asked.wait(HEARD_WITHIN_S):
+                pass
         announce("Wafer Viewer ends.")
     finally:
         running.stop()

@@ -163,7 +163,7 @@ class Cluster:
     def _count(self) -> int:
         try:
             workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
-        except OSError as fault:
+        except (OSError, KeyError) as fault:  # a client that is being closed knows of no workers
             raise _gone() from fault
         return sum(worker["nthreads"] for worker in workers if worker["status"] == "running")
 
