@@ -8,11 +8,12 @@ import pytest
 
 from tests.browser import fake_session as fake
 from tests.browser.inspected_session import PLANTED, found
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.gui.defect_items import chosen_defect, number_of
 from wafer_viewer.gui.defect_lines import cut_through
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing, listed
 from wafer_viewer.gui.defect_rows import MOST_ROWS, rows, rows_of
-from wafer_viewer.gui.defect_words import KINDS, classes, counts, facts, nothing_found, per_mm2, summary
+from wafer_viewer.gui.defect_words import classes, counts, facts, nothing_found, per_mm2, summary
 from wafer_viewer.gui.header import all_judged, possible
 from wafer_viewer.gui.judging import can_undo
 from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items

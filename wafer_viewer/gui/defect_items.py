@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.gui.defect_listing import DefectListing, listed
-from wafer_viewer.gui.defect_words import KINDS, below, said, size_text
+from wafer_viewer.gui.defect_words import below, said, size_text
 from wafer_viewer.gui.kept_places import bounds_of
 from wafer_viewer.gui.measure_words import value_texts
 from wafer_viewer.gui.review_item import ReviewItem, Row

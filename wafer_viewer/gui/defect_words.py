@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.symbols import symbol_svg
 from wafer_viewer.gui import html
@@ -14,28 +14,6 @@ from wafer_viewer.session.inspection_state import InspectionState
 TINY_PER_MM2 = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class KindLook:
-    """A class of defects on the page: its name, colour and shape, and the key that puts a defect into it."""
-
-    title: str
-    colour: str
-    shape: str
-    key: str
-
-
-KINDS: dict[DefectClass, KindLook] = {
-    "particle": KindLook("Particle", "#D55E00", "disc", "1"),
-    "scratch": KindLook("Scratch", "#0072B2", "bar", "2"),
-    "residue": KindLook("Residue", "#B5529B", "square", "3"),
-    "missing die": KindLook("Missing die", "#7A8794", "ring", "4"),
-    "pattern": KindLook("Pattern", "#008F6B", "triangle", "5"),
-    "pit": KindLook("Pit", "#8A6D00", "diamond", "6"),
-    "edge chip": KindLook("Edge chip", "#4B4FA6", "corner", "7"),
-    "tilted die": KindLook("Tilted die", "#56616C", "slant", "8"),
-    "unmeasured": KindLook("Unmeasured", "#7A8794", "cross", "9"),
-}
-"""The shape is needed: by colour alone some come close for eyes that do not tell red from green."""
 REFERENCES = {
     "dies": "compared with the median of the dies",
     "golden": "compared with the golden die",

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 from wafer_viewer.draw.colours import PROFILE_COLOURS
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.gui.defect_words import KINDS
 from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.findings import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
 from wafer_viewer.model.quantities import Quantity

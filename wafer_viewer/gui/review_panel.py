@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.gui import html, judging
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_items import chosen_defect
-from wafer_viewer.gui.defect_words import KINDS, classes
+from wafer_viewer.gui.defect_words import classes
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
