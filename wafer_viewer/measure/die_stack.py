@@ -1,0 +1,97 @@
+"""All dies laid onto one: where several of them have a defect at the same place, it is no chance. Pure."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.defects import Defect, DefectClass, Inspection
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Point
+from wafer_viewer.model.repeated_place import LEAST_DIES, RepeatedPlace
+
+LEAST_WITHIN_UM = 5.0
+"""Places on dies are not known better than by a few pixels."""
+Floats = NDArray[np.float64]
+
+
+def repeats(
+    inspection: Inspection, within_um: float | None = None, least_dies: int = LEAST_DIES
+) -> tuple[RepeatedPlace, ...]:
+    """The places at which at least so many dies have a defect, those in most dies first.
+
+    within_um: how far two defects may lie apart on the die and still be at the same place; None: half the length of
+    the longer one, 5 um at least. Areas without heights and what people rejected do not count, nor do defects outside
+    of dies; each defect belongs to one place. Raises MeasureError for a distance that is none, or fewer than two dies.
+    """
+    if within_um is not None and not within_um > 0:
+        raise MeasureError(f"within_um is {within_um:g}: it must be over 0.")
+    if least_dies < 2:
+        raise MeasureError(f"least_dies is {least_dies}: a place repeats in two dies at least.")
+    on_dies = [d for d in inspection.found if d.die and d.in_die is not None and d.judgement != "nuisance"]
+    whole = sum(die.state == "whole" for die in inspection.dies)
+    found = (_place(group, whole) for group in _groups(on_dies, within_um, least_dies))
+    return tuple(sorted(found, key=lambda place: (-len(place.dies), place.numbers)))
+
+
+def _groups(defects: Sequence[Defect], within_um: float | None, least_dies: int) -> Iterator[list[Defect]]:
+    """Defects that lie round one of them, which no other group has; begun where most dies come together."""
+    if len(defects) < least_dies:
+        return
+    near = _neighbours(defects, within_um)
+    taken: set[int] = set()
+    for seed in sorted(range(len(defects)), key=lambda k: (-_n_dies(defects, near[k]), defects[k].number)):
+        group = [k for k in near[seed] if k not in taken]
+        if seed not in taken and _n_dies(defects, group) >= least_dies:
+            taken.update(group)
+            yield [defects[k] for k in group]
+
+
+def _neighbours(defects: Sequence[Defect], within_um: float | None) -> list[list[int]]:
+    """For each defect those at the same place, itself among them."""
+    from scipy.spatial import KDTree
+
+    places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in defects if d.in_die is not None])
+    reach = np.array([_reach_um(defect, within_um) for defect in defects])
+    tree = KDTree(places)
+    near: list[set[int]] = [set() for _ in defects]
+    for k, others in enumerate(tree.query_ball_point(places, reach).tolist()):
+        near[k].update(others)
+        for other in others:
+            near[other].add(k)
+    return [sorted(others) for others in near]
+
+
+def _reach_um(defect: Defect, within_um: float | None) -> float:
+    return max(LEAST_WITHIN_UM, defect.major.value_um / 2) if within_um is None else within_um
+
+
+def _n_dies(defects: Sequence[Defect], group: Sequence[int]) -> int:
+    return len({defects[k].die for k in group})
+
+
+def _place(group: Sequence[Defect], whole: int) -> RepeatedPlace:
+    in_order = sorted(group, key=lambda defect: (_col_row(defect.die), defect.number))
+    places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in in_order if d.in_die is not None])
+    middle: Floats = np.median(places, axis=0)
+    return RepeatedPlace(
+        in_die=Point(x_um=float(middle[0]), y_um=float(middle[1])),
+        reach_um=float(np.hypot(*(places - middle).T).max()),
+        dies=tuple(dict.fromkeys(defect.die for defect in in_order)),
+        of_dies=whole,
+        numbers=tuple(defect.number for defect in in_order),
+        kind=_usual(in_order),
+    )
+
+
+def _usual(defects: Sequence[Defect]) -> DefectClass:
+    counts = Counter[DefectClass](defect.seen_as for defect in defects)
+    return counts.most_common(1)[0][0]
+
+
+def _col_row(die: str) -> tuple[int, ...]:
+    col, row = map(int, die.split(","))
+    return -row, col
