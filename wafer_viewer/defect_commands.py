@@ -13,7 +13,8 @@ from tyro.conf import arg
 
 from wafer_viewer.arguments import Count, File, Source, Um
 from wafer_viewer.command_output import print_json, progress
-from wafer_viewer.model.defect_limits import DefectLimits, verdict_of
+from wafer_viewer.model.defect_limits import DefectLimits
+from wafer_viewer.model.defect_verdict import verdict_of
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
@@ -56,32 +57,33 @@ def measure_defects(
         klarf: Write a KLARF 1.2 file.
         csv: Write a table.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
-        max_per_die: The most defects on one die.
-        max_per_mm2: The most defects on one mm2 of what was inspected.
+        max_per_die: The most defects on one die; the recipe's by default.
+        max_per_mm2: The most defects on one mm2 of what was inspected; the recipe's by default.
         pitch_um: From die to die along x and y; found by default.
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
         size_um: Width and height of a die without its street; as large as the pitch by default.
         angle_deg: How the dies are turned, anticlockwise.
         result: Name of the reconstruction.
     """
-    limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
     given = GivenDies(pitch_um, origin_um, size_um, angle_deg)
-    asked = _recipe(recipe, sensitivity)
+    asked = _recipe(recipe, sensitivity, DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2))
     stored = _golden(golden, against)
     wafer = wafer_of(src, result)
     with progress("Looking for defects") as tell:
         found = inspected(wafer, asked, given, stored, against, tell)
     kept = _files(wafer, found, given, {"klarf": klarf, "csv": csv, "training": training, "golden": save_golden})
-    verdict = verdict_of(found, limits)
+    verdict = verdict_of(found)
     print_json({"verdict": msgspec.to_builtins(verdict), "files": kept, "inspection": msgspec.to_builtins(found)})
     return 0 if verdict.within else BEYOND
 
 
-def _recipe(path: Path | None, sensitivity: float | None) -> DefectRecipe:
+def _recipe(path: Path | None, sensitivity: float | None, limits: DefectLimits) -> DefectRecipe:
+    """The recipe of a file; flags go before what it says."""
     from wafer_viewer.store.defect_recipes import read_defect_recipe
 
     recipe = read_defect_recipe(path) if path is not None else DefectRecipe()
-    return recipe if sensitivity is None else replace(recipe, sensitivity=sensitivity)
+    dial = recipe.sensitivity if sensitivity is None else sensitivity
+    return replace(recipe, sensitivity=dial, limits=limits.over(recipe.limits))
 
 
 def _golden(path: Path | None, against: str) -> Any:

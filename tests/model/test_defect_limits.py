@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from tests.store.inspections import defect, inspection
-from wafer_viewer.model.defect_limits import DefectLimits, verdict_of
+from wafer_viewer.model.defect_limits import DefectLimits
+from wafer_viewer.model.defect_verdict import verdict_of
+from wafer_viewer.model.defects import DefectRecipe
 
 
 def test_dies_with_too_many_are_named():
@@ -35,3 +37,13 @@ def test_a_die_that_was_not_scanned_is_not_within():
 
 def test_a_wafer_of_which_nothing_was_inspected_is_not_within():
     assert verdict_of(inspection(inspected_mm2=0.0)).why == ("Nothing was inspected.",)
+
+
+def test_the_limits_of_the_recipe_hold_where_no_others_are_given():
+    found = inspection(*(defect(n, "0,1", 10.0 * n, 5.0) for n in range(1, 4)))
+    strict = DefectLimits(max_per_die=2)
+    assert verdict_of(found).within
+    of_recipe = inspection(*found.defects, recipe=DefectRecipe(limits=strict))
+    assert verdict_of(of_recipe).failing == ("0,1",)
+    assert DefectLimits(max_per_mm2=1.0).over(strict) == DefectLimits(max_per_die=2, max_per_mm2=1.0)
+    assert (strict.are_set, DefectLimits().are_set) == (True, False)

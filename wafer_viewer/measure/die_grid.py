@@ -42,7 +42,7 @@ def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -
     """The pitches along x and y with their expanded uncertainties (k = 2): fit of the lattice and pixel scale."""
     reading = Reading.of(surface, None, calibration_valid)
     each = grid.pitch_x_um, grid.pitch_y_um
-    if grid.by == "given":
+    if grid.by == "given" and not grid.u_pitch_um:
         return Length(value_um=each[0], status="not evaluated"), Length(value_um=each[1], status="not evaluated")
     lines = ({"fit of the lattice": grid.u_pitch_um, "pixel scale": um * reading.u_pixel_scale} for um in each)
     along_x, along_y = (reading.length(um, line) for um, line in zip(each, lines, strict=True))
@@ -103,13 +103,24 @@ def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     """
     cols, rows = touching(grid, surface)
     x_um, y_um = grid.corner(int(cols.min()), int(rows.min()))
+    return over(replace(grid, x0_um=x_um, y0_um=y_um), surface)
+
+
+def over(grid: DieGrid, surface: Mosaic) -> DieGrid:
+    """The lattice, numbered as it is, as far as it touches the surface. Raises MeasureError where it does not."""
+    cols, rows = touching(grid, surface)
+    first_col, first_row = int(cols.min()), int(rows.min())
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
-    on = {
-        grid.name(col, row) for col, row in zip((cols - cols.min()).tolist(), (rows - rows.min()).tolist(), strict=True)
-    }
-    moved = replace(grid, x0_um=x_um, y0_um=y_um, first_col=0, first_row=0, cols=n_cols, rows=n_rows, left_out=())
-    off = (grid.name(*at) for at in moved.places)
-    return replace(moved, left_out=tuple(name for name in off if name not in on))
+    whole = replace(grid, first_col=first_col, first_row=first_row, cols=n_cols, rows=n_rows, left_out=())
+    on = {grid.name(*at) for at in zip(cols.tolist(), rows.tolist(), strict=True)}
+    return replace(whole, left_out=tuple(name for at in whole.places if (name := grid.name(*at)) not in on))
+
+
+def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
+    """The lattice with all columns and rows that touch the surface; its numbers stay. Raises as `on_surface` does."""
+    cols, rows = touching(grid, surface)
+    first = {"first_col": int(cols.min()), "first_row": int(rows.min())}
+    return replace(grid, **first, cols=int(np.ptp(cols)) + 1, rows=int(np.ptp(rows)) + 1)
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:

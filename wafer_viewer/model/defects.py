@@ -7,6 +7,7 @@ import math
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.class_rules import ClassRules
+from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.finding import Finding
@@ -30,7 +31,8 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
 
     sensitivity: the one dial, 0 finds only what is plain, 1 all that might be something; scales_px: standard deviations
     of the Gaussian filters at which is looked, 0 is unfiltered; golden: name of the stored golden die to compare with,
-    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first.
+    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first;
+    limits: how many of them a die and a wafer may have.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -43,6 +45,7 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     golden: str = ""
     form_order: Literal[1, 2] = 2
     rules: ClassRules = ClassRules()
+    limits: DefectLimits = DefectLimits()
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -38,7 +38,7 @@ class GivenDies:
 
     def on(self, surface: Mosaic) -> DieGrid | None:
         """The lattice over a surface; None where nothing was given. Raises MeasureError where none of it lies there."""
-        from wafer_viewer.measure.die_grid import touching
+        from wafer_viewer.measure.die_grid import over_surface
 
         if self.pitch_um is None or self.origin_um is None:
             return None
@@ -52,9 +52,7 @@ class GivenDies:
             height_um=height_um,
             angle_rad=math.radians(self.angle_deg),
         )
-        cols, rows = touching(grid, surface)
-        first = {"first_col": int(cols.min()), "first_row": int(rows.min())}
-        return replace(grid, **first, cols=int(cols.max() - cols.min()) + 1, rows=int(rows.max() - rows.min()) + 1)
+        return over_surface(grid, surface)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

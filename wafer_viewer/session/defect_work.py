@@ -14,11 +14,14 @@ from wafer_viewer.session.library import today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
+    from wafer_viewer.model.surface import Mosaic
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.result import Result
 
 Against = Literal["dies", "form"]
 """Each die with the others, or with a golden one; or all of the surface with a form fitted to it."""
+Dies = DieGrid | Literal["found"] | None
+"""Where the dies lie: as given, as they are found on the surface, or None: as the job says, else as found."""
 MARK_DIGITS = 16
 
 
@@ -26,7 +29,7 @@ def inspect_dataset(
     dataset: Path,
     result: str,
     recipe: DefectRecipe,
-    grid: DieGrid | None = None,
+    dies: Dies = None,
     against: Against = "dies",
     *,
     progress: Progress = silent,
@@ -34,12 +37,10 @@ def inspect_dataset(
 ) -> Inspection:
     """Look for defects on the stitched surface of a dataset; nothing is written.
 
-    grid: the dies; where they are not given those of the dataset's job are taken, and without these they are searched
-    for. Raises MeasureError where none are found or nothing can be said, DatasetError where there is no surface,
-    ComputeError when the work is stopped.
+    dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. Raises MeasureError
+    where none are found or nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects import inspect
-    from wafer_viewer.measure.die_grid import find_dies
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.golden import FOLDER, golden_named
 
@@ -47,11 +48,11 @@ def inspect_dataset(
     kept = data.result(result)
     surface, mark, job = kept.mosaic(), surface_mark(kept), data.scan.job
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
-    dies = (grid or dies_of(data) or find_dies(surface)) if against == "dies" else None
+    grid = _laid(dies, data, surface) if against == "dies" else None
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
     found = inspect(
         surface,
-        dies,
+        grid,
         recipe,
         golden,
         calibration_valid=data.calibration_problem(today()) is None,
@@ -61,6 +62,15 @@ def inspect_dataset(
     if should_stop():
         raise ComputeError("The inspection was stopped. What was found before it is kept.")
     return replace(found, mark=mark)
+
+
+def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
+    """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside it."""
+    from wafer_viewer.measure.die_grid import find_dies, over_surface
+
+    if isinstance(dies, DieGrid):
+        return over_surface(dies, surface)
+    return (dies_of(data) if dies is None else None) or find_dies(surface)
 
 
 def dies_of(data: Dataset) -> DieGrid | None:

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.defects import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_work import Against, inspect_dataset, surface_mark
+from wafer_viewer.session.defect_work import Against, Dies, inspect_dataset, surface_mark
 from wafer_viewer.session.history import History
 from wafer_viewer.session.inspection_state import InspectionState
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.die_grid import DieGrid
     from wafer_viewer.session.compute import Compute
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.library import Library
@@ -53,7 +52,7 @@ class DefectKeeper:
         self._history.restart(kept)
         self._show()
 
-    def begin(self, recipe: DefectRecipe, grid: DieGrid | None, against: Against) -> Future[Inspection]:
+    def begin(self, recipe: DefectRecipe, dies: Dies, against: Against) -> Future[Inspection]:
         """Search the stitched surface for defects; done with what was found."""
         self._require_writable()
         if self._work:
@@ -63,7 +62,7 @@ class DefectKeeper:
         work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
         self._work, self._of, self._problem = work, self._looked_at, ""
         of = self._library.dataset.path, self._library.result_name
-        done = self._compute.run(work, inspect_dataset, *of, recipe, grid, against)
+        done = self._compute.run(work, inspect_dataset, *of, recipe, dies, against)
         self._show()
         return self._desk.afterwards(done, lambda: self._over(work, done))
 
@@ -160,13 +159,14 @@ class DefectVerbs:
         self._do, self._keeper = do, keeper
 
     def inspect(
-        self, recipe: DefectRecipe | None = None, grid: DieGrid | None = None, against: Against = "dies"
+        self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
     ) -> Future[Inspection]:
         """Search the stitched surface for defects; it can be cancelled.
 
-        grid: the dies, None: the job's, or found. against: what is compared, without dies the fitted form.
+        dies: a lattice, "found" on the surface, or None: the job's, else found. against: what is compared, without dies
+        the fitted form.
         """
-        return self._do(self._keeper.begin, recipe or DefectRecipe(), grid, against)
+        return self._do(self._keeper.begin, recipe or DefectRecipe(), dies, against)
 
     def judge(
         self,
