@@ -103,24 +103,7 @@ def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     """
     cols, rows = touching(grid, surface)
     x_um, y_um = grid.corner(int(cols.min()), int(rows.min()))
-    return over(replace(grid, x0_um=x_um, y0_um=y_um), surface)
-
-
-def over(grid: DieGrid, surface: Mosaic) -> DieGrid:
-    """The lattice, numbered as it is, as far as it touches the surface. Raises MeasureError where it does not."""
-    cols, rows = touching(grid, surface)
-    first_col, first_row = int(cols.min()), int(rows.min())
-    n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
-    whole = replace(grid, first_col=first_col, first_row=first_row, cols=n_cols, rows=n_rows, left_out=())
-    on = {grid.name(*at) for at in zip(cols.tolist(), rows.tolist(), strict=True)}
-    return replace(whole, left_out=tuple(name for at in whole.places if (name := grid.name(*at)) not in on))
-
-
-def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
-    """The lattice with all columns and rows that touch the surface; its numbers stay. Raises as `on_surface` does."""
-    cols, rows = touching(grid, surface)
-    first = {"first_col": int(cols.min()), "first_row": int(rows.min())}
-    return replace(grid, **first, cols=int(np.ptp(cols)) + 1, rows=int(np.ptp(rows)) + 1)
+    return over_surface(replace(grid, x0_um=x_um, y0_um=y_um), surface)
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:

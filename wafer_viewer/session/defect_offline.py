@@ -38,7 +38,7 @@ class GivenDies:
 
     def on(self, surface: Mosaic) -> DieGrid | None:
         """The lattice over a surface; None where nothing was given. Raises MeasureError where none of it lies there."""
-        from wafer_viewer.measure.die_grid import over_surface
+        from wafer_viewer.measure.die_grid import over
 
         if self.pitch_um is None or self.origin_um is None:
             return None
@@ -52,7 +52,7 @@ class GivenDies:
             height_um=height_um,
             angle_rad=math.radians(self.angle_deg),
         )
-        return over_surface(grid, surface)
+        return over(grid, surface)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
