@@ -106,6 +106,16 @@ def on_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     return over_surface(replace(grid, x0_um=x_um, y0_um=y_um), surface)
 
 
+def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
+    """The lattice, numbered as it is, as far as it touches the surface. Raises MeasureError where it does not."""
+    cols, rows = touching(grid, surface)
+    first_col, first_row = int(cols.min()), int(rows.min())
+    n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
+    whole = replace(grid, first_col=first_col, first_row=first_row, cols=n_cols, rows=n_rows, left_out=())
+    on = {grid.name(*at) for at in zip(cols.tolist(), rows.tolist(), strict=True)}
+    return replace(whole, left_out=tuple(name for at in whole.places if (name := grid.name(*at)) not in on))
+
+
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
     """Columns and rows of the dies that lie on the surface in part at least. Raises MeasureError where none does."""
     low_x, low_y, high_x, high_y = bounds_of(surface)

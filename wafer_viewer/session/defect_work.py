@@ -66,10 +66,10 @@ def inspect_dataset(
 
 def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
     """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside it."""
-    from wafer_viewer.measure.die_grid import find_dies, over
+    from wafer_viewer.measure.die_grid import find_dies, over_surface
 
     if isinstance(dies, DieGrid):
-        return over(dies, surface)
+        return over_surface(dies, surface)
     return (dies_of(data) if dies is None else None) or find_dies(surface)
 
 
