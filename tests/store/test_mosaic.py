@@ -62,6 +62,20 @@ def test_one_layer_of_heights_is_read_alone_as_a_window_has_it(stored, monkeypat
     assert len(read) == (2 if layer == "smoothed" else 1)
 
 
+def test_heights_and_picture_are_read_without_the_rest_as_a_window_has_them(stored, monkeypatch):
+    region = Region.rectangle(-10.2, 20.0, 33.0, 61.7)
+    part = stored.window(region)
+    read = []
+    whole = ZarrMosaic.read
+    monkeypatch.setattr(ZarrMosaic, "read", lambda self, name, *at: read.append(name) or whole(self, name, *at))
+    seen = stored.pictured("unsmoothed", region)
+    np.testing.assert_array_equal(seen.z_um, part.z_raw_um)
+    np.testing.assert_array_equal(np.isnan(seen.picture), part.origin == Origin.NOT_COVERED)
+    np.testing.assert_array_equal(np.nan_to_num(seen.picture), np.where(np.isnan(seen.picture), 0, part.all_in_focus))
+    assert (seen.pixel_um, seen.x0_um, seen.y0_um) == (part.pixel_um, part.x0_um, part.y0_um)
+    assert sorted(read) == ["all_in_focus", "origin", "z_raw_um"]
+
+
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_a_pixel_of_a_level_is_the_mean_of_what_it_stands_for(stored, surface, level):
     n = 2**level

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.heights import Layer, Points, heights
+from wafer_viewer.measure.heights import Layer, Points, heights, pictured_window
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.numerics.cells import bridged, read_affine
 
 Plane = NDArray[np.float32]
@@ -73,26 +73,38 @@ class Source:
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
         """Heights and picture of a part of a cell; None where the surface has nothing of it."""
+        strip = self.strip(cells.around(place, rows, cols, shift))
+        return None if strip is None else strip.read(cells, place, rows, cols, shift)
+
+    def strip(self, region: Region) -> Strip | None:
+        """A part of the surface, held; None where the surface has nothing of it."""
         try:
-            part = self.surface.window(cells.around(place, rows, cols, shift))
+            part = pictured_window(self.surface, self.layer, region)
         except MeasureError:
             return None
-        z_um, picture = self.layers(part)
-        out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
-        way = _way(cells, place, (rows.start, cols.start), part, shift)
-        read_affine(z_um, bridged(z_um), way, out_z)
-        read_affine(picture, picture, way, out_picture)
-        return out_z, out_picture
-
-    def layers(self, part: HeightMap) -> tuple[Plane, Plane]:
-        """Heights over the form, and the picture where there are heights' fields."""
-        from wafer_viewer.model.surface import Origin
-
         zero = self.form.at(part.x_um[None, :], part.y_um[:, None])
-        z_um = (heights(part, self.layer) - zero).astype(np.float32)
-        picture = part.all_in_focus.astype(np.float32)
-        picture[part.origin == Origin.NOT_COVERED] = np.nan
-        return z_um, picture
+        z_um = np.subtract(part.z_um, zero, dtype=np.float32, casting="same_kind")
+        return Strip(z_um, bridged(z_um), part.picture, part.pixel_um, part.x0_um, part.y0_um)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """A part of a surface in memory: heights over the form, the same `bridged`, and the picture; read as a Source."""
+
+    z_um: Plane
+    whole_um: Plane
+    picture: Plane
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane]:
+        """Heights and picture of a part of a cell, NaN beyond the strip."""
+        out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
+        way = _way(cells, place, (rows.start, cols.start), self, shift)
+        read_affine(self.z_um, self.whole_um, way, out_z)
+        read_affine(self.picture, self.picture, way, out_picture)
+        return out_z, out_picture
 
 
 def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
@@ -126,7 +138,7 @@ def _half(street_um: float, pixel_um: float) -> int:
     return round(street_um / 2 / pixel_um)
 
 
-def _way(cells: CellGrid, place: Place, start: Place, part: HeightMap, shift: Shift) -> NDArray[np.float64]:
+def _way(cells: CellGrid, place: Place, start: Place, part: Strip, shift: Shift) -> NDArray[np.float64]:
     """From pixels of a part of a cell to pixels of a part of the surface, as `read_affine` takes it."""
     corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
     x_um, y_um = cells.to_stage(place, *corner, shift)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import Length
+from wafer_viewer.model.pictured import HasPicture, Pictured, picture_of
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HasLayers, HeightLayer, HeightMap, Heights, Mosaic, Provenance
@@ -61,6 +62,18 @@ def height_window(surface: Mosaic, layer: Layer, region: Region, level: int) -> 
         return surface.one_layer(layer, region, level)
     part = surface.window(region, level)
     return Heights(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um)
+
+
+def pictured_window(surface: Mosaic, layer: Layer, region: Region, level: int = 0) -> Pictured:
+    """One layer of heights with the picture of the part of a surface that holds a region.
+
+    Raises MeasureError when the region lies outside of the surface.
+    """
+    if isinstance(surface, HasPicture):
+        return surface.pictured(layer, region, level)
+    part = surface.window(region, level)
+    picture = picture_of(part.all_in_focus, part.origin)
+    return Pictured(heights(part, layer), part.pixel_um, part.x0_um, part.y0_um, picture)
 
 
 def points_in(surface: Mosaic, region: Region, layer: Layer, level: int) -> Points:

@@ -43,54 +43,87 @@ def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) 
     that are, NaN where unknown ones would weigh more than a quarter.
     """
     n_rows, n_cols = plane.shape
+    steps = np.arange(out.shape[1]).astype(np.float32)
     for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
+        j = 0
+        while j < out.shape[1]:
             r, c = way[0] + way[1] * i + way[2] * j, way[3] + way[4] * i + way[5] * j
-            out[i, j] = np.nan
             row, col = int(np.floor(r)), int(np.floor(c))
-            if row < 0 or col < 0 or row >= n_rows or col >= n_cols:
-                continue
-            y, x = np.float32(r - row), np.float32(c - col)
-            nearest = plane[min(n_rows - 1, int(r + 0.5)), min(n_cols - 1, int(c + 0.5))]
-            if nearest != nearest:
-                continue
+            n = 1
             if 0 < row < n_rows - 2 and 0 < col < n_cols - 2:
-                value = _bicubic(whole, row, col, y, x)
-                if value == value:
-                    out[i, j] = value
-                    continue
-            out[i, j] = _bilinear(whole, row, col, y, x)
+                n = min(out.shape[1] - j, n_cols - 2 - col, _steps_within(r - row, way[2]))
+                n = min(n, _steps_within(c - col, way[5] - 1))
+                at = np.float32(r - row), np.float32(way[2]), np.float32(c - col), np.float32(way[5] - 1)
+                _bicubic_run(plane, whole, row, col, at, steps[:n], out[i, j:])
+            else:
+                out[i, j] = np.nan
+            for k in range(j, j + n):
+                if out[i, k] != out[i, k]:
+                    out[i, k] = _bilinear(plane, whole, way, i, k)
+            j += n
 
 
 @kernel
-def _bicubic(plane: Float32s, row: int, col: int, y: Real, x: Real) -> Real:
-    half = np.float32(0.5)
-    a, d = half * x * (-1 + x * (2 - x)), half * x * x * (x - 1)
-    b, c = 1 + half * x * x * (3 * x - 5), half * x * (1 + x * (4 - 3 * x))
-    e, h = half * y * (-1 + y * (2 - y)), half * y * y * (y - 1)
-    f, g = 1 + half * y * y * (3 * y - 5), half * y * (1 + y * (4 - 3 * y))
-    p, q = plane[row - 1], plane[row]
-    s, t = plane[row + 1], plane[row + 2]
-    k = col
-    above = e * (a * p[k - 1] + b * p[k] + c * p[k + 1] + d * p[k + 2])
-    upper = f * (a * q[k - 1] + b * q[k] + c * q[k + 1] + d * q[k + 2])
-    lower = g * (a * s[k - 1] + b * s[k] + c * s[k + 1] + d * s[k + 2])
-    below = h * (a * t[k - 1] + b * t[k] + c * t[k + 1] + d * t[k + 2])
-    return above + upper + lower + below
+def _steps_within(at: Real, step: Real) -> int:
+    """How many steps, from a place in 0 ... 1 on, begin before its end; one at least."""
+    if step == 0:
+        return 2**30
+    return max(1, int(min(2.0**30, np.ceil((1 - at) / step) if step > 0 else np.floor(at / -step) + 1)))
 
 
 @kernel
-def _bilinear(plane: Float32s, row: int, col: int, y: Real, x: Real) -> Real:
+def _bicubic_run(
+    plane: Float32s,
+    whole: Float32s,
+    row: int,
+    col: int,
+    at: tuple[Real, Real, Real, Real],
+    steps: Float32s,
+    out: Float32s,
+) -> None:
+    """Places that follow each other along a row of pixels: a loop without branches, which runs in vectors.
+
+    row, col: of the pixel that lies over and left of the first place; at: how far the first place lies under it, and
+    how much further each next one; the same to the right of it.
+    """
+    half, one, two = np.float32(0.5), np.float32(1), np.float32(2)
+    three, four, five = np.float32(3), np.float32(4), np.float32(5)
+    upper, lower = plane[row, col:], plane[row + 1, col:]
+    p, q, s, t = whole[row - 1, col - 1 :], whole[row, col - 1 :], whole[row + 1, col - 1 :], whole[row + 2, col - 1 :]
+    for k in range(steps.size):
+        y, x = at[0] + at[1] * steps[k], at[2] + at[3] * steps[k]
+        a, d = half * x * (x * (two - x) - one), half * x * x * (x - one)
+        b, c = one + half * x * x * (three * x - five), half * x * (one + x * (four - three * x))
+        e, h = half * y * (y * (two - y) - one), half * y * y * (y - one)
+        f, g = one + half * y * y * (three * y - five), half * y * (one + y * (four - three * y))
+        value = e * (a * p[k] + b * p[k + 1] + c * p[k + 2] + d * p[k + 3])
+        value += f * (a * q[k] + b * q[k + 1] + c * q[k + 2] + d * q[k + 3])
+        value += g * (a * s[k] + b * s[k + 1] + c * s[k + 2] + d * s[k + 3])
+        value += h * (a * t[k] + b * t[k + 1] + c * t[k + 2] + d * t[k + 3])
+        left, right = (lower[k], lower[k + 1]) if y >= half else (upper[k], upper[k + 1])
+        nearest = right if x >= half else left
+        out[k] = value if nearest == nearest else nearest
+
+
+@kernel
+def _bilinear(plane: Float32s, whole: Float32s, way: Float64s, i: int, j: int) -> Real:
+    n_rows, n_cols = plane.shape
+    r, c = way[0] + way[1] * i + way[2] * j, way[3] + way[4] * i + way[5] * j
+    row, col = int(np.floor(r)), int(np.floor(c))
+    if row < 0 or col < 0 or row >= n_rows or col >= n_cols:
+        return np.float32(np.nan)
+    nearest = plane[min(n_rows - 1, int(r + 0.5)), min(n_cols - 1, int(c + 0.5))]
+    y, x = np.float32(r - row), np.float32(c - col)
     total, weight = np.float32(0), np.float32(0)
     for down in range(2):
         for right in range(2):
             part = (y if down else 1 - y) * (x if right else 1 - x)
-            if part > 0 and row + down < plane.shape[0] and col + right < plane.shape[1]:
-                value = plane[row + down, col + right]
+            if part > 0 and row + down < n_rows and col + right < n_cols:
+                value = whole[row + down, col + right]
                 if value == value:
                     total += part * value
                     weight += part
-    return total / weight if weight >= np.float32(0.75) else np.float32(np.nan)
+    return total / weight if nearest == nearest and weight >= np.float32(0.75) else np.float32(np.nan)
 
 
 @kernel

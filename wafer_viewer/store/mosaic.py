@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.pictured import Pictured, picture_of
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
@@ -246,6 +247,13 @@ class ZarrMosaic:
         if layer == "smoothed":
             z_um[self.read("origin", level, rows, cols) != Origin.MEASURED] = np.nan
         return Heights(z_um, *self._lattice(level, rows, cols))
+
+    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> Pictured:
+        """One layer of heights with the picture of what `window` returns; raises as `window` does."""
+        rows, cols = self._window(region, level)
+        picture = picture_of(*(self.read(name, level, rows, cols) for name in ("all_in_focus", "origin")))
+        alone = self.one_layer(layer, region, level)
+        return Pictured(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
 
     def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
