@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from wafer_viewer.model.class_rules import ClassRules
+from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.store.defect_recipes import defect_recipes, read_defect_recipe, save_defect_recipe
+from wafer_viewer.model.spec import replace
+from wafer_viewer.store.defect_recipes import (
+    defect_recipes,
+    delete_defect_recipe,
+    read_defect_recipe,
+    readable_recipes,
+    rename_defect_recipe,
+    save_defect_recipe,
+)
 
 
 def test_a_recipe_is_read_as_it_was_kept(tmp_path: Path):
@@ -43,3 +53,44 @@ def test_one_without_a_product_or_a_file_is_refused(tmp_path: Path):
         save_defect_recipe(tmp_path, DefectRecipe())
     with pytest.raises(DatasetError, match="cannot be read"):
         read_defect_recipe(tmp_path / "gone.toml")
+
+
+def test_the_recipe_saved_last_comes_first_and_damaged_files_are_told(tmp_path: Path):
+    for n, name in enumerate(("standard", "keen", "dull")):
+        path = save_defect_recipe(tmp_path, DefectRecipe(product="LX-7", name=name))
+        os.utime(path, ns=(n, n))
+    (tmp_path / "recipes" / "LX-8-old.defects.toml").write_text("sensitvity = 0.5")
+    recipes, problems = readable_recipes(tmp_path)
+    assert [recipe.name for recipe in recipes] == ["dull", "keen", "standard"]
+    assert len(problems) == 1
+    assert problems[0].startswith("LX-8-old.defects.toml: ")
+    assert "unknown key 'sensitvity'" in problems[0]
+
+
+def test_a_recipe_gets_another_name_or_goes(tmp_path: Path):
+    keen = DefectRecipe(product="LX-7", name="keen", sensitivity=0.7, limits=DefectLimits(max_per_die=2))
+    save_defect_recipe(tmp_path, keen)
+    save_defect_recipe(tmp_path, DefectRecipe(product="LX-7"))
+    with pytest.raises(DatasetError, match="a recipe 'standard' of LX-7 already"):
+        rename_defect_recipe(tmp_path, keen, "standard")
+    rename_defect_recipe(tmp_path, keen, "night shift")
+    night = replace(keen, name="night shift")
+    assert set(defect_recipes(tmp_path)) == {night, DefectRecipe(product="LX-7")}
+    with pytest.raises(DatasetError, match="no recipe 'keen' of LX-7 any more"):
+        rename_defect_recipe(tmp_path, keen, "dull")
+    delete_defect_recipe(tmp_path, night)
+    assert defect_recipes(tmp_path) == (DefectRecipe(product="LX-7"),)
+    with pytest.raises(DatasetError, match="any more: choose one of the list"):
+        delete_defect_recipe(tmp_path, night)
+
+
+def test_names_that_come_to_one_file_do_not_write_over_each_other(tmp_path: Path):
+    save_defect_recipe(tmp_path, DefectRecipe(product="LX 7"))
+    with pytest.raises(DatasetError, match="is the recipe 'standard' of LX 7: choose another name"):
+        save_defect_recipe(tmp_path, DefectRecipe(product="LX/7"))
+
+
+def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path):
+    (tmp_path / "recipes").write_text("a file")
+    with pytest.raises(DatasetError, match=r"cannot be written: .*choose another"):
+        save_defect_recipe(tmp_path, DefectRecipe(product="LX-7"))

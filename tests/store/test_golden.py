@@ -11,7 +11,7 @@ import pytest
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.golden import golden_named, list_golden, open_golden, save_golden
+from wafer_viewer.store.golden import every_golden, golden_named, list_golden, open_golden, save_golden
 
 
 @pytest.fixture
@@ -42,6 +42,7 @@ def test_a_version_is_never_written_over(golden: GoldenDie, tmp_path: Path):
     assert golden_named(tmp_path, "std", "LX-7").header.version == 2
     assert golden_named(tmp_path, "std.1").header.version == 1
     assert [header.version for header in list_golden(tmp_path)] == [2]
+    assert [header.version for header in every_golden(tmp_path)] == [2, 1]
     assert not list(tmp_path.glob(".*"))
 
 

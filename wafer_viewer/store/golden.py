@@ -86,14 +86,20 @@ def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:
 
 def list_golden(folder: Path) -> tuple[GoldenHeader, ...]:
     """The newest version of every golden die in a folder, by name; files that cannot be read are left out."""
-    newest: dict[str, GoldenHeader] = {}
-    for path in sorted(folder.glob(f"*{ENDING}"), key=lambda path: natural(path.name)):
-        try:
-            header = header_of(path)
-        except DatasetError:
-            continue
-        newest[header.name] = header
-    return tuple(newest.values())
+    return tuple({header.name: header for header in reversed(every_golden(folder))}.values())
+
+
+def every_golden(folder: Path) -> tuple[GoldenHeader, ...]:
+    """Every version of every golden die in a folder, by name from the last, the newest version first of each."""
+    paths = sorted(folder.glob(f"*{ENDING}"), key=lambda path: natural(path.name), reverse=True)
+    return tuple(header for path in paths if (header := _readable(path)) is not None)
+
+
+def _readable(path: Path) -> GoldenHeader | None:
+    try:
+        return header_of(path)
+    except DatasetError:
+        return None
 
 
 def versions_of(folder: Path, name: str) -> tuple[Path, ...]:
