@@ -11,6 +11,7 @@ cd "$(dirname "$0")/.."
 what="${1:-all}"
 venv="${WAFER_VIEWER_VENV:-$PWD/.venv}"
 missing=()
+took=()
 
 find_python() {
   for name in python3.13 python3.12 python3.11 python3; do
@@ -62,14 +63,39 @@ install_system_packages() {
 }
 
 step() {
-  local title="$1"
+  local title="$1" began=$SECONDS
   shift
   echo "== $title"
+  took+=("$title did not end well")
   "$@"
+  took[${#took[@]} - 1]="$((SECONDS - began)) s  $title"
 }
 
-make_environment
-install_system_packages
+show_times() {
+  printf '\n== In all %d s\n' "$SECONDS"
+  printf '%s\n' "${took[@]}"
+}
+trap show_times EXIT
+
+# Two at a time; what they print is shown in order when all are over.
+quick_benchmarks() {
+  local folder failed=0
+  folder="$(mktemp -d)"
+  printf '%s\n' tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py |
+    xargs -P 2 -I FILE bash -c '
+      python "$1" --quick >"$2/$(basename "$1" .py)" 2>&1 || ended=$?
+      echo "$SECONDS s  $(basename "$1" .py)${ended:+ FAILED with $ended}"
+      exit "${ended:-0}"' benchmark FILE "$folder" || failed=$?
+  for told in "$folder"/*; do
+    printf '\n== Benchmark %s, quick run\n' "$(basename "$told")"
+    cat "$told"
+  done
+  rm -r "$folder"
+  return "$failed"
+}
+
+step "Set-up: environment" make_environment
+step "Set-up: system packages" install_system_packages
 bin="$venv/bin"
 export PATH="$bin:$PATH"
 if [ "$what" != setup ]; then
@@ -80,11 +106,9 @@ if [ "$what" != setup ]; then
   step "Fast tests" "$bin/python" -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not hardware"
 fi
 if [ "$what" = all ]; then
-  for bench in tests/bench/bench_*.py tests/bench/accuracy.py tests/bench/cleaning.py tests/bench/speed.py; do
-    step "Benchmark $(basename "$bench" .py), quick run" "$bin/python" "$bench" --quick
-  done
+  step "Benchmarks, quick runs" quick_benchmarks
   step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "slow and not browser and not hardware"
-  step "Browser tests" "$bin/python" -m pytest -q -m "browser and not hardware"
+  step "Browser tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "browser and not hardware"
 fi
 if [ ${#missing[@]} -gt 0 ]; then
   echo "Could not install: ${missing[*]}. What needs it was reported as skipped or failed above." >&2
