@@ -59,9 +59,7 @@ def test_the_other_dies_show_the_place_without_the_defect(angle_deg: float):
     seen, here = with_particle(wafer), patch(wafer)
     own = cut(seen, here)
     assert own is not None
-    laid = [
-        laid_on(own, seen, here.on_die(wafer.grid, HERE, die), 3) for die in ((2, 1), THERE, (0, 2), (3, 2), (2, 2))
-    ]
+    laid = [laid_on(own, seen, here.on_die(wafer.grid, HERE, die), 3) for die in OTHERS]
     assert all(one is not None and one.alike > LEAST_ALIKE for one in laid)
     like = usual(own, [one.cut for one in laid if one is not None])
     assert middle(own) - middle(like) == pytest.approx(HEIGHT_UM, abs=0.3)
