@@ -137,7 +137,7 @@ def test_progress_is_told_and_the_work_can_be_stopped() -> None:
     told: list[float] = []
     with pytest.raises(MeasureError, match="stopped"):
         inspect(clean.surface, clean.grid, progress=told.append, should_stop=lambda: len(told) >= 2)
-    assert told == pytest.approx([1 / 9, 2 / 9])
+    assert told == pytest.approx([1 / 3, 2 / 3])
 
 
 def test_uncalibrated_sizes_have_no_u(found: Inspection) -> None:

@@ -1,8 +1,8 @@
-"""One cell after another compared with its reference: a pure function, so that rows of dies may go to other workers."""
+"""Cells side by side compared with their reference: a pure function, so that rows of dies may go to other workers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +20,7 @@ from wafer_viewer.measure.defect_scores import (
     residual_of,
     scores_of,
 )
-from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift, Source
+from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
 from wafer_viewer.measure.golden import Golden, registered, spaced
 from wafer_viewer.model.defects import DefectRecipe
 
@@ -55,15 +55,15 @@ class CellResult:
     differs_fraction: float = 0.0
 
 
-def compared(work: Work, places: Sequence[Place], noise: Noise) -> Iterator[CellResult]:
-    """Each cell against its reference."""
-    for place in places:
-        yield _result(work, place, noise)
+def compared(work: Work, places: Sequence[Place], noise: Noise) -> list[CellResult]:
+    """Cells side by side, each against its reference; the surface is read once for all of them."""
+    strip = work.source.strip(work.cells.around_all(places))
+    return [CellResult(place) if strip is None else _result(work, strip, place, noise) for place in places]
 
 
 def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
     """The usual noise at each scale, over a few of the cells."""
-    read = (_residual(work, place) for place in spaced(places, NOISE_CELLS))
+    read = (_residual(work, work.source, place) for place in spaced(places, NOISE_CELLS))
     many = [quotients(found[0], work.golden, work.recipe) for found in read if found is not None]
     return noise_of(many) or {(layer, scale): 1.0 for layer in LAYERS for scale in work.recipe.scales_px}
 
@@ -79,17 +79,17 @@ def spread_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> t
     return max(1e-6, float(np.median(z)) if z.size else 1.0), max(1e-6, float(np.median(grey)) if grey.size else 1.0)
 
 
-def _residual(work: Work, place: Place) -> tuple[Residual, Shift] | None:
-    shift = registered(work.source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
+def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] | None:
+    shift = registered(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
     rows, cols = work.cells.shape
-    cell = work.source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
+    cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
     if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
         return None
     return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies), shift
 
 
-def _result(work: Work, place: Place, noise: Noise) -> CellResult:
-    found = _residual(work, place)
+def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
+    found = _residual(work, strip, place)
     if found is None:
         return CellResult(place)
     residual, shift = found

@@ -7,13 +7,13 @@ how many false defects are to be expected.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from wafer_viewer.measure.defect_cells import CellResult, Work, compared, noise_over, spread_over
 from wafer_viewer.measure.defect_merge import merged
-from wafer_viewer.measure.defect_scores import false_counts
+from wafer_viewer.measure.defect_scores import Noise, false_counts
 from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
@@ -31,6 +31,9 @@ TILE_PX = 1024
 MOST_DEFECTS = 5000
 OTHER_PRODUCT = 0.1
 Progress = Callable[[float], None]
+Row = list[CellResult]
+RowsBy = Callable[[Work, Noise, Sequence[tuple[Place, ...]]], Iterable[Row]]
+"""Hands that do ``compared(work, row, noise)`` for each of the rows, and give what came of it in their order."""
 
 
 def inspect(
@@ -42,11 +45,13 @@ def inspect(
     calibration_valid: bool = True,
     progress: Progress | None = None,
     should_stop: Callable[[], bool] | None = None,
+    rows_by: RowsBy | None = None,
 ) -> Inspection:
     """The defects of a surface, strongest first, with what was inspected.
 
     grid: where its dies lie; fewer than five measured dies, or no grid: compared with the fitted form. golden: a stored
     golden die to compare with instead, which shows what repeats in every die. progress: told the part done, 0 to 1.
+    rows_by: who compares the rows of dies, this thread by default; whoever does, what comes of it is the same.
 
     Raises MeasureError where hardly anything is measured, the grid lies beside the surface, the golden die is of
     something else, or the work was stopped.
@@ -56,7 +61,9 @@ def inspect(
     work, reference, notes = _work(source, grid, recipe, golden)
     places = work.cells.grid.places
     noise = noise_over(work, places)
-    results = list(_watched(compared(work, places, noise), len(places), progress, should_stop))
+    rows = work.cells.side_by_side(places)
+    by_row = rows_by(work, noise, rows) if rows_by is not None else (compared(work, row, noise) for row in rows)
+    results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
     _require_likeness(results, golden)
     whole = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
     defects = _defects(results, whole, work, reading)
@@ -138,14 +145,14 @@ def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
 
 
 def _watched(
-    results: Iterator[CellResult], n: int, progress: Progress | None, should_stop: Callable[[], bool] | None
-) -> Iterator[CellResult]:
-    for k, result in enumerate(results, 1):
+    rows: Iterable[Row], n: int, progress: Progress | None, should_stop: Callable[[], bool] | None
+) -> Iterator[Row]:
+    for k, row in enumerate(rows, 1):
         if should_stop is not None and should_stop():
             raise MeasureError("The inspection was stopped: nothing of it is kept.")
         if progress is not None:
             progress(k / n)
-        yield result
+        yield row
 
 
 def _require_likeness(results: Sequence[CellResult], golden: GoldenDie | None) -> None:
@@ -202,7 +209,7 @@ def _inspection(
         surface=reading.layer,
         product=work.recipe.product,
         simulated=reading.surface.provenance.simulated,
-        notes=(*notes, *most),
+        notes=(*(grid.notes if grid is not None else ()), *notes, *most),
     )
 
 

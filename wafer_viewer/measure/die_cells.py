@@ -7,7 +7,10 @@ grey values of the picture that is in focus everywhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +28,9 @@ Plane = NDArray[np.float32]
 Place = tuple[int, int]
 Shift = tuple[float, float]
 FORM_POINTS = 120_000
-MARGIN_PX = 4
+MARGIN_PX, REACH_PX = 4, 4
+"""Round what is read of a cell; and how far off its place it may lie at most."""
+STRIP_PIXELS = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +66,32 @@ class CellGrid:
         x_um, y_um = self.to_stage(place, corner_rows, corner_cols, shift)
         spare = MARGIN_PX * self.pixel_um
         return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+    def around_all(self, places: Sequence[Place]) -> Region:
+        """What of the surface is read for whole cells, wherever in reach of its place each of them lies."""
+        rows, cols = np.array([0, 0, self.shape[0], self.shape[0]]), np.array([0, self.shape[1], 0, self.shape[1]])
+        at = np.array(places)[:, :, None]
+        x_um, y_um = self.grid.to_stage(at[:, 0], at[:, 1], *self.in_die(rows.astype(float), cols.astype(float)))
+        spare = (MARGIN_PX + REACH_PX) * self.pixel_um
+        return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+    def side_by_side(self, places: Sequence[Place]) -> tuple[tuple[Place, ...], ...]:
+        """Cells next to each other in a row of dies, as many together as a strip of STRIP_PIXELS holds, one at least.
+
+        Whoever inspects them, it is in the same strips, so that it comes to the same to the last bit.
+        """
+        rise, (height_px, width_px) = abs(math.tan(self.grid.angle_rad)), self.shape
+        most = max(1, math.floor(STRIP_PIXELS / (width_px * (height_px + rise * self.grid.cols * width_px))))
+        rows = (tuple(of_row) for _, of_row in groupby(places, lambda place: place[1]))
+        return tuple(row[k : k + most] for row in rows for k in range(0, len(row), most))
+
+
+class Read(Protocol):
+    """What cells are read from."""
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
+        """Heights and picture of a part of a cell that lies `shift` pixels off; None where nothing is there."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift, Source
+from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
@@ -125,7 +125,7 @@ def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> d
     return {place: Pose(shifts[place], level) for place, level in levels.items()}
 
 
-def registered(source: Source, cells: CellGrid, place: Place, golden: Golden) -> Shift:
+def registered(source: Read, cells: CellGrid, place: Place, golden: Golden) -> Shift:
     """How far one die lies off its place against the golden die, (down, right) in pixels."""
     if place in golden.shifts:
         return golden.shifts[place]
