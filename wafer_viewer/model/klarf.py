@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, ClassVar
+
+import numpy as np
 
 from wafer_viewer.model.defects import Defect, DefectClass
 from wafer_viewer.model.die_grid import DieGrid
@@ -105,15 +106,15 @@ class Klarf(Spec, frozen=True, kw_only=True):
 
         Each is taken once, the nearest pairs first.
         """
-        places = [outline.points[0] for outline in self.outlines(grid)]
-        near = sorted(
-            (distance, mine.number, other.number)
-            for mine, at in zip(self.defects, places, strict=True)
-            for other in defects
-            if (distance := math.hypot(at.x_um - other.center.x_um, at.y_um - other.center.y_um)) <= within_um
-        )
+        x_um, y_um = (np.array([getattr(defect.center, axis) for defect in defects]) for axis in ("x_um", "y_um"))
+        near: list[tuple[float, int, int]] = []
+        for mine, outline in zip(self.defects, self.outlines(grid), strict=True):
+            away_um = np.hypot(x_um - outline.points[0].x_um, y_um - outline.points[0].y_um)
+            near += [(float(away_um[k]), mine.number, defects[k].number) for k in np.flatnonzero(away_um <= within_um)]
         pairs: dict[int, int] = {}
-        for _, mine, other in near:
-            if mine not in pairs and other not in pairs.values():
+        taken: set[int] = set()
+        for _, mine, other in sorted(near):
+            if mine not in pairs and other not in taken:
                 pairs[mine] = other
+                taken.add(other)
         return pairs

@@ -14,6 +14,7 @@ from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.comparing import ComparingKeeper
+from wafer_viewer.session.defect_files import DefectFilesKeeper
 from wafer_viewer.session.defects import DefectKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting, suggested_name
@@ -52,6 +53,7 @@ class Conductor:
         self.notebook = NotebookKeeper(desk, self.library)
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
+        self.defect_files = DefectFilesKeeper(desk, self.library, self.files, self._folder)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
         self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
         self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
@@ -68,6 +70,7 @@ class Conductor:
         self.drafting.price()
         self.library.refresh()
         self.jobs.refresh()
+        self.defect_files.refresh()
         try:
             self._reopen()
         except WaferViewerError as fault:
@@ -198,6 +201,7 @@ class Conductor:
         self.notebook.open()
         self.comparing.open()
         self.defects.open()
+        self.defect_files.open()
 
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"

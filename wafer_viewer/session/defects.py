@@ -11,12 +11,15 @@ from typing import TYPE_CHECKING, Any
 from wafer_viewer.model.defects import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.defect_work import Against, Dies, inspect_dataset, surface_mark
 from wafer_viewer.session.history import History
 from wafer_viewer.session.inspection_state import InspectionState
 
 if TYPE_CHECKING:
+    from wafer_viewer.model.defect_limits import DefectLimits
     from wafer_viewer.session.compute import Compute
+    from wafer_viewer.session.defect_files import DefectFiles
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.library import Library
     from wafer_viewer.session.notices import Notices
@@ -52,7 +55,7 @@ class DefectKeeper:
         self._history.restart(kept)
         self._show()
 
-    def begin(self, recipe: DefectRecipe, dies: Dies, against: Against) -> Future[Inspection]:
+    def begin(self, recipe: DefectRecipe | None, dies: Dies, against: Against) -> Future[Inspection]:
         """Search the stitched surface for defects; done with what was found."""
         self._require_writable()
         if self._work:
@@ -62,7 +65,7 @@ class DefectKeeper:
         work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
         self._work, self._of, self._problem = work, self._looked_at, ""
         of = self._library.dataset.path, self._library.result_name
-        done = self._compute.run(work, inspect_dataset, *of, recipe, dies, against)
+        done = self._compute.run(work, inspect_dataset, *of, recipe or self._own_recipe, dies, against)
         self._show()
         return self._desk.afterwards(done, lambda: self._over(work, done))
 
@@ -82,6 +85,15 @@ class DefectKeeper:
         defects = tuple(new if defect.number == number else defect for defect in inspection.defects)
         self._history.put(replace(inspection, defects=defects))
         self._save()
+
+    def limit(self, limits: DefectLimits) -> None:
+        """How many defects a die and a wafer may have."""
+        self._require_writable()
+        if (inspection := self._history.value) is None:
+            raise DatasetError("Limits are for what was found: inspect for defects first.")
+        if limits != inspection.recipe.limits:
+            self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
+            self._save()
 
     def undo(self) -> None:
         """What people thought before."""
@@ -136,6 +148,12 @@ class DefectKeeper:
         )
 
     @property
+    def _own_recipe(self) -> DefectRecipe:
+        """The one kept for the product of the dataset."""
+        product = product_of(self._library.shown.job)
+        return self._desk.now.shelf.recipe_of(product) or DefectRecipe(product=product)
+
+    @property
     def _looked_at(self) -> tuple[Path, str] | None:
         shown = self._desk.now.dataset
         return (shown.path, self._library.result_name) if shown is not None else None
@@ -155,18 +173,18 @@ class DefectKeeper:
 class DefectVerbs:
     """What the page asks for, ``session.defects``: every verb returns a future."""
 
-    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectKeeper) -> None:
-        self._do, self._keeper = do, keeper
+    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles) -> None:
+        self._do, self._keeper, self.files = do, keeper, files
 
     def inspect(
         self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
     ) -> Future[Inspection]:
         """Search the stitched surface for defects; it can be cancelled.
 
-        dies: a lattice, "found" on the surface, or None: the job's, else found. against: what is compared, without dies
-        the fitted form.
+        recipe: by default that saved last for the product of the dataset. dies: a lattice, "found" on the surface, or
+        None: the job's, else found. against: what is compared, without dies the fitted form.
         """
-        return self._do(self._keeper.begin, recipe or DefectRecipe(), dies, against)
+        return self._do(self._keeper.begin, recipe, dies, against)
 
     def judge(
         self,
@@ -177,6 +195,10 @@ class DefectVerbs:
     ) -> Future[None]:
         """Say that a defect is real or a nuisance, of what class it is, or note something down about it."""
         return self._do(self._keeper.judge, number, judgement, kind, note)
+
+    def limit(self, limits: DefectLimits) -> Future[None]:
+        """How many defects a die and a wafer may have; `verdict_of` holds what was found against them."""
+        return self._do(self._keeper.limit, limits)
 
     def undo(self) -> Future[None]:
         """The judgements before."""

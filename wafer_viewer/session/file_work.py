@@ -30,13 +30,13 @@ class FileWork:
         folder = self._desk.now.data_folder
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, srcs[0].stem if srcs else "import")
         out = folder / f"{wish}{ENDING}"
-        return self._work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
+        return self.work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
 
     def import_surface(self, src: Path, says: Reading, name: str | None) -> Future[Path]:
         """Make a dataset of a surface file; done with its path."""
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(self._desk.now.data_folder, src.stem)
         out = self._desk.now.data_folder / f"{wish}{ENDING}"
-        return self._work(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
+        return self.work(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
 
     def export_surface(self, path: Path, field_number: int | None, every: int | None = None) -> Future[Path]:
         """Write the mosaic, a field's surface, or what is shown of a comparison, to a file; done with its path."""
@@ -45,15 +45,15 @@ class FileWork:
             result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
             field_number = -asked[1]
         args = (dataset.path, result, field_number, path.absolute(), every)
-        return self._work(f"Export to {path.name}", export_surface, *args)
+        return self.work(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
         """Write the report of the open dataset; done with its path."""
         dataset = self._library.dataset
         args = (dataset.path, self._library.result_name, order, out.absolute())
-        return self._work(f"Report of {dataset.path.stem}", make_report, *args)
+        return self.work(f"Report of {dataset.path.stem}", make_report, *args)
 
-    def _work(self, title: str, task: Callable[..., Path], *args: Any) -> Future[Path]:
+    def work(self, title: str, task: Callable[..., Path], *args: Any) -> Future[Path]:
         """Run a task under a work of its own, which a person can cancel."""
         work = ""
         work = self._notices.begin(title, lambda: self._compute.cancel(work))

@@ -20,6 +20,7 @@ FREE = frozenset(
         *("export_surface", "export_findings", "exchange.is_surface"),
         *("papers.keep_picture", "papers.write_report", "papers.contents"),
         *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
+        "defects.files.write",
         *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
     }
 )

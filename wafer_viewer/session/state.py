@@ -15,6 +15,7 @@ from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Image
 from wafer_viewer.session.compared import Compared
+from wafer_viewer.session.defect_shelf import DefectShelf
 from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.hands import Hands
 from wafer_viewer.session.inspection_state import InspectionState
@@ -262,6 +263,7 @@ class Snapshot:
     comparisons: tuple[Compared, ...] = ()
     gauge: GaugeState = GaugeState()
     inspection: InspectionState = InspectionState()
+    shelf: DefectShelf = DefectShelf()
     reopening: bool = False
     """Whether what was open when the program ended is still being opened again."""
 

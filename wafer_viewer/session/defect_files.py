@@ -1,0 +1,195 @@
+"""Recipes, golden dies and files of defects: what is kept beside the datasets, what goes out, and a KLARF laid over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace as with_changes
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from wafer_viewer.model.defects import DefectRecipe, Inspection
+from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.klarf import Klarf
+from wafer_viewer.model.plan import Job
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_handover import Handover, hand_over, keep_golden
+from wafer_viewer.session.defect_shelf import SAME_PLACE_UM, DefectShelf, OtherTool
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.desk import Desk
+    from wafer_viewer.session.file_work import FileWork
+    from wafer_viewer.session.library import Library
+
+KlarfUnit = Literal["um", "nm", "mm"]
+SAME_PITCH = 5e-3
+"""Pitches that differ by more of themselves are those of different products."""
+TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
+
+
+class DefectFilesKeeper:
+    """The shelf of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, library: Library, files: FileWork, folder: Path) -> None:
+        self._desk, self._library, self._files, self._folder = desk, library, files, folder
+
+    def open(self) -> None:
+        """Another surface is looked at: what another tool found on the one before is taken away."""
+        self.take_away()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """List recipes and golden dies anew."""
+        from wafer_viewer.store.defect_recipes import readable_recipes
+        from wafer_viewer.store.golden import FOLDER, every_golden
+
+        recipes, problems = readable_recipes(self._folder)
+        golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
+        self._put(recipes=recipes, golden=tuple(golden), problems=problems)
+
+    def save_recipe(self, recipe: DefectRecipe) -> Path:
+        """Keep a recipe under its product and name."""
+        from wafer_viewer.store.defect_recipes import save_defect_recipe
+
+        path = save_defect_recipe(self._folder, recipe)
+        self.refresh()
+        return path
+
+    def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
+        """Give a kept recipe another name."""
+        from wafer_viewer.store.defect_recipes import rename_defect_recipe
+
+        rename_defect_recipe(self._folder, recipe, name)
+        self.refresh()
+
+    def delete_recipe(self, recipe: DefectRecipe) -> None:
+        """Remove a kept recipe."""
+        from wafer_viewer.store.defect_recipes import delete_defect_recipe
+
+        delete_defect_recipe(self._folder, recipe)
+        self.refresh()
+
+    def keep_golden(self, name: str) -> Future[Path]:
+        """Have a worker keep the typical die; it is listed when it is there."""
+        done = self._files.work(f"Golden die {name}", keep_golden, *self._looked_at, name)
+        return self._desk.afterwards(done, self.refresh)
+
+    def write(self, what: Handover, path: Path) -> Future[Path]:
+        """Have a worker write the defects to a file or a folder."""
+        return self._files.work(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
+
+    def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
+        """Read a KLARF file and lay its defects over the surface."""
+        from wafer_viewer.store.klarf_reading import read_klarf
+
+        job, inspection = self._library.shown.job, self._desk.now.inspection.inspection
+        if within_um <= 0:
+            raise DatasetError(f"The same place is within {within_um:g} um: give more than 0.")
+        grid, by = lattice_for(read := read_klarf(path, unit), job, inspection, path.name)
+        other = OtherTool(path.name, read, grid, by, within_um)
+        self._put(other=other)
+        return other
+
+    def take_away(self) -> None:
+        """Show what was found here alone again."""
+        if self._desk.now.shelf.other is not None:
+            self._put(other=None)
+
+    @property
+    def _looked_at(self) -> tuple[Path, str]:
+        return self._library.dataset.path, self._library.result_name
+
+    def _put(self, **changes: Any) -> None:
+        shelf: DefectShelf = with_changes(self._desk.now.shelf, **changes)
+        if shelf != self._desk.now.shelf:
+            self._desk.change(shelf=shelf)
+
+
+class DefectFiles:
+    """What the page asks for, ``session.defects.files``: every verb returns a future."""
+
+    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectFilesKeeper) -> None:
+        self._do, self._keeper = do, keeper
+
+    def save_recipe(self, recipe: DefectRecipe) -> Future[Path]:
+        """Keep a recipe under its product and name, in place of the one before."""
+        return self._do(self._keeper.save_recipe, recipe)
+
+    def rename_recipe(self, recipe: DefectRecipe, name: str) -> Future[None]:
+        """Give a kept recipe another name."""
+        return self._do(self._keeper.rename_recipe, recipe, name)
+
+    def delete_recipe(self, recipe: DefectRecipe) -> Future[None]:
+        """Remove a kept recipe; its file is gone then."""
+        return self._do(self._keeper.delete_recipe, recipe)
+
+    def keep_golden(self, name: str) -> Future[Path]:
+        """Keep the typical die of what was inspected as the next version of a name; none is ever written over."""
+        return self._do(self._keeper.keep_golden, name)
+
+    def write(self, what: Handover, path: Path) -> Future[Path]:
+        """Write the defects as they are judged now: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
+        return self._do(self._keeper.write, what, Path(path))
+
+    def lay_over(
+        self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM
+    ) -> Future[OtherTool]:
+        """Lay the defects of a KLARF file over the surface; its lengths are um where neither it nor `unit` says else.
+
+        within_um: a defect found here that is so near is the same one.
+        """
+        return self._do(self._keeper.lay_over, Path(path), unit, within_um)
+
+    def take_away(self) -> Future[None]:
+        """Take away what was laid over."""
+        return self._do(self._keeper.take_away)
+
+    def refresh(self) -> Future[None]:
+        """List recipes and golden dies anew."""
+        return self._do(self._keeper.refresh)
+
+
+def lattice_for(klarf: Klarf, job: Job, inspection: Inspection | None, name: str) -> tuple[DieGrid, str]:
+    """The lattice that the places of a KLARF file count from, stage um, and how its dies were known, in words.
+
+    The dies of the inspection, by the wafer's centre where file and job both say where it is, else by their numbers;
+    without an inspection the file's own about the wafer's centre. Raises DatasetError where the pitches differ.
+    """
+    grid = inspection.grid if inspection is not None else None
+    if grid is None:
+        return _about_center(klarf, job), "its own dies about the wafer's centre"
+    _require_pitch(klarf, grid, name)
+    if job.alignment is None or not (klarf.center_x_um or klarf.center_y_um):
+        return grid, "dies by their numbers"
+    cols, rows = _steps(klarf, job, grid)
+    x_um, y_um = grid.corner(cols, rows)
+    return replace(grid, x0_um=x_um, y0_um=y_um), "dies by the wafer's centre"
+
+
+def _about_center(klarf: Klarf, job: Job) -> DieGrid:
+    """The file's lattice, turned and shifted as the wafer lies on the stage."""
+    if job.alignment is None:
+        return klarf.grid
+    own = klarf.grid
+    x_um, y_um = job.alignment.to_stage(own.x0_um, own.y0_um)
+    return replace(own, x0_um=x_um, y0_um=y_um, angle_rad=-job.alignment.rotation_rad)
+
+
+def _steps(klarf: Klarf, job: Job, grid: DieGrid) -> tuple[int, int]:
+    """How many columns and rows die 0,0 of the file is from die 0,0 of the lattice."""
+    import numpy as np
+
+    center = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
+    cols, rows, u_um, v_um = grid.to_die(*(np.asarray(um) for um in center))
+    x_um, y_um = float(cols) * grid.pitch_x_um + float(u_um), float(rows) * grid.pitch_y_um + float(v_um)
+    return round((x_um - klarf.center_x_um) / grid.pitch_x_um), round((y_um - klarf.center_y_um) / grid.pitch_y_um)
+
+
+def _require_pitch(klarf: Klarf, grid: DieGrid, name: str) -> None:
+    pairs = ((klarf.pitch_x_um, grid.pitch_x_um), (klarf.pitch_y_um, grid.pitch_y_um))
+    if any(abs(theirs / ours - 1) > SAME_PITCH for theirs, ours in pairs):
+        raise DatasetError(
+            f"{name} has dies {klarf.pitch_x_um:.6g} x {klarf.pitch_y_um:.6g} um apart and this surface "
+            f"{grid.pitch_x_um:.6g} x {grid.pitch_y_um:.6g} um: it is of another product, or in another unit."
+        )

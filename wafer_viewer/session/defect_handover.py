@@ -1,0 +1,95 @@
+"""Defects handed over to other programs, and golden dies kept: what the command line and the workers do alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.defects import Inspection
+    from wafer_viewer.session.defect_offline import Wafer
+
+Handover = Literal["klarf", "csv", "training"]
+
+
+def write_klarf(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """KLARF 1.2."""
+    from wafer_viewer.store.klarf import write_klarf
+
+    return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
+
+
+def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """A table for a spreadsheet."""
+    from wafer_viewer.store.defects_csv import defects_csv
+    from wafer_viewer.store.files import write_text
+
+    write_text(path, defects_csv(found))
+    return path
+
+
+def write_training(wafer: Wafer, found: Inspection, path: Path) -> Path:
+    """A folder of cut-outs with the classes given by the rules and by people."""
+    from wafer_viewer.store.training import write_training_set
+
+    return write_training_set(found, wafer.surface, path)
+
+
+WRITERS: dict[Handover, Callable[[Wafer, Inspection, Path], Path]] = {
+    "klarf": write_klarf,
+    "csv": write_csv,
+    "training": write_training,
+}
+
+
+def hand_over(
+    dataset: Path,
+    result: str,
+    what: Handover,
+    path: Path,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the defects that are kept of a dataset to a file or a folder, as they are judged now.
+
+    Raises DatasetError where there are none, the format cannot hold them, or the place cannot be written to.
+    """
+    wafer, found = _inspected(dataset, result)
+    return WRITERS[what](wafer, found, path)
+
+
+def keep_golden(
+    dataset: Path,
+    result: str,
+    name: str,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Keep the typical die of an inspected surface as the next version of a name, beside the dataset.
+
+    Raises DatasetError where nothing was inspected, the name is none or another product's, or the folder cannot be
+    written to; MeasureError where there are no dies, or too few of them.
+    """
+    from wafer_viewer.measure.defects import golden_of_surface
+    from wafer_viewer.store.golden import FOLDER, save_golden
+
+    wafer, found = _inspected(dataset, result)
+    if found.grid is None:
+        raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
+    golden = golden_of_surface(wafer.surface, found.grid, found.recipe, product=found.product, made_of=dataset.stem)
+    return save_golden(golden, dataset.parent / FOLDER / name)
+
+
+def _inspected(dataset: Path, result: str) -> tuple[Wafer, Inspection]:
+    from wafer_viewer.session.defect_offline import wafer_of
+
+    wafer = wafer_of(dataset, result)
+    if wafer.before is None:
+        raise DatasetError(f"{dataset.stem} was not inspected for defects yet: inspect it first.")
+    return wafer, wafer.before
