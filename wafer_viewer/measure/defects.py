@@ -7,7 +7,8 @@ how many false defects are to be expected.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
 
 import numpy as np
 
@@ -32,7 +33,7 @@ MOST_DEFECTS = 5000
 OTHER_PRODUCT = 0.1
 Progress = Callable[[float], None]
 Row = list[CellResult]
-RowsBy = Callable[[Work, Noise, Sequence[tuple[Place, ...]]], Iterable[Row]]
+RowsBy = Callable[[Work, Noise, Sequence[tuple[Place, ...]]], Generator[Row]]
 """Hands that do ``compared(work, row, noise)`` for each of the rows, and give what came of it in their order."""
 
 
@@ -62,8 +63,8 @@ def inspect(
     places = work.cells.grid.places
     noise = noise_over(work, places)
     rows = work.cells.side_by_side(places)
-    by_row = rows_by(work, noise, rows) if rows_by is not None else (compared(work, row, noise) for row in rows)
-    results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
+    with closing((rows_by or _one_by_one)(work, noise, rows)) as by_row:
+        results = [result for row in _watched(by_row, len(rows), progress, should_stop) for result in row]
     _require_likeness(results, golden)
     whole = whole_die_defects(results, work, reading, noise) if work.on_dies else {}
     defects = _defects(results, whole, work, reading)
@@ -142,6 +143,10 @@ def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
     if not found:
         raise MeasureError("No die of the grid lies on the surface: give its origin in stage um, or find the dies.")
     return tuple(found)
+
+
+def _one_by_one(work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> Generator[Row]:
+    return (compared(work, row, noise) for row in rows)
 
 
 def _watched(

@@ -1,0 +1,111 @@
+"""The rows of dies of an inspection, handed to a crew: whoever takes one reads its strip of the mosaic itself.
+
+What all of them are compared with may be large. It lies in a file with the result meanwhile, and every worker reads it
+once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.session.crew import Crew, Done, Here
+from wafer_viewer.session.tasks import ShouldStop
+from wafer_viewer.store.files import remove
+from wafer_viewer.store.planes import read_planes, write_planes
+
+if TYPE_CHECKING:
+    from wafer_viewer.measure.defect_cells import CellResult, Work
+    from wafer_viewer.measure.defect_scores import Noise
+    from wafer_viewer.measure.die_cells import Place
+    from wafer_viewer.measure.golden import Golden
+
+PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
+BEGINS, ENDS = ".inspection-", ".npz"
+LEFT_FOR_S = 86_400.0
+"""A reference that is older was left behind by a process that was killed."""
+
+
+@dataclass(frozen=True, slots=True)
+class RowHands:
+    """Who compares the rows of dies of one inspection; folder: where what they are compared with lies meanwhile."""
+
+    crew: Crew
+    folder: Path
+    should_stop: ShouldStop
+
+    def __call__(self, work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> Generator[list[CellResult]]:
+        """See `RowsBy`. Raises ComputeError when the work is to stop or nobody is left to do it."""
+        if isinstance(self.crew, Here):
+            yield from self._done(compare_here, [(work, noise, row) for row in rows])
+            return
+        with _kept(self.folder, work.golden, noise) as reference:
+            lean = replace(work, golden=replace(work.golden, **dict.fromkeys(PLANES, np.empty((0, 0), np.float32))))
+            yield from self._done(compare_row, [(lean, reference, row) for row in rows])
+
+    def _done(self, task: Any, items: Sequence[tuple[Any, ...]]) -> Generator[list[CellResult]]:
+        with closing(self.crew.each(task, items, should_stop=self.should_stop)) as outcomes:
+            yield from in_order(outcomes)
+
+
+def compare_row(work: Work, reference: Path, row: tuple[Place, ...]) -> list[CellResult]:
+    """A worker's task: the dies of one strip against what lies in the file `reference`."""
+    golden, noise = _reference(reference)
+    return compare_here(replace(work, golden=replace(work.golden, **golden)), noise, row)
+
+
+def compare_here(work: Work, noise: Noise, row: tuple[Place, ...]) -> list[CellResult]:
+    """The dies of one strip."""
+    from wafer_viewer.measure.defect_cells import compared
+
+    return compared(work, row, noise)
+
+
+def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
+    """The values of items in the order of the items; the first fault is raised."""
+    early: dict[int, Any] = {}
+    wanted = 0
+    for done in outcomes:
+        if done.fault is not None:
+            raise done.fault
+        early[done.index] = done.value
+        while wanted in early:
+            yield early.pop(wanted)
+            wanted += 1
+
+
+@contextmanager
+def _kept(folder: Path, golden: Golden, noise: Noise) -> Generator[Path]:
+    """What cells are compared with, in a file for as long as it is needed."""
+    _sweep(folder)
+    path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
+    planes = {name: getattr(golden, name) for name in PLANES}
+    write_planes(path, planes | {f"{layer}/{scale!r}": np.asarray(sigma) for (layer, scale), sigma in noise.items()})
+    try:
+        yield path
+    finally:
+        remove(path)
+
+
+def _sweep(folder: Path) -> None:
+    for left in folder.glob(f"{BEGINS}*{ENDS}"):
+        if time.time() - left.stat().st_mtime > LEFT_FOR_S:
+            remove(left)
+
+
+@lru_cache(maxsize=1)
+def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], Noise]:
+    """Golden planes by name, and the noise; kept from row to row."""
+    planes = read_planes(path)
+    golden = {name: planes.pop(name) for name in PLANES}
+    keys = ((name.split("/"), sigma) for name, sigma in planes.items())
+    return golden, {(layer, float(scale)): sigma for (layer, scale), sigma in keys}
