@@ -1,76 +1,248 @@
-"""The dies of an inspection coloured by how many defects they have, and the defects by class, as SVG for reports. Pure.
+"""The dies of an inspection: what became of each, and how many defects lie on it or of what class, as SVG. Pure.
 
-Colours are custom properties (``--fault``, ``--good`` …) of whoever shows it; every die bears its number as well.
+Colours of states are custom properties (``--fault``, ``--good`` …) of whoever shows it. Every state has lines of its
+own beside its colour.
 """
 
 from __future__ import annotations
 
 import html
+import math
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
-from wafer_viewer.draw.wafer_map import Frame
+import numpy as np
+
+from wafer_viewer.draw.wafer_map import MOST_SINGLE, Frame, Outline
 from wafer_viewer.model.defects import Inspection
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
 
-_LEAST_FOR_NUMBER_PX = 9
-_ROW_PX, _NAME_PX, _NUMBER_PX = 20, 90, 36
+Segment = tuple[tuple[float, float], tuple[float, float]]
+"""From one place on a die to another, in shares of its width and height from the lower left corner."""
+_LOWER: tuple[Segment, ...] = (((0, 0.33), (0.33, 0)), ((0, 0.67), (0.67, 0)), ((0, 1), (1, 0)))
+_UPPER: tuple[Segment, ...] = (((0.33, 1), (1, 0.33)), ((0.67, 1), (1, 0.67)))
+_CROSS: tuple[Segment, ...] = (((0, 0), (1, 1)), ((0, 1), (1, 0)))
+WITH_DEFECTS = "with defects"
 
 
-def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> str:
-    """The dies where they lie on the stage; those that were not inspected are dashed. Empty without dies."""
+@dataclass(frozen=True, slots=True)
+class DieLook:
+    """How a die of one kind is drawn: ink, how strongly it is filled, dashes, the lines across it and their name."""
+
+    ink: str
+    opacity: float = 0.0
+    dashed: bool = False
+    lines: tuple[Segment, ...] = ()
+    told: str = ""
+
+
+DIE_LOOKS: dict[str, DieLook] = {
+    WITH_DEFECTS: DieLook("fault", 0.08),
+    "clean": DieLook("good", 0.12),
+    "not inspected": DieLook("ink3"),
+    "cut": DieLook("ink3", 0.06, True, (((0.4, 1), (1, 0.4)),), "a corner off"),
+    "partly scanned": DieLook("ink3", 0.06, True, _LOWER, "half hatched"),
+    "not scanned": DieLook("ink3", 0.0, True, (*_LOWER, *_UPPER), "hatched"),
+    "missing": DieLook("ink3", 0.0, False, _CROSS, "crossed"),
+}
+"""By what became of a die; in the order of a legend."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fill:
+    """What a die is filled with beside its state: a CSS colour, how strongly, and what is written on it."""
+
+    colour: str
+    opacity: float
+    text: str = ""
+
+
+_MARGIN_SHARE, _ZOOM_UNDER = 0.03, 0.45
+"""Dies that take less than that share of the sample are drawn enlarged, without its outline."""
+_LEAST_FOR_NUMBER_PX, _LEAST_FOR_LINES_PX = 9, 6
+
+
+def kind_of(die: DieStatus) -> str:
+    """What became of a die: one of `DIE_LOOKS`."""
+    if die.state != "whole":
+        return die.state
+    return WITH_DEFECTS if die.defects else die.word
+
+
+def kinds_of(dies: Sequence[DieStatus]) -> dict[str, int]:
+    """How many dies there are of each kind that there is."""
+    there = Counter(map(kind_of, dies))
+    return {kind: there[kind] for kind in DIE_LOOKS if there[kind]}
+
+
+def kinds_text(dies: Sequence[DieStatus]) -> str:
+    """How many dies there are of each kind, and by what it is known on the map, in words."""
+    told = ((n, kind, DIE_LOOKS[kind].told) for kind, n in kinds_of(dies).items())
+    return ", ".join(f"{n} {kind}{f' ({how})' if how else ''}" for n, kind, how in told)
+
+
+def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, Fill]:
+    """Dies, by name, the stronger the more defects lie on them, with the number."""
+    most = max(counts.values(), default=0)
+    return {name: Fill(colour, 0.15 + 0.6 * n / most, f"{n}") for name, n in counts.items() if n}
+
+
+def die_frame(
+    inspection: Inspection, outline_um: Outline = (), *, width_px: int = 300, most_height_px: int = 300
+) -> Frame | None:
+    """Where stage um lie in the map of the dies; None without dies. It holds the sample where the dies fill most."""
+    grid, dies = inspection.grid, inspection.dies
+    if grid is None or not dies:
+        return None
+    x, y = _corners(grid, dies)
+    box = float(x.min()), float(y.min()), float(x.max()), float(y.max())
+    if outline_um and _share(box, outline_um) >= _ZOOM_UNDER:
+        xs, ys = [*x.flat, *(p[0] for p in outline_um)], [*y.flat, *(p[1] for p in outline_um)]
+        box = min(xs), min(ys), max(xs), max(ys)
+    pad = _MARGIN_SHARE * max(box[2] - box[0], box[3] - box[1])
+    box = box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad
+    return Frame(box, width_px, min(most_height_px, max(40.0, width_px * (box[3] - box[1]) / (box[2] - box[0]))))
+
+
+def die_shapes(
+    frame: Frame, inspection: Inspection, fills: Mapping[str, Fill], *, outline_um: Outline = (), chosen: str = ""
+) -> str:
+    """The dies where they lie on the stage, as pieces of SVG; the one named `chosen` has a heavy edge.
+
+    Each bears its name and what became of it; of more than `MOST_SINGLE` those of one look are one shape.
+    """
     grid, dies = inspection.grid, inspection.dies
     if grid is None or not dies:
         return ""
-    boxes = [grid.outline(die.col, die.row).bounds_um for die in dies]
-    x0, y0 = min(box[0] for box in boxes), min(box[1] for box in boxes)
-    x1, y1 = max(box[2] for box in boxes), max(box[3] for box in boxes)
-    height_px = min(most_height_px, max(40.0, width_px * (y1 - y0) / (x1 - x0)))
-    frame, most = Frame((x0, y0, x1, y1), width_px, height_px), max(die.defects or 0 for die in dies)
-    drawn = "".join(_die(frame, grid, die, most) for die in dies)
-    return (
-        f'<svg viewBox="0 0 {width_px} {height_px:.0f}" width="{width_px}" role="img" '
-        f'aria-label="Dies by their defects" style="max-width:100%">{drawn}</svg>'
-    )
+    draw = _crowd if len(dies) > MOST_SINGLE else _singly
+    places = _places(frame, grid, dies)
+    kinds = "".join(draw(_DieShape.of(frame, grid), list(zip(dies, places, strict=True)), fills))
+    heavy = (at for die, at in zip(dies, places, strict=True) if die.name == chosen)
+    edge = "".join(_DieShape.of(frame, grid).edge(at) for at in heavy)
+    chosen_edge = f'<path class="wv-die-on" d="{edge}" fill="none" stroke="var(--ink)" stroke-width="2.4"/>'
+    return f"{_sample(frame, outline_um)}{kinds}{chosen_edge if edge else ''}"
 
 
-def _die(frame: Frame, grid: DieGrid, die: DieStatus, most: int) -> str:
-    x0, y0, x1, y1 = grid.outline(die.col, die.row).bounds_um
-    x, y = frame.x(x0), frame.y(y1)
-    w, h = max(2.0, (x1 - x0) * frame.scale - 1), max(2.0, (y1 - y0) * frame.scale - 1)
-    count = die.defects or 0
-    ink = "fault" if count else "good" if die.word == "clean" else "ink3"
-    fill = 0.15 + 0.6 * count / most if count else 0.12
-    dashes = "" if die.word == "clean" or count else ' stroke-dasharray="3 2"'
-    return (
-        f"<g><title>Die {html.escape(die.name)}: {html.escape(die.word)}</title>"
-        f'<rect x="{x:.1f}" y="{y:.1f}" width="{w:.1f}" height="{h:.1f}" fill="var(--{ink})" '
-        f'fill-opacity="{fill:.2f}" stroke="var(--{ink})"{dashes}/>{_number(x, y, w, h, count)}</g>'
-    )
-
-
-def _number(x: float, y: float, w: float, h: float, count: int) -> str:
-    if not count or min(w, h) < _LEAST_FOR_NUMBER_PX:
+def defect_map_svg(inspection: Inspection, *, width_px: int = 300, most_height_px: int = 300) -> str:
+    """The dies by how many defects lie on each, for reports. Empty without dies."""
+    frame = die_frame(inspection, width_px=width_px, most_height_px=most_height_px)
+    if frame is None:
         return ""
-    size = min(14.0, 0.6 * min(w, h))
+    fills = fills_by_count({die.name: die.defects or 0 for die in inspection.dies})
     return (
-        f'<text x="{x + w / 2:.1f}" y="{y + h / 2 + 0.35 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
-        f'fill="var(--ink)">{count}</text>'
+        f'<svg viewBox="0 0 {width_px} {frame.height_px:.0f}" width="{width_px}" role="img" '
+        f'aria-label="Dies by their defects" style="max-width:100%">{die_shapes(frame, inspection, fills)}</svg>'
     )
 
 
-def pareto_svg(counts: Counter[str], *, width_px: int = 300) -> str:
-    """A bar for each class, the most frequent first, with its number and the share of all up to it."""
-    total, high = sum(counts.values()), len(counts) * _ROW_PX
-    bars, so_far = "", 0
-    for k, (kind, n) in enumerate(counts.most_common()):
-        so_far += n
-        y, length = k * _ROW_PX, (width_px - _NAME_PX - 2 * _NUMBER_PX) * n / counts.most_common(1)[0][1]
-        bars += (
-            f'<text x="0" y="{y + 14}" font-size="12" fill="var(--ink)">{html.escape(kind)}</text>'
-            f'<rect x="{_NAME_PX}" y="{y + 4}" width="{length:.1f}" height="{_ROW_PX - 8}" fill="var(--fault)"/>'
-            f'<text x="{_NAME_PX + length + 6:.1f}" y="{y + 14}" font-size="12" fill="var(--ink)">{n}</text>'
-            f'<text x="{width_px}" y="{y + 14}" font-size="12" text-anchor="end" fill="var(--ink3)">'
-            f"{100 * so_far / total:.0f} %</text>"
+def look_svg(kind: str, side_px: int = 14) -> str:
+    """A die of a kind as a drawing of its own, for legends."""
+    die = _DieShape((side_px - 3.0, 0.0), (0.0, 3.0 - side_px))
+    drawn = die.drawn([(1.5, side_px - 1.5)], DIE_LOOKS[kind])
+    return f'<svg width="{side_px}" height="{side_px}" aria-hidden="true" style="vertical-align:-2px">{drawn}</svg>'
+
+
+Place = tuple[float, float]
+"""Of a die's lower left corner in the picture, px."""
+
+
+@dataclass(frozen=True, slots=True)
+class _DieShape:
+    """What all dies of a lattice share: their lower and their left edge in the picture, px."""
+
+    across: Place
+    up: Place
+
+    @classmethod
+    def of(cls, frame: Frame, grid: DieGrid) -> _DieShape:
+        c, s = math.cos(grid.angle_rad) * frame.scale, math.sin(grid.angle_rad) * frame.scale
+        w, h = max(grid.width_um, 2 / frame.scale), max(grid.height_um, 2 / frame.scale)
+        return cls((c * w, -s * w), (-s * h, -c * h))
+
+    @property
+    def room_px(self) -> float:
+        return min(math.hypot(*self.across), math.hypot(*self.up))
+
+    def at(self, place: Place, u: float, v: float) -> Place:
+        return place[0] + u * self.across[0] + v * self.up[0], place[1] + u * self.across[1] + v * self.up[1]
+
+    def edge(self, place: Place) -> str:
+        (ax, ay), (ux, uy) = self.across, self.up
+        return f"M{place[0]:.1f} {place[1]:.1f}l{ax:.1f} {ay:.1f}l{ux:.1f} {uy:.1f}l{-ax:.1f} {-ay:.1f}z"
+
+    def lines(self, place: Place, segments: Sequence[Segment]) -> str:
+        ends = ((self.at(place, *a), self.at(place, *b)) for a, b in segments)
+        return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in ends)
+
+    def drawn(self, places: Sequence[Place], look: DieLook, fill: Fill | None = None) -> str:
+        """Dies of one look, as one shape, with the lines across them where there is room."""
+        ink = f"var(--{look.ink})"
+        colour, opacity = (fill.colour, fill.opacity) if fill is not None else (ink, look.opacity)
+        dashes = ' stroke-dasharray="3 2"' if look.dashed else ""
+        body = (
+            f'<path d="{"".join(map(self.edge, places))}" fill="{colour}" fill-opacity="{opacity:.2f}" '
+            f'stroke="{ink}" stroke-width="{1.1 if self.room_px >= _LEAST_FOR_LINES_PX else 0.5}"{dashes}/>'
         )
-    label = "Defects by class, the most frequent first; the share of all up to each"
-    return f'<svg viewBox="0 0 {width_px} {high}" width="{width_px}" role="img" aria-label="{label}">{bars}</svg>'
+        if not look.lines or self.room_px < _LEAST_FOR_LINES_PX:
+            return body
+        across = "".join(self.lines(place, look.lines) for place in places)
+        return f'{body}<path d="{across}" fill="none" stroke="{ink}" stroke-width="0.9"/>'
+
+    def text(self, place: Place, text: str) -> str:
+        if not text or self.room_px < _LEAST_FOR_NUMBER_PX:
+            return ""
+        (x, y), size = self.at(place, 0.5, 0.5), min(14.0, 0.6 * self.room_px)
+        return (
+            f'<text x="{x:.1f}" y="{y + 0.35 * size:.1f}" text-anchor="middle" font-size="{size:.1f}" '
+            f'fill="var(--ink)">{html.escape(text)}</text>'
+        )
+
+
+Placed = Sequence[tuple[DieStatus, Place]]
+
+
+def _singly(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterator[str]:
+    for die, place in dies:
+        fill = fills.get(die.name)
+        words = " · ".join(dict.fromkeys((die.word, die.state))) if die.state != "whole" else die.word
+        yield (
+            f'<g data-die="{html.escape(die.name)}"><title>Die {html.escape(die.name)}: {html.escape(words)}</title>'
+            f"{shape.drawn([place], DIE_LOOKS[kind_of(die)], fill)}{shape.text(place, fill.text if fill else '')}</g>"
+        )
+
+
+def _crowd(shape: _DieShape, dies: Placed, fills: Mapping[str, Fill]) -> Iterator[str]:
+    alike: dict[tuple[str, Fill | None], list[Place]] = {}
+    for die, place in dies:
+        alike.setdefault((kind_of(die), fills.get(die.name)), []).append(place)
+    for (kind, fill), places in alike.items():
+        yield shape.drawn(places, DIE_LOOKS[kind], fill)
+        yield "".join(shape.text(place, fill.text) for place in places if fill is not None)
+
+
+def _places(frame: Frame, grid: DieGrid, dies: Sequence[DieStatus]) -> list[Place]:
+    cols, rows = np.array([die.col for die in dies]), np.array([die.row for die in dies])
+    x_um, y_um = grid.to_stage(cols, rows)
+    return [(frame.x(x), frame.y(y)) for x, y in zip(x_um.tolist(), y_um.tolist(), strict=True)]
+
+
+def _corners(grid: DieGrid, dies: Sequence[DieStatus]) -> tuple[np.ndarray, np.ndarray]:
+    """x and y, um, of the four corners of all dies."""
+    u, v = grid.width_um * np.array([0, 1, 1, 0]), grid.height_um * np.array([0, 0, 1, 1])
+    cols, rows = np.array([die.col for die in dies])[:, None], np.array([die.row for die in dies])[:, None]
+    return grid.to_stage(cols, rows, u, v)
+
+
+def _share(box: tuple[float, float, float, float], outline_um: Outline) -> float:
+    """The larger of the shares of width and height that a box takes of an outline."""
+    xs, ys = [x for x, _ in outline_um], [y for _, y in outline_um]
+    across, up = max(xs) - min(xs), max(ys) - min(ys)
+    return max((box[2] - box[0]) / max(across, 1e-9), (box[3] - box[1]) / max(up, 1e-9))
+
+
+def _sample(frame: Frame, outline_um: Outline) -> str:
+    if len(outline_um) < 3:
+        return ""
+    points = " ".join(f"{frame.x(x):.1f},{frame.y(y):.1f}" for x, y in outline_um)
+    return f'<polygon points="{points}" fill="none" stroke="var(--ink3)" stroke-width="1"/>'

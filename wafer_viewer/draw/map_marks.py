@@ -29,7 +29,8 @@ class Mark:
 def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark]) -> str:
     """A drawing of the same size as the map's; `seen_um` are the corners of the ground that the camera sees."""
     shapes = [*_seen(frame, seen_um), *(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
-    size = f'width="{frame.width_px:.0f}" height="{frame.height_px:.0f}"'
+    w, h = f"{frame.width_px:.0f}", f"{frame.height_px:.0f}"
+    size = f'width="{w}" height="{h}" viewBox="0 0 {w} {h}"'
     return f'<svg {size} class="wv-map-marks" style="display:block">{"".join(shapes)}</svg>' if shapes else ""
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 
-from wafer_viewer.draw.defect_map import defect_map_svg, pareto_svg
+from wafer_viewer.draw.defect_map import defect_map_svg, kinds_text
 from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.pareto import pareto_svg
 from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, Section, Table
 from wafer_viewer.session.finding_numbers import quantity_text
@@ -67,10 +67,10 @@ def _row(defect: Defect) -> tuple[str, ...]:
 def _figures(material: Material, found: Inspection, largest: list[Defect]) -> Iterator[Figure]:
     """The map of dies, the Pareto chart, and the largest defects as pictures."""
     if dies := defect_map_svg(found):
-        yield Figure("", "Defects on each die; dashed: cut, not or only partly scanned.", svg=dies)
+        yield Figure("", f"Defects on each die: {kinds_text(found.dies)}.", svg=dies)
     if found.found:
-        counts = Counter(defect.seen_as for defect in found.found)
-        yield Figure("", "Defects by class; at the right the share of all up to each.", svg=pareto_svg(counts))
+        chart = pareto_svg(defect.seen_as for defect in found.found)
+        yield Figure("", "Defects by class; at the right the share of all up to each.", svg=chart)
     info = material.info
     if info is None or not material.result.has_mosaic:
         return
