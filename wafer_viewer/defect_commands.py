@@ -18,7 +18,8 @@ from wafer_viewer.model.defect_verdict import verdict_of
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_offline import GivenDies, Wafer, dies_on, inspected, wafer_of
+from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer_of
+from wafer_viewer.session.given_dies import GivenDies
 
 BEYOND = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
@@ -40,6 +41,8 @@ def measure_defects(
     origin_um: Pair = None,
     size_um: Pair = None,
     angle_deg: float = 0.0,
+    job: File = None,
+    as_given: bool = False,
     result: str = "default",
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies that were not scanned are told.
@@ -63,9 +66,11 @@ def measure_defects(
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
         size_um: Width and height of a die without its street; as large as the pitch by default.
         angle_deg: How the dies are turned, anticlockwise.
+        job: The PLAN.toml whose dies these are; those of the dataset's own job by default.
+        as_given: Leave given dies where they were given; they are moved to where they are seen by default.
         result: Name of the reconstruction.
     """
-    given = GivenDies(pitch_um, origin_um, size_um, angle_deg)
+    given = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given)
     asked = _recipe(recipe, sensitivity, DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2))
     stored = _golden(golden, against)
     wafer = wafer_of(src, result)

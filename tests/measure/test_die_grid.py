@@ -143,7 +143,7 @@ def test_the_pitch_has_its_uncertainty_only_with_a_calibration():
     along_x, _ = pitches(known, grid)
     assert along_x.status == "evaluated"
     assert along_x.expanded_um == pytest.approx(2 * grid.u_pitch_um)
-    assert {length.status for length in pitches(known, replace(grid, by="given"))} == {"not evaluated"}
+    assert {length.status for length in pitches(known, replace(grid, by="given", u_pitch_um=0.0))} == {"not evaluated"}
 
 
 def test_places_on_the_stage_and_on_a_die_are_one_and_the_same():

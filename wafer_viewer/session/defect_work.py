@@ -10,6 +10,7 @@ from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.given_dies import GivenDies
 from wafer_viewer.session.library import today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
@@ -65,20 +66,13 @@ def inspect_dataset(
 
 
 def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
-    """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside it."""
+    """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside its dies."""
+    from wafer_viewer.measure.die_fit import fitted_dies
     from wafer_viewer.measure.die_grid import find_dies, over_surface
 
     if isinstance(dies, DieGrid):
-        return over_surface(dies, surface)
-    return (dies_of(data) if dies is None else None) or find_dies(surface)
-
-
-def dies_of(data: Dataset) -> DieGrid | None:
-    """The dies that a dataset's job names, where it says how the wafer lies on the stage."""
-    job = data.scan.job
-    if job.dies is None or job.dies.listed or job.alignment is None:
-        return None
-    return DieGrid.of(job.dies, job.alignment)
+        return over_surface(fitted_dies(surface, dies).grid, surface)
+    return find_dies(surface) if dies == "found" else GivenDies().on(surface, data.scan.job).grid
 
 
 def surface_mark(kept: Result) -> str:

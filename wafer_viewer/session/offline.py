@@ -11,6 +11,7 @@ from pathlib import Path
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.formats import Reading
+from wafer_viewer.model.plan import Job
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.crew import Crew, Here, crew_for, n_local_workers, require_tls
@@ -116,6 +117,11 @@ def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic,
     kept = data.result(result)
     surface = kept.surface(data.field(field_number)) if field_number else kept.mosaic()
     return surface, data.calibration_problem(today()) is None
+
+
+def job_of(src: Path) -> Job | None:
+    """The job that a dataset was scanned by; None for a file."""
+    return Dataset.open(src).scan.job if is_dataset(src) else None
 
 
 def file_or_mosaic(src: Path, result: str, says: Reading, tell: Tell) -> Mosaic:
