@@ -84,7 +84,7 @@ def golden_of_surface(
     source = source_of(surface, reading.layer, recipe.form_order)
     cells = CellGrid.of(grid, surface.pixel_um)
     told = {"product": recipe.product, "simulated": surface.provenance.simulated, **told}
-    return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, **told)
+    return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, source.dark, **told)
 
 
 def _work(
@@ -101,7 +101,7 @@ def _work(
         sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
         street = () if not sum(cells.street) else ("The streets are not in the golden die: not inspected.",)
-        return Work(source, cells, Golden.stored(golden, cells), recipe, True), "golden", street
+        return Work(source, cells, Golden.stored(golden, cells, source.dark), recipe, True), "golden", street
     if len(places) < LEAST_DIES:
         few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
         return _by_form(source, recipe), "form", (few,)

@@ -1,7 +1,8 @@
 """The cells of a lattice: each die with half of the streets round it, read on the die's own pixels. Pure.
 
 Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer, and
-grey values of the picture that is in focus everywhere.
+the logarithm of the picture that is in focus everywhere: grain and uneven light are factors of what is seen, so that
+in the logarithm they err by as much where it is bright as where it is dark.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ FORM_POINTS = 120_000
 MARGIN_PX, REACH_PX = 4, 4
 """Round what is read of a cell; and how far off its place it may lie at most."""
 STRIP_PIXELS = 4_000_000
+DARK_SHARE = 0.05
+"""Of the usual grey, added before the logarithm: what is darker is the camera's noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +99,12 @@ class Read(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A surface as it is inspected: which heights, over which form."""
+    """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm."""
 
     surface: Mosaic
     layer: Layer
     form: Datum
+    dark: float = 1.0
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
         """Heights and picture of a part of a cell; None where the surface has nothing of it."""
@@ -115,12 +119,13 @@ class Source:
             return None
         zero = self.form.at(part.x_um[None, :], part.y_um[:, None])
         z_um = np.subtract(part.z_um, zero, dtype=np.float32, casting="same_kind")
-        return Strip(z_um, bridged(z_um), part.picture, part.pixel_um, part.x0_um, part.y0_um)
+        picture = np.log(part.picture + np.float32(self.dark))
+        return Strip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strip:
-    """A part of a surface in memory: heights over the form, the same `bridged`, and the picture; read as a Source."""
+    """A part of a surface in memory: heights over the form, the same `bridged`, and the logarithm of the picture."""
 
     z_um: Plane
     whole_um: Plane
@@ -143,7 +148,7 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
 
     Raises MeasureError where too little is measured to find it.
     """
-    points = _sample(surface, layer)
+    points, grey = _sample(surface, layer)
     if len(points) < 100:
         raise MeasureError("The surface has hardly any measured pixels: there is nothing to inspect for defects.")
     powers = tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
@@ -151,18 +156,21 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
     u, v = points.x_um - center[0], points.y_um - center[1]
     fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
     at = Point(x_um=center[0], y_um=center[1])
-    return Source(surface, layer, Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist())))
+    datum = Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist()))
+    return Source(surface, layer, datum, max(1.0, DARK_SHARE * grey))
 
 
-def _sample(surface: Mosaic, layer: Layer) -> Points:
-    """About FORM_POINTS measured pixels of the whole surface."""
+def _sample(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
+    """About FORM_POINTS measured pixels of the whole surface, and their usual grey."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))
     part = surface.window(None, level)
     step = max(1, round(math.sqrt(part.shape[0] * part.shape[1] / FORM_POINTS)))
     z_um = heights(part, layer)[::step, ::step]
     rows, cols = np.nonzero(np.isfinite(z_um))
-    return Points(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
+    some = part.all_in_focus[::step, ::step][rows, cols]
+    points = Points(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
+    return points, float(np.median(some)) if some.size else 0.0
 
 
 def _half(street_um: float, pixel_um: float) -> int:

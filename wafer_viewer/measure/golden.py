@@ -26,6 +26,8 @@ FURTHEST_PX = 3.0
 ROUNDS = 3
 POOLED_PX, POOLED_AS = (5, 21), 20
 """The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
+LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
+"""No spread is less: of heights that were written down too coarsely to differ, of the logarithm of a picture."""
 FLOOR = 0.7
 """Of the usual spread: no place is taken to be steadier."""
 EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
@@ -35,7 +37,7 @@ Cell = tuple[Plane, Plane]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Golden:
-    """What cells should be: heights and picture with their spreads, [row, col] of a cell.
+    """What cells should be: heights and the picture's logarithm with their spreads, [row, col] of a cell.
 
     n_dies: over how many dies; shifts: how far those lie off their places.
     """
@@ -54,16 +56,17 @@ class Golden:
         return cls(zero, one * np.float32(spread_um), zero, one * np.float32(grey_spread), 0)
 
     @classmethod
-    def stored(cls, die: GoldenDie, cells: CellGrid) -> Golden:
-        """A golden die from the store as a cell: its streets are not known."""
-        planes = (die.z_um, die.z_spread_um, die.picture, die.picture_spread)
+    def stored(cls, die: GoldenDie, cells: CellGrid, dark: float) -> Golden:
+        """A golden die from the store, in grey, as a cell: its streets are not known. dark: as in `Source`."""
+        lit = die.picture + np.float32(dark)
+        planes = (die.z_um, die.z_spread_um, np.log(lit), np.maximum(die.picture_spread / lit, LEAST_CONTRAST))
         z_um, spread_um, picture, spread = (_with_street(plane, cells) for plane in planes)
         return cls(z_um, spread_um, picture, spread, die.header.dies)
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """How far a die lies off its place, (down, right) in pixels, and over the typical one in um and in grey."""
+    """How far a die lies off its place, (down, right) in pixels, and over the typical one in um and in brightness."""
 
     shift: Shift
     level: tuple[float, float]
@@ -90,19 +93,23 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
         for k in range(2 if known else 0):
             stack = np.stack([cell[k] for cell in known])
             typical(stack, min(LEAST_DIES, len(known)), layers[2 * k][block], layers[2 * k + 1][block])
-    spreads = (_with_edges(steadied(layers[k + 1], len(poses)), layers[k]) for k in (0, 2))
+    leasts = LEAST_HEIGHT_UM, LEAST_CONTRAST
+    spreads = (_with_edges(steadied(layers[k + 1], len(poses), leasts[k // 2]), layers[k]) for k in (0, 2))
     shifts = {place: pose.shift for place, pose in poses.items()}
     return Golden(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
 
-def golden_die(golden: Golden, cells: CellGrid, **told: str | bool) -> GoldenDie:
-    """As it is kept: the die without its streets. told: product, name, made_of and the like of the header."""
+def golden_die(golden: Golden, cells: CellGrid, dark: float, **told: str | bool) -> GoldenDie:
+    """As it is kept: the die without its streets, its picture in grey again. dark: as in `Source`; told: product, name,
+    made_of and the like of the header.
+    """
     grid, (top, left) = cells.grid, cells.street
     rows, cols = (round(n / cells.pixel_um) for n in (grid.height_um, grid.width_um))
     part = slice(top, top + rows), slice(left, left + cols)
     sizes = {"pixel_um": cells.pixel_um, "width_um": grid.width_um, "height_um": grid.height_um}
     header = GoldenHeader(dies=max(1, golden.n_dies), **sizes, **told)  # pyright: ignore[reportArgumentType]
-    planes = (golden.z_um, golden.z_spread_um, golden.picture, golden.picture_spread)
+    lit = np.exp(golden.picture)
+    planes = (golden.z_um, golden.z_spread_um, lit - np.float32(dark), golden.picture_spread * lit)
     return GoldenDie(header, *(np.ascontiguousarray(plane[part]) for plane in planes))
 
 
@@ -148,11 +155,11 @@ def spaced(places: tuple[Place, ...], most: int) -> tuple[Place, ...]:
 
 
 def levelled_pair(cell: Cell) -> Cell:
-    """Heights and grey values less their medians: dies differ in both from place to place."""
+    """Heights and brightness less their medians: dies differ in both from place to place."""
     return _less_median(cell[0]), _less_median(cell[1])
 
 
-def steadied(spread: Plane, n_dies: int) -> Plane:
+def steadied(spread: Plane, n_dies: int, least: float) -> Plane:
     """The spread of a place and its neighbours together, for that of few dies is unsure; never far under the usual."""
     from scipy.ndimage import uniform_filter
 
@@ -161,7 +168,7 @@ def steadied(spread: Plane, n_dies: int) -> Plane:
     near, wide = (uniform_filter(squared, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in POOLED_PX)
     pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
     usual = float(np.median(spread[known])) if known.any() else 1.0
-    held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, 1e-6))
+    held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, least))
     return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
