@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.defect_limits import DefectLimits
     from wafer_viewer.session.compute import Compute
     from wafer_viewer.session.defect_files import DefectFiles
+    from wafer_viewer.session.defect_views import DefectViews
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.library import Library
     from wafer_viewer.session.notices import Notices
@@ -173,8 +174,10 @@ class DefectKeeper:
 class DefectVerbs:
     """What the page asks for, ``session.defects``: every verb returns a future."""
 
-    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles) -> None:
-        self._do, self._keeper, self.files = do, keeper, files
+    def __init__(
+        self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles, views: DefectViews
+    ) -> None:
+        self._do, self._keeper, self.files, self.views = do, keeper, files, views
 
     def inspect(
         self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"

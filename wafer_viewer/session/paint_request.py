@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.look import Form, Light, Look
 from wafer_viewer.draw.mesh import Skirts
 from wafer_viewer.model.levelling import Datum
+from wafer_viewer.session.like_place import LikePlace
 
-Kind = Literal["facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture"]
+Kind = Literal[
+    "facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture", "beside", "die"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +38,8 @@ class PaintRequest:
     level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
     from vertex to vertex; z0_um: the height that lies at 0 in the scene; datum: what heights are taken from, None the
     stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
-    neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all.
+    neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all. like: what a place
+    is shown ``beside``, and which dies ``die`` is the usual of.
     `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
     quantity's own; `box_um` for ``picture``: x low, y low, x high, y high; `side_px`: its longer side, 0 the usual.
     """
@@ -58,6 +62,7 @@ class PaintRequest:
     datum: Datum | None = None
     skirts: Skirts = (False, False, False, False)
     side: int | None = None
+    like: LikePlace | None = None
 
 
 class Facts(msgspec.Struct, frozen=True):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.session import paint_frames, paint_parts, paint_pictures, paint_whole
+from wafer_viewer.session import paint_frames, paint_like, paint_parts, paint_pictures, paint_whole
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf
 
@@ -19,6 +19,8 @@ PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
     "frame": paint_frames.frame,
     "slice": paint_frames.stitched,
     "picture": paint_pictures.picture,
+    "beside": paint_like.beside,
+    "die": paint_like.die,
 }
 
 

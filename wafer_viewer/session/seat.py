@@ -22,6 +22,7 @@ FREE = frozenset(
         *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
         "defects.files.write",
         *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),
+        *("defects.views.beside", "defects.views.die", "defects.views.repeats"),
     }
 )
 """What everybody may: look, measure without keeping, write what there is to a file, and stop what moves.

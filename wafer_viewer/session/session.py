@@ -20,6 +20,7 @@ from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
 from wafer_viewer.session.defect_files import DefectFiles
+from wafer_viewer.session.defect_views import DefectViews
 from wafer_viewer.session.defects import DefectVerbs
 from wafer_viewer.session.exchange import Exchange
 from wafer_viewer.session.gauge import GaugeVerbs
@@ -50,7 +51,8 @@ class Session(Asking):
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
         self.comparing = ComparingVerbs(self._do, rooms.comparing, rooms.library, lambda: self.snapshot)
-        self.defects = DefectVerbs(self._do, rooms.defects, DefectFiles(self._do, rooms.defect_files))
+        views = DefectViews(self.paint, lambda: self.snapshot)
+        self.defects = DefectVerbs(self._do, rooms.defects, DefectFiles(self._do, rooms.defect_files), views)
         self.jobs = JobVerbs(self._do, rooms.jobs, rooms.drafting)
         self.trials = TrialVerbs(self._do, rooms.trials)
         self.sections = Sections(self._questions, lambda: self.snapshot)

@@ -1,0 +1,76 @@
+"""Pictures that stand side by side, all with one range of heights or of greys, as JPEG. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.colours import table
+from wafer_viewer.draw.glb import jpeg
+from wafer_viewer.draw.shade import light_gain, shade, without_gaps
+
+Plane = NDArray[np.float32]
+COLOURS = "mako"
+UNMEASURED = np.array([200, 208, 216], np.uint8)
+_LEAST_SPAN_UM, _LEAST_SPAN_GREY = 0.2, 24.0
+_ENDS, _INNER_ENDS = (0.5, 99.5), (2.0, 98.0)
+_QUALITY, _HILLSHADE = 88, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What the darkest and the brightest colour mean, and what is written as 0; gain: of the light, 0 without any."""
+
+    low: float
+    high: float
+    zero: float = 0.0
+    gain: float = 0.0
+
+
+def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range:
+    """The range of all heights together, which cuts off nothing of what lies `inside`; 0 is the middle of the second.
+
+    The light is that of the first.
+    """
+    low, high = _ends(planes, _ENDS)
+    if np.isfinite(inside).any():
+        least, most = np.nanpercentile(inside, _INNER_ENDS)
+        low, high = min(low, float(least)), max(high, float(most))
+    spare = max(0.0, _LEAST_SPAN_UM - (high - low)) / 2
+    zero = float(np.nanmedian(planes[min(1, len(planes) - 1)]))
+    return Range(low - spare, high + spare, zero, light_gain(planes[0], pixel_um))
+
+
+def greys_of(planes: Sequence[Plane]) -> Range:
+    """The range of all pictures together."""
+    low, high = _ends(planes, _ENDS)
+    spare = max(0.0, _LEAST_SPAN_GREY - (high - low)) / 2
+    return Range(low - spare, high + spare)
+
+
+def picture_of(plane: Plane, pixel_um: float, over: Range) -> bytes:
+    """Heights in colours and under light, or greys; what is not known is of one colour."""
+    known = np.isfinite(plane)
+    if not known.any():
+        return b""
+    filled = without_gaps(plane)
+    share = np.clip((filled - over.low) / max(over.high - over.low, 1e-9), 0, 1)
+    index = (share * 255).astype(np.uint8)
+    colour = table(COLOURS)[index].astype(np.float32) if over.gain else np.repeat(index[..., None], 3, 2)
+    if over.gain:
+        light = shade(filled, pixel_um, over.gain, over.high - over.low).lambert
+        colour = colour * (1 + np.float32(0.85 * _HILLSHADE) * (np.minimum(light, 1.6) - 1))[..., None]
+    seen = np.clip(colour, 0, 255).astype(np.uint8)
+    return jpeg(np.where(known[..., None], seen, UNMEASURED), _QUALITY)
+
+
+def _ends(planes: Sequence[Plane], ends: tuple[float, float]) -> tuple[float, float]:
+    known = [plane[np.isfinite(plane)] for plane in planes]
+    values = np.concatenate([*known, np.zeros(0, np.float32)])
+    if values.size == 0:
+        return 0.0, 1.0
+    low, high = np.percentile(values, ends)
+    return float(low), float(high)
