@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import Count, File, Source, Um
+from wafer_viewer.arguments import Count, File, Source, Text, Um
 from wafer_viewer.command_output import print_json, progress
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defect_verdict import verdict_of
@@ -20,6 +20,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer_of
 from wafer_viewer.session.given_dies import GivenDies
+from wafer_viewer.session.offline import Hire
 
 BEYOND = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
@@ -44,6 +45,8 @@ def measure_defects(
     job: File = None,
     as_given: bool = False,
     result: str = "default",
+    scheduler: Text = None,
+    workers: Count = None,
 ) -> int:
     """The defects of a patterned wafer, each with size, height and class, as JSON; dies that were not scanned are told.
 
@@ -69,13 +72,15 @@ def measure_defects(
         job: The PLAN.toml whose dies these are; those of the dataset's own job by default.
         as_given: Leave given dies where they were given; they are moved to where they are seen by default.
         result: Name of the reconstruction.
+        scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
+        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
     """
-    given = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given)
+    given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
     asked = _recipe(recipe, sensitivity, DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2))
     stored = _golden(golden, against)
     wafer = wafer_of(src, result)
     with progress("Looking for defects") as tell:
-        found = inspected(wafer, asked, given, stored, against, tell)
+        found = inspected(wafer, asked, given, stored, against, tell, hire)
     kept = _files(wafer, found, given, {"klarf": klarf, "csv": csv, "training": training, "golden": save_golden})
     verdict = verdict_of(found)
     print_json({"verdict": msgspec.to_builtins(verdict), "files": kept, "inspection": msgspec.to_builtins(found)})

@@ -32,7 +32,7 @@ class Hired:
         self.asked: list[tuple[object, ...]] = []
         self.cancelled: list[str] = []
 
-    def run(self, *asked: object) -> Future[object]:
+    def lead(self, *asked: object) -> Future[object]:
         self.asked.append(asked)
         return self.done
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +15,13 @@ from wafer_viewer.model.plan import Job
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.session.given_dies import GivenDies
-from wafer_viewer.session.offline import is_dataset, measured_surface
+from wafer_viewer.session.offline import Hire, is_dataset, measured_surface
 from wafer_viewer.store.dataset import Dataset
+
+CLUSTER_PAYS_PX = 60_000_000
+"""Of a surface: from there on workers of one's own are sooner done, though they take a while to start."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +33,8 @@ class Wafer:
     sample: Sample = Sample()
     center_um: tuple[float, float] = (0.0, 0.0)
     job: Job | None = None
+    lies_in: tuple[Path, Path] | None = None
+    """The folders of its dataset and its result; None of a file."""
     before: Inspection | None = None
     """What people said of its defects is taken over from there."""
 
@@ -41,8 +49,8 @@ def wafer_of(src: Path, result: str) -> Wafer:
     data = Dataset.open(src)
     job = data.scan.job
     center_um = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
-    before = read_inspection(data.result(result).path)
-    return Wafer(surface, calibrated, job.sample, center_um, job, before)
+    kept = data.result(result).path
+    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, kept), read_inspection(kept))
 
 
 def inspected(
@@ -52,6 +60,7 @@ def inspected(
     golden: GoldenDie | None,
     against: str,
     tell: Callable[[float], None],
+    hire: Hire = Hire(),
 ) -> Inspection:
     """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.
 
@@ -62,8 +71,22 @@ def inspected(
 
     known = replace(recipe, product=recipe.product or wafer.sample.product)
     grid = None if against == "form" else dies_on(wafer, given)
-    found = inspect(wafer.surface, grid, known, golden, calibration_valid=wafer.calibrated, progress=tell)
+    with _rows_by(wafer, hire) as rows_by:
+        found = inspect(
+            wafer.surface, grid, known, golden, calibration_valid=wafer.calibrated, progress=tell, rows_by=rows_by
+        )
     return found if wafer.before is None else carry_over(wafer.before, found)
+
+
+@contextmanager
+def _rows_by(wafer: Wafer, hire: Hire) -> Generator[RowHands | None]:
+    """Who compares the rows of dies: the crew that is hired, where workers can read the surface themselves."""
+    if wafer.lies_in is None:
+        yield None
+        return
+    large = wafer.surface.shape[0] * wafer.surface.shape[1] >= CLUSTER_PAYS_PX
+    with hire.crew(math.inf if large else 0.0) as crew:
+        yield RowHands.of(crew, *wafer.lies_in)
 
 
 def dies_on(wafer: Wafer, given: GivenDies) -> DieGrid:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.session.crew import Crew, Done, Here
-from wafer_viewer.session.tasks import ShouldStop
+from wafer_viewer.session.tasks import ShouldStop, never
 from wafer_viewer.store.files import remove
 from wafer_viewer.store.planes import read_planes, write_planes
 
@@ -41,14 +41,20 @@ class RowHands:
 
     crew: Crew
     folder: Path
-    should_stop: ShouldStop
+    should_stop: ShouldStop = never
+
+    @classmethod
+    def of(cls, crew: Crew, dataset: Path, folder: Path, should_stop: ShouldStop = never) -> RowHands:
+        """For a surface of a dataset. Raises ComputeError naming the machine where a worker does not see that."""
+        crew.require_sight(dataset)
+        return cls(crew, folder, should_stop)
 
     def __call__(self, work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> Generator[list[CellResult]]:
         """See `RowsBy`. Raises ComputeError when the work is to stop or nobody is left to do it."""
         if isinstance(self.crew, Here):
             yield from self._done(compare_here, [(work, noise, row) for row in rows])
             return
-        with _kept(self.folder, work.golden, noise) as reference:
+        with kept(self.folder, work.golden, noise) as reference:
             lean = replace(work, golden=replace(work.golden, **dict.fromkeys(PLANES, np.empty((0, 0), np.float32))))
             yield from self._done(compare_row, [(lean, reference, row) for row in rows])
 
@@ -84,7 +90,7 @@ def in_order(outcomes: Iterable[Done]) -> Generator[Any]:
 
 
 @contextmanager
-def _kept(folder: Path, golden: Golden, noise: Noise) -> Generator[Path]:
+def kept(folder: Path, golden: Golden, noise: Noise) -> Generator[Path]:
     """What cells are compared with, in a file for as long as it is needed."""
     _sweep(folder)
     path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"

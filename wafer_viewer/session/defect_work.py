@@ -1,15 +1,19 @@
-"""The inspection for defects as a worker's task: what is open on the disk in, what was found out."""
+"""The inspection for defects of a dataset, led over a crew: what is open on the disk in, what was found out."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.crew import Crew, Here
+from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.session.given_dies import GivenDies
 from wafer_viewer.session.library import today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
@@ -33,13 +37,15 @@ def inspect_dataset(
     dies: Dies = None,
     against: Against = "dies",
     *,
+    crew: Crew | None = None,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Inspection:
-    """Look for defects on the stitched surface of a dataset; nothing is written.
+    """Look for defects on the stitched surface of a dataset; nothing is kept of it.
 
-    dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. Raises MeasureError
-    where none are found or nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
+    dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. crew: who compares
+    the rows of dies, this process by default; what is found is the same. Raises MeasureError where no dies are found or
+    nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects import inspect
     from wafer_viewer.store.dataset import Dataset
@@ -51,18 +57,30 @@ def inspect_dataset(
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
     grid = _laid(dies, data, surface) if against == "dies" else None
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
-    found = inspect(
-        surface,
-        grid,
-        recipe,
-        golden,
-        calibration_valid=data.calibration_problem(today()) is None,
-        progress=progress,
-        should_stop=should_stop,
-    )
+    with _until_stopped(should_stop):
+        found = inspect(
+            surface,
+            grid,
+            recipe,
+            golden,
+            calibration_valid=data.calibration_problem(today()) is None,
+            progress=progress,
+            should_stop=should_stop,
+            rows_by=RowHands.of(crew or Here(), data.path, kept.path, should_stop),
+        )
+    return replace(found, mark=mark)
+
+
+@contextmanager
+def _until_stopped(should_stop: ShouldStop) -> Generator[None]:
+    """Whatever a stopped inspection ends with, people hear one sentence of it."""
+    try:
+        yield
+    except WaferViewerError:
+        if not should_stop():
+            raise
     if should_stop():
         raise ComputeError("The inspection was stopped. What was found before it is kept.")
-    return replace(found, mark=mark)
 
 
 def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:

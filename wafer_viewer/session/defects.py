@@ -66,7 +66,7 @@ class DefectKeeper:
         work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
         self._work, self._of, self._problem = work, self._looked_at, ""
         of = self._library.dataset.path, self._library.result_name
-        done = self._compute.run(work, inspect_dataset, *of, recipe or self._own_recipe, dies, against)
+        done = self._compute.lead(work, inspect_dataset, *of, recipe or self._own_recipe, dies, against)
         self._show()
         return self._desk.afterwards(done, lambda: self._over(work, done))
 
