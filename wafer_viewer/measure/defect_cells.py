@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defect_noise import Noise, noise_of
 from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of, unmeasured_of
 from wafer_viewer.measure.defect_scores import (
-    LAYERS,
-    Noise,
     Residual,
     count,
     new_counts,
-    noise_of,
     quotients,
     residual_of,
     scores_of,
@@ -64,8 +62,7 @@ def compared(work: Work, places: Sequence[Place], noise: Noise) -> list[CellResu
 def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
     """The usual noise at each scale, over a few of the cells."""
     read = (_residual(work, work.source, place) for place in spaced(places, NOISE_CELLS))
-    many = [quotients(found[0], work.golden, work.recipe) for found in read if found is not None]
-    return noise_of(many) or {(layer, scale): 1.0 for layer in LAYERS for scale in work.recipe.scales_px}
+    return noise_of([quotients(found[0], work.golden, work.recipe) for found in read if found is not None])
 
 
 def spread_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> tuple[float, float]:

@@ -113,7 +113,7 @@ def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
     """
     mask = np.zeros(shape, bool)
     for (layer, scale), plane in scores.planes.items():
-        high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
+        high = limit_of(layer, recipe.evidence, recipe.threshold_sigma)
         low = low_of(high)
         for signed in (plane,) if layer == "joint" else (plane, -plane):
             peaks = signed >= high
@@ -199,7 +199,7 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
     """Which layers show it, each for itself."""
     limit = low_of(threshold_sigma)
-    height, picture = peaks.get("height", 0.0), peaks.get("picture", 0.0)
+    height, picture = peaks.get("height", 0.0), max(peaks.get("picture", 0.0), peaks.get("detail", 0.0))
     if min(height, picture) >= limit:
         return "both"
     return "picture" if picture > height else "height"

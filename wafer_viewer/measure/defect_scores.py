@@ -6,17 +6,16 @@ is near it, smoothed, and divided by the noise that is left at that scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defect_noise import Noise, Planes, tops_over
 from wafer_viewer.measure.die_cells import Place, Plane
-from wafer_viewer.measure.golden import Cell, Golden, robust_sigma
+from wafer_viewer.measure.golden import Cell, Golden
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
-from wafer_viewer.numerics.cells import typical
 from wafer_viewer.numerics.smoothing import coarseness, gaussian_sums
 
 LOUDEST = 15.0
@@ -27,18 +26,13 @@ COUNTED_FROM, FITTED_FROM, ANCHORED_TO, FITTED_TO, LEAST_COUNTED = 2.25, 2.75, 3
 NORMAL_FALL, SLOWEST_FALL = 0.5, 0.15
 """Of the logarithm of how many places reach a deviation, by its square: of normal noise, and the slowest believed."""
 TILT_POINTS = 6_000
-LAYERS = ("height", "picture")
+LAYERS = ("height", "picture", "detail")
+"""Detail: what the finest scale of the picture shows over the next, such as the glint in the middle of a particle."""
 Mask = NDArray[np.bool_]
-Noise = dict[tuple[str, float], float | Plane]
-"""Of the smoothed quotients, by layer and scale; of wide scales for each place."""
-LOCAL_FROM_CELLS = 5
-TAIL_PX, TAIL_SHARE = 32, 0.75
-"""Noise with longer tails than normal is measured by the highest in blocks of so many pixels, in so many of the blocks:
-defects are in the others."""
 NEAR_HOLES_PX, UNSURE = 15, 4.0
 """Heights near unmeasured pixels are so much less sure: by the share that is unmeasured of so many pixels."""
-ALONE, UNFILTERED_ALONE = 1.25, 2.6
-"""What shows in heights or in the picture alone must lie so many times further out."""
+ALONE = 1.25
+"""What shows in one layer alone must lie so many times further out, where both are looked at."""
 JOINT, LEAST_JOINT = 0.93, 2.0
 """The root sum of squares of both is over a limit more often than either: so much of it is as rare."""
 
@@ -59,7 +53,7 @@ class Residual:
 class Scores:
     """Quotients of one cell by layer and scale, each [row, col] of squares of `coarseness` pixels."""
 
-    planes: dict[tuple[str, float], Plane]
+    planes: Planes
 
 
 def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool) -> Residual:
@@ -78,10 +72,10 @@ def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatt
     return Residual(place, z_um - plane, picture - level, (-a / pixel_um, b / pixel_um), middle, missing)
 
 
-def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> dict[tuple[str, float], Plane]:
+def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> Planes:
     """Residuals over their spread, smoothed at each scale, by layer and scale."""
     pairs = (("height", residual.z_um, golden.z_spread_um), ("picture", residual.picture, golden.picture_spread))
-    planes: dict[tuple[str, float], Plane] = {}
+    planes: Planes = {}
     for layer, left, spread in pairs:
         if recipe.evidence in (layer, "both"):
             sure = _sureness(left) if layer == "height" else np.float32(1)
@@ -89,6 +83,9 @@ def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> dict[
             known = np.isfinite(part)
             filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
             planes |= {(layer, scale): gaussian_sums(filled, weight, scale) for scale in recipe.scales_px}
+    fine = sorted(scale for scale in recipe.scales_px if coarseness(scale) == 1)[:2]
+    if ("picture", fine[0]) in planes and len(fine) == 2:
+        planes["detail", fine[1]] = planes["picture", fine[0]] - planes["picture", fine[1]]
     return planes
 
 
@@ -100,60 +97,11 @@ def _sureness(left: Plane) -> Plane:
     return (1 / (1 + np.float32(UNSURE) * (1 - known))).astype(np.float32)
 
 
-def noise_of(many: Sequence[dict[tuple[str, float], Plane]]) -> Noise:
-    """The usual noise of quotients over some cells, by layer and scale.
-
-    What is alike along edges adds up at wide scales: there the noise is that of each place, where cells are enough.
-    """
-    found: Noise = {}
-    for key in many[0] if many else ():
-        usual = _usual([planes[key] for planes in many], key[1])
-        local = coarseness(key[1]) > 1 and len(many) >= LOCAL_FROM_CELLS
-        found[key] = _local_noise([planes[key] for planes in many], usual) if local else usual
-    return found
-
-
-def _usual(planes: list[Plane], scale_px: float) -> float:
-    """The deviation of normal noise that would reach as far."""
-    sigmas = [sigma for plane in planes if (sigma := robust_sigma(plane)) > 0]
-    highest = np.concatenate([_block_tops(plane, TAIL_PX // coarseness(scale_px)) for plane in planes])
-    if not sigmas or not highest.size:
-        return float(np.median(sigmas)) if sigmas else 1.0
-    return max(float(np.median(sigmas)), float(np.quantile(highest, TAIL_SHARE)) / _reach_of_normal(scale_px))
-
-
-def _block_tops(plane: Plane, side: int) -> NDArray[np.float32]:
-    """The highest of each block that is known at all."""
-    rows, cols = (n // side * side for n in plane.shape)
-    blocks = np.abs(plane[:rows, :cols]).reshape(rows // side, side, cols // side, side)
-    tops = np.nan_to_num(blocks).max(axis=(1, 3))
-    return tops[tops > 0]
-
-
-def _reach_of_normal(scale_px: float) -> float:
-    """Below which the highest of a block of normal noise stays in TAIL_SHARE of the blocks."""
-    from scipy.special import ndtri
-
-    n = max(1.0, TAIL_PX**2 / (1 + 4 * np.pi * scale_px**2))
-    return float(-ndtri((1 - TAIL_SHARE ** (1 / n)) / 2))
-
-
-def _local_noise(planes: list[Plane], usual: float) -> Plane:
-    """From cell to cell at each place and its neighbours, never less than the usual."""
-    from scipy.ndimage import uniform_filter
-
-    stack = np.stack(planes)
-    middle, spread = np.empty(stack.shape[1:], np.float32), np.empty(stack.shape[1:], np.float32)
-    typical(stack, 3, middle, spread)
-    off = np.where(np.isfinite(spread), spread**2 + middle**2, usual**2)
-    return np.maximum(usual, np.sqrt(uniform_filter(off, 3))).astype(np.float32)
-
-
-def scores_of(planes: dict[tuple[str, float], Plane], noise: Noise) -> Scores:
-    """Quotients in deviations of their noise."""
-    scores = {key: plane / np.asarray(noise[key], np.float32) for key, plane in planes.items()}
+def scores_of(planes: Planes, noise: Noise) -> Scores:
+    """Quotients in deviations of normal noise."""
+    scores = noise.scores(planes)
     for scale in {scale for _, scale in planes}:
-        both = [scores[layer, scale] for layer in LAYERS if (layer, scale) in scores]
+        both = [scores[layer, scale] for layer in ("height", "picture") if (layer, scale) in scores]
         if len(both) == 2:
             scores["joint", scale] = _joint(np.abs(np.nan_to_num(both[0])), np.abs(np.nan_to_num(both[1])))
     return Scores(scores)
@@ -165,14 +113,9 @@ def _joint(first: Plane, second: Plane) -> Plane:
     return np.where(np.minimum(first, second) >= LEAST_JOINT, together, np.float32(0))
 
 
-def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> float:
-    """The limit for a layer at a scale: a single layer must lie further out where both are looked at.
-
-    Unfiltered heights alone are never enough then: focus errs in patches of a few pixels.
-    """
-    if evidence != "both" or layer == "joint":
-        return limit
-    return limit * (UNFILTERED_ALONE if scale_px == 0 and layer == "height" else ALONE)
+def limit_of(layer: str, evidence: Evidence, limit: float) -> float:
+    """The limit for a layer: a single one must lie further out where both are looked at."""
+    return limit if evidence != "both" or layer == "joint" else ALONE * limit
 
 
 def low_of(threshold_sigma: float) -> float:
@@ -188,24 +131,10 @@ def new_counts() -> NDArray[np.int64]:
 def count(scores: Scores, recipe: DefectRecipe, counts: NDArray[np.int64]) -> None:
     """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layer's limit."""
     for (layer, scale), plane in scores.planes.items():
-        by = (np.abs(plane) / limit_of(layer, scale, recipe.evidence, 1.0)).astype(np.float32)
+        by = (np.abs(plane) / limit_of(layer, recipe.evidence, 1.0)).astype(np.float32)
         least = recipe.min_area_px if scale == 0 else 1
-        tops = _tops(by, least)
+        tops = tops_over(by, COUNTED_FROM, least)
         counts += np.bincount(np.minimum(tops / HISTOGRAM_STEP, len(counts) - 1).astype(int), minlength=len(counts))
-
-
-def _tops(plane: Plane, least_px: int) -> NDArray[np.float32]:
-    """The highest value of each place over COUNTED_FROM that has so many pixels."""
-    from scipy.ndimage import label
-
-    labels = np.zeros(plane.shape, np.int32)
-    over = plane >= COUNTED_FROM
-    label(over, np.ones((3, 3), int), output=labels)
-    numbers = labels[over]
-    tops = np.zeros(int(numbers.max(initial=0)) + 1, np.float32)
-    np.maximum.at(tops, numbers, plane[over])
-    large = np.bincount(numbers, minlength=len(tops)) >= least_px
-    return tops[large & (tops > 0)]
 
 
 def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:

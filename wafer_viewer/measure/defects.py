@@ -14,7 +14,8 @@ import numpy as np
 
 from wafer_viewer.measure.defect_cells import CellResult, Work, compared, noise_over, spread_over
 from wafer_viewer.measure.defect_merge import merged
-from wafer_viewer.measure.defect_scores import Noise, false_counts
+from wafer_viewer.measure.defect_noise import Noise
+from wafer_viewer.measure.defect_scores import false_counts
 from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of

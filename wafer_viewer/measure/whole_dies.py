@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.measure.classify import classify
 from wafer_viewer.measure.defect_cells import CellResult, Work
-from wafer_viewer.measure.defect_scores import Noise
+from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.class_rules import DefectShape
 from wafer_viewer.model.defects import Defect
