@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from tests.browser.fake_defect_files import FakeDefectFiles, a_shelf
 from tests.browser.stitched_session import PITCH_UM, STREET_UM, StitchedSession
 from tests.store.inspections import defect, inspection
+from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import Defect, DefectClass, FalseCounts, Inspection
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.quantities import Length
@@ -59,6 +61,7 @@ class InspectedSession(StitchedSession):
         planted = PLANTED[:n_defects]
         self.shelf.surfaces[0] = _with(self.shelf.surfaces[0], planted)
         self.defects = FakeDefects(self)
+        self.change(shelf=a_shelf())
         self.sections = CutSections(self.shelf.surfaces)
         self.change(inspection=dataclasses.replace(self.snapshot.inspection, inspection=found(planted)))
 
@@ -81,6 +84,7 @@ class FakeDefects:
 
     def __init__(self, session: Any) -> None:
         self._session = session
+        self.files = FakeDefectFiles(session)
         self._before: list[Inspection] = []
 
     def inspect(self, *asked: Any) -> Future[Any]:
@@ -90,6 +94,12 @@ class FakeDefects:
         asked = {"judgement": judgement, "judged_kind": kind, "note": note}
         given = {name: value for name, value in asked.items() if value is not None}
         return self._put("judge", (number,), lambda d: replace(d, **given) if d.number == number else d)
+
+    def limit(self, limits: DefectLimits) -> Future[Any]:
+        now = self._session.snapshot.inspection.inspection
+        self._before.append(now)
+        self._show(replace(now, recipe=replace(now.recipe, limits=limits)))
+        return self._session._done("defects.limit", (limits,), {})
 
     def undo(self) -> Future[Any]:
         if self._before:

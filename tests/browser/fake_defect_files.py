@@ -1,0 +1,87 @@
+"""Recipes, golden dies and files of defects of a session that stands still: kept in memory, written nowhere."""
+
+from __future__ import annotations
+
+import dataclasses
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_files import lattice_for
+from wafer_viewer.session.defect_shelf import DefectShelf, OtherTool
+from wafer_viewer.store.klarf_reading import read_klarf
+
+
+def a_shelf() -> DefectShelf:
+    """Recipes of two products and three versions of golden dies."""
+    recipes = (
+        DefectRecipe(name="standard", product="LX-7", sensitivity=0.45),
+        DefectRecipe(name="night shift", product="LX-7", sensitivity=0.3),
+        DefectRecipe(name="standard", product="MEMS-2", sensitivity=0.6),
+    )
+    golden = (
+        golden_header("lx7", 3, "2026-03-12T16:20:00"),
+        golden_header("lx7", 2, "2026-02-02T09:00:00"),
+        golden_header("lx7 thick", 1, "2025-11-20T11:30:00"),
+        golden_header("mems", 1, "2026-01-09T10:00:00", "MEMS-2"),
+    )
+    return DefectShelf(recipes=recipes, golden=golden)
+
+
+def golden_header(name: str, version: int, at: str, product: str = "LX-7") -> GoldenHeader:
+    return GoldenHeader(
+        product=product, name=name, version=version, pixel_um=0.5, width_um=120.0, height_um=120.0, dies=20,
+        made_of="coupon-04", made_at=at, simulated=True,
+    )  # fmt: skip
+
+
+class FakeDefectFiles:
+    """What is kept is listed at once; a KLARF is really read."""
+
+    def __init__(self, session: Any) -> None:
+        self._session = session
+
+    @property
+    def _shelf(self) -> DefectShelf:
+        return self._session.snapshot.shelf
+
+    def save_recipe(self, recipe: DefectRecipe) -> Future[Any]:
+        others = tuple(r for r in self._shelf.recipes if (r.product, r.name) != (recipe.product, recipe.name))
+        return self._put("save_recipe", (recipe,), recipes=(recipe, *others))
+
+    def rename_recipe(self, recipe: DefectRecipe, name: str) -> Future[Any]:
+        recipes = tuple(replace(r, name=name) if r == recipe else r for r in self._shelf.recipes)
+        return self._put("rename_recipe", (recipe, name), recipes=recipes)
+
+    def delete_recipe(self, recipe: DefectRecipe) -> Future[Any]:
+        return self._put("delete_recipe", (recipe,), recipes=tuple(r for r in self._shelf.recipes if r != recipe))
+
+    def keep_golden(self, name: str) -> Future[Any]:
+        version = 1 + max((h.version for h in self._shelf.golden if h.name == name), default=0)
+        kept = golden_header(name, version, "2026-03-14T10:00:00")
+        return self._put("keep_golden", (name,), golden=(kept, *self._shelf.golden))
+
+    def write(self, what: str, path: Path) -> Future[Any]:
+        return self._session._done("defects.files.write", (what, path), {})
+
+    def lay_over(self, path: Path, unit: Any = None, within_um: float = 25.0) -> Future[Any]:
+        now = self._session.snapshot
+        try:
+            klarf = read_klarf(path, unit)
+            grid, by = lattice_for(klarf, now.dataset.job, now.inspection.inspection, path.name)
+        except WaferViewerError as fault:
+            refused: Future[Any] = Future()
+            refused.set_exception(fault)
+            return refused
+        return self._put("lay_over", (path,), other=OtherTool(path.name, klarf, grid, by, within_um))
+
+    def take_away(self) -> Future[Any]:
+        return self._put("take_away", (), other=None)
+
+    def _put(self, verb: str, asked: tuple[Any, ...], **changes: Any) -> Future[Any]:
+        self._session.change(shelf=dataclasses.replace(self._shelf, **changes))
+        return self._session._done(f"defects.files.{verb}", asked, {})

@@ -1,0 +1,260 @@
+"""Questions about defects: as what file they go out, which file is laid over them, what recipes are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.dialogs import Dialog, existing, unless_there
+from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.sent_files import put_down
+from wafer_viewer.model.defects import DefectRecipe, Inspection
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_files import KlarfUnit
+from wafer_viewer.session.defect_handover import Handover
+from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
+
+WAIT_S = 20.0
+"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+FORMATS: dict[str, tuple[Handover, str]] = {
+    "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
+    "CSV, a table": ("csv", "-defects.csv"),
+    "Training set, a folder": ("training", "-training"),
+}
+LOSES: dict[Handover, str] = {
+    "klarf": "It has no room for U, reasons, notes, unmeasured areas and who judged. Heights are in a column of ours "
+    "that other readers pass over; dies not scanned whole are left out of its test plan.",
+    "csv": "It has every number with U and every word, but no pictures and no outlines.",
+    "training": "Heights and picture round each defect, its features, your class and that of the rules. "
+    "Unmeasured areas are left out. It takes a new folder.",
+}
+UNITS: dict[str, KlarfUnit | None] = {"As the file says": None, "µm": "um", "nm": "nm", "mm": "mm"}
+
+
+def export_defects_dialog(page: Page) -> None:
+    """Write the defects to a file, and say before what the format cannot hold."""
+    required_inspection(page)
+    snapshot = page.session.snapshot
+    stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
+    dialog = Dialog(page, "Export the defects", "As they are judged now; nuisances are in it and marked as such.")
+    first = next(iter(FORMATS))
+    with dialog.modal:
+        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{FORMATS[first][1]}"))
+        kind = page.gui.add_dropdown("Format", tuple(FORMATS))
+        said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
+
+    @kind.on_update
+    def _(_: Any) -> None:
+        what, ending = FORMATS[kind.value]
+        path.value = str(Path(path.value).parent / f"{stem}{ending}")
+        said.show(_lab(LOSES[what]))
+
+    def write() -> None:
+        what, target = FORMATS[kind.value][0], _typed_path(path.value)
+        if what == "training" and target.exists():
+            raise DatasetError(f"{target} is there already: give the name of a new folder.")
+        unless_there(page, target, lambda: begin(what, target))
+
+    def begin(what: Handover, target: Path) -> None:
+        done = page.session.defects.files.write(what, target)
+        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
+
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+
+
+def klarf_dialog(page: Page) -> None:
+    """Lay what another tool found over the surface."""
+    below = "The places of a KLARF file beside those found here: what both found, and what only one did."
+    dialog, gui = Dialog(page, "Lay a KLARF over", below), page.gui
+    with dialog.modal:
+        path = gui.add_text("Path", "")
+        upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="*/*")
+        outlined(gui, upload, 32)
+        sent = Cell(gui)
+        unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
+        within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0)
+
+    @upload.on_upload
+    def _(event: Any) -> None:
+        path.value = str(put_down(event.target.value))
+        sent.show(_lab(f"{event.target.value.name} is here."))
+
+    def lay() -> None:
+        source = existing(path.value)
+        _wait(page.session.defects.files.lay_over(source, UNITS[unit.value], float(within.value)))
+        page.redraw()
+
+    dialog.answers("Lay over", viser.Icon.STACK_2, lay, "Nothing was laid over")
+
+
+def golden_dialog(page: Page) -> None:
+    """Keep the typical die of this wafer under a name, the next version of it."""
+    inspection, shelf = required_inspection(page), page.session.snapshot.shelf
+    if inspection.grid is None:
+        raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
+    product = inspection.product
+    below = (
+        f"The median of {len(inspection.dies)} dies{f' of {product}' if product else ''}, with its spread from die to "
+        "die. Under a name that is there it becomes the next version; none is written over."
+    )
+    dialog = Dialog(page, "Keep as golden die", below)
+    named = next((header.name for header in shelf.golden if product and header.product == product), product)
+    with dialog.modal:
+        name = page.gui.add_text("Name", named)
+        said = Cell(page.gui, _lab(_next_version(page, named)))
+
+    @name.on_update
+    def _(_: Any) -> None:
+        said.show(_lab(_next_version(page, name.value.strip())))
+
+    def keep() -> None:
+        if not name.value.strip():
+            raise DatasetError("The golden die has no name: type one, such as that of the product.")
+        done = page.session.defects.files.keep_golden(name.value.strip())
+        page.ask("No golden die was kept", done, lambda out: page.say("Golden die kept", str(out)))
+
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "No golden die was kept")
+
+
+def save_recipe_dialog(page: Page, recipe: DefectRecipe) -> None:
+    """Keep a recipe under its product and a name; one that is there is replaced after a question."""
+    below = (
+        f"Kept beside the datasets. It is taken by itself when a dataset of {recipe.product or 'its product'} opens."
+    )
+    dialog = Dialog(page, "Save the recipe", below)
+    with dialog.modal:
+        product = page.gui.add_text("Product", recipe.product)
+        name = page.gui.add_text("Name", recipe.name)
+
+    def save() -> None:
+        named = replace(recipe, product=product.value.strip(), name=name.value.strip())
+        kept = page.session.snapshot.shelf.recipes_of(named.product)
+        if any(known.name == named.name and known != named for known in kept):
+            _ask_to_replace(page, named)
+        else:
+            _wait(page.session.defects.files.save_recipe(named))
+            page.redraw()
+
+    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, "The recipe was not saved")
+
+
+def recipes_dialog(page: Page) -> None:
+    """The recipes that are kept: rename one, or delete it."""
+    shelf = page.session.snapshot.shelf
+    dialog = Dialog(
+        page, "Recipes for defects", "That saved last is taken by itself when a dataset of its product opens."
+    )
+    with dialog.modal:
+        Cell(page.gui, recipe_table(shelf.recipes) + "".join(_lab(problem) for problem in shelf.problems))
+
+    def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
+        dialog.close()
+        ask(page, shelf.recipes[int(key)])
+
+    page.on_pick("defect-recipe-name", lambda key: choose(_rename_dialog, key))
+    page.on_pick("defect-recipe-away", lambda key: choose(_delete_dialog, key))
+    dialog.way_out("Close")
+
+
+def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
+    """The recipes, saved last first, each with what can be done to it."""
+    if not recipes:
+        return html.empty("No recipe is kept yet.")
+    return html.table(
+        ["Recipe", "Product", "Sensitivity", ""], [_recipe_row(*each) for each in enumerate(recipes)], "  n"
+    )
+
+
+def _recipe_row(place: int, recipe: DefectRecipe) -> str:
+    verbs = " · ".join(
+        f'<span class="wv-link" title="{html.safe(f"{verb} {recipe.name}")}" {html.pick(what, place)}>{verb}</span>'
+        for verb, what in (("Rename…", "defect-recipe-name"), ("Delete…", "defect-recipe-away"))
+    )
+    return html.row([html.safe(recipe.name), html.safe(recipe.product), f"{recipe.sensitivity:g}", verbs], "  n")
+
+
+def required_inspection(page: Page) -> Inspection:
+    """What was found. Raises MeasureError before anything was looked for."""
+    if (inspection := page.session.snapshot.inspection.inspection) is None:
+        raise MeasureError("Nothing was inspected yet: inspect the surface for defects first.")
+    return inspection
+
+
+def _rename_dialog(page: Page, recipe: DefectRecipe) -> None:
+    dialog = Dialog(page, f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}.")
+    with dialog.modal:
+        name = page.gui.add_text("Name", recipe.name)
+
+    def rename() -> None:
+        _wait(page.session.defects.files.rename_recipe(recipe, name.value.strip()))
+        page.redraw()
+
+    dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name stays")
+
+
+def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
+    below = f"A recipe of {recipe.product}. Its file is gone then, and no undo brings it back."
+    dialog = Dialog(page, f"Delete recipe {recipe.name}?", below)
+
+    def delete() -> None:
+        _wait(page.session.defects.files.delete_recipe(recipe))
+        page.redraw()
+
+    dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe stays")
+
+
+def _ask_to_replace(page: Page, recipe: DefectRecipe) -> None:
+    below = f"It is a recipe of {recipe.product} already; what it says now is gone then."
+    dialog = Dialog(page, f"Replace recipe {recipe.name}?", below)
+
+    def replace_it() -> None:
+        _wait(page.session.defects.files.save_recipe(recipe))
+        page.redraw()
+
+    dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, replace_it, "Nothing was replaced")
+
+
+def _next_version(page: Page, name: str) -> str:
+    known = [header.version for header in page.session.snapshot.shelf.golden if header.name == name]
+    return f"It will be version {max(known, default=0) + 1}." if name else ""
+
+
+def _typed_path(text: str) -> Path:
+    if not text.strip():
+        raise DatasetError("No path is given: type where the file is to go.")
+    return Path(text.strip()).expanduser()
+
+
+def _wait(verb: Future[Any]) -> None:
+    verb.result(WAIT_S)
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(text))}</div>'
+
+
+@dataclass(frozen=True, slots=True)
+class Errand:
+    """Something to do with defects as a whole: its name, a short one, what failed, and the dialog that asks for it."""
+
+    name: str
+    short: str
+    failed: str
+    icon: Any
+    ask: Callable[[Page], None]
+
+
+ERRANDS: dict[str, Errand] = {
+    "export": Errand("Export the defects…", "Export…", "Export stopped", viser.Icon.DOWNLOAD, export_defects_dialog),
+    "golden": Errand("Keep as golden die…", "Golden die…", "No golden die was kept", viser.Icon.DIAMOND, golden_dialog),
+    "klarf": Errand("Lay a KLARF over…", "Lay KLARF over…", "Nothing was laid over", viser.Icon.STACK_2, klarf_dialog),
+}
+"""What the list of defects offers over it, and the palette too."""

@@ -1,0 +1,218 @@
+"""The form of an inspection: recipe, sensitivity, what is compared with what, where the dies lie, limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import defect_form_words as words
+from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_dialogs import recipes_dialog, save_recipe_dialog
+from wafer_viewer.gui.defect_form_values import (
+    AGAINST,
+    DIES,
+    EVIDENCE,
+    GIVEN,
+    GOLDEN,
+    DefectForm,
+    against_of,
+    dies_of,
+    form_of,
+    recipe_of,
+)
+from wafer_viewer.gui.defect_limits_text import limits_of
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.page import Page
+from wafer_viewer.model.defect_limits import DefectLimits
+from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.session.defect_shelf import product_of
+from wafer_viewer.session.state import Snapshot
+
+NOT_KEPT = "not kept"
+DIAL = "0 finds only what is plain, 1 all that might be something"
+FAILED = "Nothing was inspected"
+
+
+class InspectionForm:
+    """It stands as the surface was inspected, else as the recipe kept for its product."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._recipe = DefectRecipe()
+        """What the form keeps of it is what it does not show."""
+        self._of: object = None
+        self._form = DefectForm()
+        gui = page.gui
+        self._folder = gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build_recipe(gui)
+            self._build_search(gui)
+            self._build_dies(gui)
+            self._build_limits(gui)
+            self._why = Cell(gui)
+            begin = guarded(page, FAILED)(lambda _: self.inspect())
+            self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
+            in_a_row(gui, [self._begin], 34)
+        page.on_pick("defect-golden", self._choose_golden)
+
+    def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
+        """Bring the form up to date; `why_not`: why nothing can be inspected now."""
+        set_prop(self._folder, "visible", unfolded)
+        self._take_up(snapshot)
+        if not unfolded:
+            return
+        form, product = self._typed(), self._product.value.strip()
+        names = (NOT_KEPT, *(recipe.name for recipe in snapshot.shelf.recipes_of(product)))
+        if tuple(self._recipes.handle.options) != names:
+            self._recipes.handle.options = names
+        now = self._asked(form)
+        kept = now is not None and now in snapshot.shelf.recipes
+        self._recipes.show(now.name if now is not None and kept else NOT_KEPT)
+        inspection = snapshot.inspection.inspection
+        self._said.show(_lab(words.which_recipe(self._recipe, now, snapshot.shelf, inspection is not None)))
+        self._expected.show(_lab(words.expectation(form.sensitivity, inspection)))
+        golden = form.compare == GOLDEN
+        self._golden.show(words.golden_table(snapshot.shelf, product, form.golden) if golden else "")
+        set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
+        set_prop(self._begin, "disabled", bool(why_not))
+        self._why.show(_lab(why_not) if why_not else "")
+
+    @property
+    def recipe(self) -> DefectRecipe:
+        """What the form asks for. Raises MeasureError where it asks for nothing."""
+        return recipe_of(self._typed(), self._recipe)
+
+    def inspect(self) -> None:
+        """Search by what stands on the form."""
+        form, page = self._typed(), self._page
+        asked = recipe_of(form, self._recipe)
+        page.ask(FAILED, page.session.defects.inspect(asked, dies_of(form), against_of(form)))
+        page.redraw()
+
+    # --- building
+
+    def _build_recipe(self, gui: Any) -> None:
+        page = self._page
+        listed = gui.add_dropdown("Recipe", (NOT_KEPT,), hint="Kept by product; the one saved last is taken by itself")
+        self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe stays")
+        self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
+        self._product.on_update(self._redrawing())
+        self._said = Cell(gui)
+        save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
+        kept = button(gui, "Recipes…", viser.Icon.LIST, self._on("The recipes stay", lambda: recipes_dialog(page)))
+        in_a_row(gui, [save, kept], 30)
+
+    def _build_search(self, gui: Any) -> None:
+        self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
+        self._expected = Cell(gui)
+        self._against = gui.add_dropdown("Compare", AGAINST, hint="A surface of one die has no others")
+        self._golden = Cell(gui)
+        self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
+        self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
+        for widget in (self._dial, self._against, self._evidence, self._scales):
+            widget.on_update(self._redrawing())
+
+    def _build_dies(self, gui: Any) -> None:
+        self._dies = gui.add_dropdown("Dies", DIES, hint="The job's where it names any, found, or given here")
+        self._dies.on_update(self._redrawing())
+        self._given = gui.add_folder(None, visible=False)
+        with self._given:
+            self._pitch = gui.add_vector2("Pitch, µm", (0.0, 0.0), min=(0.0, 0.0), step=1.0, hint="From die to die")
+            self._corner = gui.add_vector2("Corner, µm", (0.0, 0.0), step=1.0, hint="Lower left one of die 0,0, stage")
+            self._size = gui.add_vector2("Die, µm", (0.0, 0.0), min=(0.0, 0.0), step=1.0, hint="0: as the pitch")
+            self._angle = gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise")
+
+    def _build_limits(self, gui: Any) -> None:
+        page, failed = self._page, "The limits stay"
+        per_die = gui.add_text("Most a die", "", hint="Defects that a die may have; empty: no limit")
+        per_mm2 = gui.add_text("Most a mm²", "", hint="Defects that 1 mm² may have; empty: no limit")
+        self._per_die: Field[str] = Field(per_die, lambda _: self._limit(), page, failed)
+        self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._limit(), page, failed)
+
+    # --- what a person does
+
+    def save(self) -> None:
+        """Ask for a name and keep what stands on the form as the recipe of its product."""
+        save_recipe_dialog(self._page, self.recipe)
+
+    def _choose_recipe(self, event: Any) -> None:
+        product, shelf = self._product.value.strip(), self._page.session.snapshot.shelf
+        chosen = next((r for r in shelf.recipes_of(product) if r.name == event.target.value), None)
+        if chosen is not None:
+            self._put(chosen, form_of(chosen, None, self._typed()))
+        self._page.redraw()
+
+    def _choose_golden(self, name: str) -> None:
+        self._form = replace(self._form, golden=name)
+        self._page.redraw()
+
+    def _limit(self) -> None:
+        """Limits hold for what was found already: the verdict follows at once, no search is needed."""
+        page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
+        if page.session.snapshot.inspection.inspection is not None:
+            page.ask("The limits stay", page.session.defects.limit(limits))
+        page.redraw()
+
+    # --- showing
+
+    def _take_up(self, snapshot: Snapshot) -> None:
+        """Let the form stand as the surface was inspected, else as its product's recipe says; once for each."""
+        inspection, data = snapshot.inspection.inspection, snapshot.dataset
+        product = product_of(data.job) if data is not None else ""
+        own = snapshot.shelf.recipe_of(product) or DefectRecipe(product=product)
+        recipe = inspection.recipe if inspection is not None else own
+        of = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
+        if inspection is not None:
+            self._per_die.show(form_of(recipe, inspection).max_per_die)
+            self._per_mm2.show(form_of(recipe, inspection).max_per_mm2)
+        if of != self._of:
+            self._of = of
+            self._put(recipe, form_of(recipe, inspection, self._typed()))
+
+    def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
+        """Fill the form in."""
+        self._recipe, self._form = recipe, form
+        self._dial.value, self._against.value, self._evidence.value = form.sensitivity, form.compare, form.evidence
+        self._product.value, self._scales.value, self._dies.value = form.product, form.scales_px, form.dies
+        self._pitch.value, self._corner.value = form.pitch_um, form.corner_um
+        self._size.value, self._angle.value = form.size_um, form.angle_deg
+        self._per_die.handle.value, self._per_mm2.handle.value = form.max_per_die, form.max_per_mm2
+
+    def _typed(self) -> DefectForm:
+        """What stands on the form now."""
+        return DefectForm(
+            sensitivity=float(self._dial.value),
+            compare=self._against.value,
+            evidence=self._evidence.value,
+            golden=self._form.golden,
+            dies=self._dies.value,
+            pitch_um=self._pitch.value,
+            corner_um=self._corner.value,
+            size_um=self._size.value,
+            angle_deg=float(self._angle.value),
+            product=self._product.value,
+            scales_px=self._scales.value,
+            max_per_die=self._per_die.value,
+            max_per_mm2=self._per_mm2.value,
+        )
+
+    def _asked(self, form: DefectForm) -> DefectRecipe | None:
+        try:
+            return recipe_of(form, self._recipe)
+        except MeasureError:
+            return None
+
+    def _redrawing(self) -> Any:
+        return guarded(self._page, "The form stays")(lambda _: self._page.redraw())
+
+    def _on(self, failed: str, act: Any) -> Any:
+        return guarded(self._page, failed)(lambda _: act())
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(text)}</div>'

@@ -1,0 +1,93 @@
+"""What the form of an inspection says: the recipe it stands for, false defects to be expected, the golden dies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from datetime import datetime
+
+from wafer_viewer.draw.numbers import number
+from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_words import per_mm2
+from wafer_viewer.gui.dialogs import when
+from wafer_viewer.model.defects import DefectRecipe, Inspection, threshold_of
+from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.session.defect_shelf import DefectShelf
+
+WAFER_MM2 = math.pi * 150.0**2
+"""Of a wafer of 300 mm."""
+MOST_GOLDEN = 12
+
+
+def expectation(sensitivity: float, inspection: Inspection | None) -> str:
+    """How many false defects a setting of the dial leads to: a mm2, on what was inspected, on a whole wafer."""
+    above = f"From {number(threshold_of(sensitivity), 1)} times the noise."
+    expected = inspection.expected_false_at(sensitivity) if inspection is not None else None
+    if inspection is None or expected is None:
+        return f"{above} How many of them are false is said after the first inspection."
+    here, wafer = _about(expected * inspection.inspected_mm2), _about(expected * WAFER_MM2)
+    return f"{above} Expected to be false: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
+
+
+def which_recipe(recipe: DefectRecipe, now: DefectRecipe | None, shelf: DefectShelf, inspected: bool) -> str:
+    """Where the form comes from, and whether it was changed since; `now` is what it asks for, None: it makes none."""
+    if now is not None and now in shelf.recipes:
+        return f"Recipe “{now.name}” of {now.product}, as it is kept."
+    if inspected and now == recipe:
+        return "As the surface was inspected; not kept."
+    if recipe in shelf.recipes:
+        return f"Recipe “{recipe.name}” of {recipe.product}, changed: not kept."
+    return f"No recipe of {recipe.product} is kept." if recipe.product else "Without a product no recipe is kept."
+
+
+def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
+    """The golden dies of a product to choose from, newest first of each; those of others are only counted."""
+    mine = [header for header in shelf.golden if not product or header.product in ("", product)]
+    others = len(shelf.golden) - len(mine)
+    left = f"{others} of other products" if others else ""
+    if not mine:
+        return html.empty("No golden die is kept", "inspect die with die, then keep one.") + _lab(left)
+    rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
+    hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
+    more = " and ".join(part for part in (hidden, left) if part)
+    return html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "")
+
+
+def golden_facts(shelf: DefectShelf, chosen: str) -> GoldenHeader | None:
+    """The golden die of a name, or of a name and a version."""
+    return next((header for header, name in _named(shelf.golden) if name == chosen), None)
+
+
+def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[tuple[GoldenHeader, str]]:
+    """Each with what a recipe calls it: the newest version by the name alone, so that a newer one follows it."""
+    seen: set[str] = set()
+    for header in headers:
+        yield header, f"{header.name}.{header.version}" if header.name in seen else header.name
+        seen.add(header.name)
+
+
+def _row(header: GoldenHeader, name: str, chosen: bool) -> str:
+    version = f"version {header.version}" + ("" if "." in name else ", the newest")
+    of, made_of = header.product or "no product", header.made_of or "a file"
+    title = f"{header.name} version {header.version} of {of}, made of {made_of}"
+    told = f'<span class="wv-cut wv-short" title="{html.safe(title)}">{html.safe(header.name)}</span>'
+    cells = [f"{told}<small>{version}</small>", number(header.dies, 0), html.safe(_kept(header))]
+    attributes = f'{html.pick("defect-golden", name)} aria-pressed="{str(chosen).lower()}"'
+    return html.row(cells, " nn", attributes, "sel" if chosen else "")
+
+
+def _kept(header: GoldenHeader) -> str:
+    return when(header.made_at, datetime.now().astimezone())
+
+
+def _about(count: float) -> str:
+    """A count that is expected: whole from ten on, two digits below, and no more than that it is small."""
+    if count < 0.05:
+        return "under 0.1"
+    if count < 10:
+        return number(count, 1)
+    return number(round(count, 1 - math.floor(math.log10(count))), 0)
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab">{html.safe(text)}</div>' if text else ""
