@@ -12,6 +12,7 @@ import pytest
 from tests.browser import fake_session as fake
 from wafer_viewer.gui.commands import Command, looking, spoken
 from wafer_viewer.gui.compare_section import CompareSection
+from wafer_viewer.gui.defect_map import DefectMap
 from wafer_viewer.gui.defect_section import DefectSection
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import sheet_html
@@ -46,7 +47,7 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, ReportPanel, CompareSection, DefectSection, Welcome)
+    panels = (ReviewPanel, ReportPanel, CompareSection, DefectMap, DefectSection, Welcome)
     of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
     return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
 

@@ -12,6 +12,7 @@ from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.curves import Curves
+from wafer_viewer.gui.defect_beside import DefectBeside
 from wafer_viewer.gui.defect_dock import DefectDock
 from wafer_viewer.gui.gauge_dock import GaugeDock
 from wafer_viewer.gui.gauge_glass import GaugeGlass
@@ -130,6 +131,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
     gauge = GaugePanel(page)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
+    beside = DefectBeside(page)
     why = WhyPanel(page)
     ear.left = left.panel
     read_out, welcome = ReadOutBox(page), Welcome(page)
@@ -161,6 +163,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             WhyDock(page, why),
             GaugeDock(page),
             DefectDock(page),
+            beside,
             GaugeGlass(page, lambda: gauge.live.answer),
         ),
         welcome,
@@ -172,9 +175,10 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         drawing,
     ]
     _listen_to_page(page, scene, left, measure)
+    left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, gauge, review, report, left.compare, left.defects
+    with_verbs = welcome, gauge, review, report, left.compare, left.defects, left.dies, beside
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))
@@ -197,7 +201,9 @@ def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
 def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:
     """What is clicked on the left, on the glass over the scene and in the header."""
     left.results.on_chosen(scene.fly_to)
+    left.defects.on_chosen(scene.fly_to)
     left.map.on_seen(scene.seen_um)
+    left.dies.on_seen(scene.seen_um)
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))

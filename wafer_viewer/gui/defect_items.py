@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
 from wafer_viewer.draw.defect_looks import KINDS
@@ -11,7 +11,7 @@ from wafer_viewer.gui.defect_words import below, said, size_text
 from wafer_viewer.gui.kept_places import bounds_of
 from wafer_viewer.gui.measure_words import value_texts
 from wafer_viewer.gui.review_item import ReviewItem, Row
-from wafer_viewer.gui.view import OF_DEFECT
+from wafer_viewer.gui.view import OF_DEFECT, ReviewFilter
 from wafer_viewer.model.defects import Defect, Judgement
 from wafer_viewer.model.notebook import Judgement as Noted
 from wafer_viewer.model.notebook import Verdict
@@ -51,6 +51,11 @@ def defect_item(snapshot: Snapshot, key: str | None) -> ReviewItem | None:
     """The defect of a key, listed or not; None where there is no such defect."""
     defect = chosen_defect(snapshot, key)
     return _item(defect) if defect is not None else None
+
+
+def on_show(defects: Iterable[Defect], listing: DefectListing, only: ReviewFilter) -> tuple[Defect, ...]:
+    """The defects that are listed, of which `only` what is still open, or was judged so."""
+    return tuple(d for d in listed(defects, listing) if only in ("all", VERDICT_OF[d.judgement]))
 
 
 @lru_cache(maxsize=8)

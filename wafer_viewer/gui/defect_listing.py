@@ -2,28 +2,49 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from wafer_viewer.model.defects import Defect
 
 DefectSort = Literal["size", "height", "score", "die", "class"]
+MapBy = Literal["class", "count"]
 
 
 @dataclass(frozen=True, slots=True)
 class DefectListing:
-    """sort: what comes first; kind, die: of which alone, empty for all."""
+    """sort: what comes first; kind, die: of which alone, empty for all; map_by: by what the map's dies are coloured.
+
+    numbers: of the defects that alone are listed, those of one place that repeats from die to die; none: all.
+    """
 
     sort: DefectSort = "size"
     kind: str = ""
     die: str = ""
+    map_by: MapBy = "class"
+    numbers: tuple[int, ...] = ()
+
+    @property
+    def narrowed(self) -> bool:
+        """Whether some of all are listed alone."""
+        return self.widened != self
+
+    @property
+    def widened(self) -> DefectListing:
+        """The same list with all in it."""
+        return replace(self, kind="", die="", numbers=())
+
+
+def _rank(die: str) -> tuple[int, ...]:
+    """By rows of dies from the top, what lies outside of dies last."""
+    parts = tuple(map(int, die.split(","))) if die else ()
+    return (0, -parts[1], parts[0]) if parts else (1,)
 
 
 def _die(defect: Defect) -> tuple[tuple[int, ...], int]:
-    """By rows of dies from the top, those outside of dies last."""
-    parts = tuple(map(int, defect.die.split(","))) if defect.die else ()
-    return ((0, -parts[1], parts[0]) if parts else (1,)), defect.number
+    return _rank(defect.die), defect.number
 
 
 SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
@@ -39,5 +60,23 @@ SORTS: dict[DefectSort, tuple[str, Callable[[Defect], Any]]] = {
 def listed(defects: Iterable[Defect], listing: DefectListing) -> tuple[Defect, ...]:
     """The defects in their order; areas without heights, which are no defects, last."""
     kept = (d for d in defects if listing.kind in ("", d.seen_as) and listing.die in ("", d.die))
+    kept = (d for d in kept if not listing.numbers or d.number in listing.numbers)
     order = SORTS[listing.sort][1]
     return tuple(sorted(kept, key=lambda defect: (defect.seen_as == "unmeasured", order(defect))))
+
+
+def next_die(defects: Iterable[Defect], listing: DefectListing, by: int) -> str | None:
+    """The die after that listed alone, or before it, that has open defects, by rows from the top; None: none has."""
+    there = {d.die for d in defects if d.die and d.judgement == "open" and listing.kind in ("", d.seen_as)}
+    if not there:
+        return None
+    order = sorted({*there, listing.die} - {""}, key=_rank)
+    ahead = order if by > 0 else order[::-1]
+    at = ahead.index(listing.die) + 1 if listing.die else 0
+    return next(die for die in (*ahead[at:], *ahead[:at]) if die in there)
+
+
+def next_kind(defects: Iterable[Defect], listing: DefectListing) -> str:
+    """The class after that listed alone, the most frequent first; after the last one all, which is empty."""
+    kinds = ["", *(kind for kind, _ in Counter(defect.seen_as for defect in defects).most_common())]
+    return kinds[(kinds.index(listing.kind) + 1) % len(kinds)] if listing.kind in kinds else ""

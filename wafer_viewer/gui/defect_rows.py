@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.symbols import symbol_svg
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing
 from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_looks import VERDICT_LOOKS
+from wafer_viewer.model.defects import Inspection
 
 MOST_ROWS, ROWS_BEFORE = 40, 2
 """So many are in the list at once: a page with thousands of pictures would be slow."""
@@ -38,16 +40,24 @@ def rows(
     return f'<div class="wv-defects">{more}</div><div style="height:8px"></div>'
 
 
-def sorting(listing: DefectListing) -> str:
-    """What comes first, and the die that alone is listed."""
+def sorting(listing: DefectListing, inspection: Inspection) -> str:
+    """What comes first, and what alone is listed."""
     buttons = "".join(
         f'<span class="{"on" if sort == listing.sort else ""}" aria-pressed="{str(sort == listing.sort).lower()}" '
         f"{html.pick('defect-sort', sort)}>{name}</span>"
         for sort, (name, _) in SORTS.items()
     )
-    away = f'<span class="wv-link" {html.pick("defect-die", listing.die)}>all dies</span>'
-    die = f'<div class="wv-lab">Die {html.safe(listing.die)} alone · {away}</div>' if listing.die else ""
-    return f'<div class="wv-segments" aria-label="Sort by">{buttons}</div>{die}'
+    return f'<div class="wv-segments" aria-label="Sort by">{buttons}</div>{_alone(listing, inspection)}'
+
+
+def _alone(listing: DefectListing, inspection: Inspection) -> str:
+    """What alone is listed, and the way back to all; nothing where all is."""
+    state = next((die.word for die in inspection.dies if die.name == listing.die), "")
+    told = [f"Die {listing.die}, {state}" if state else f"Die {listing.die}"] if listing.die else []
+    told += [KINDS[kind].title for kind in KINDS if kind == listing.kind]
+    told += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
+    link = f'<span class="wv-link" {html.pick("defect-all")}>all</span>'
+    return f'<div class="wv-lab wv-alone">{html.safe(" · ".join(told))} alone · {link}</div>' if told else ""
 
 
 def _more(items: Sequence[ReviewItem], word: str) -> str:
@@ -62,8 +72,8 @@ def _row(item: ReviewItem, chosen: bool, thumbs: str) -> str:
     judged = JUDGED[item.judgement.verdict]
     name = (
         f'<span class="wv-cut wv-short">{symbol_svg(item.shape, item.colour)} {html.safe(item.title)}</span>'
-        f"<small>{html.safe(item.sign)} · {html.safe(item.below.split(' · ')[0].lower())}</small>"
-        f'<small style="color:var(--{colour})">{html.icon(sign, 13)} {judged}</small>'
+        f'<small title="{judged}"><span style="color:var(--{colour})">{html.icon(sign, 13)}</span> '
+        f"{html.safe(item.sign)} · {html.safe(item.below.split(' · ')[0].lower())}</small>"
     )
     told = html.safe(f"{item.sign}, {item.title}, {judged}")
     attributes = f'{html.pick("review", item.key)} aria-label="{told}"'

@@ -83,7 +83,8 @@ def unknown(inspection: Inspection) -> str:
         told.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
     if not told:
         return ""
-    return html.note("attention", "Not all of it was inspected", f"{', '.join(told)}: nothing is known of these parts.")
+    said = f"{', '.join(told)}: nothing is known of these parts."
+    return f'<div class="wv-blind">{html.note("attention", "Not all of it was inspected", said)}</div>'
 
 
 def nothing_found(inspection: Inspection) -> str:
@@ -95,16 +96,10 @@ def nothing_found(inspection: Inspection) -> str:
     return html.empty("No defect was found", where)
 
 
-def counts(defects: tuple[Defect, ...], chosen: str) -> str:
-    """The classes there are with their numbers; a click lists one alone, a second all again."""
-    there = Counter(defect.seen_as for defect in defects)
-    chips = (
-        f'<span class="{"on" if kind == chosen else ""}" aria-pressed="{str(kind == chosen).lower()}" '
-        f"{html.pick('defect-kind', kind)}>{sign_of(kind)} {look.title} {there[kind]}</span>"
-        for kind, look in KINDS.items()
-        if there[kind]
-    )
-    return f'<div class="wv-legend wv-kinds">{"".join(chips)}</div>'
+def judged(inspection: Inspection) -> str:
+    """How many people have judged."""
+    n = sum(defect.judgement != "open" for defect in inspection.defects)
+    return f"{n} of {len(inspection.defects)} judged" if inspection.defects else ""
 
 
 def classes(defect: Defect) -> str:

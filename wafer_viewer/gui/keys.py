@@ -239,12 +239,17 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
         """What was opened last is left first."""
         if page.view.explains:
             parts.why.close()
+        elif page.view.sheet_over != "none":
+            page.change(sheet="none")
+        elif page.view.lists_some:
+            page.change(defects=page.view.defects.widened)
         else:
             page.change(tool="none", selected=None)
 
     def in_use(_: Snapshot, view: View) -> bool:
         """Escape is pressed for many things: where there is nothing to leave it is not ours."""
-        return view.explains or view.tool != "none" or view.selected is not None
+        narrowed = view.lists_some or view.sheet_over != "none"
+        return view.explains or narrowed or view.tool != "none" or view.selected is not None
 
     return [
         Command("Leave the tool", "escape", leave, ICON.X, group="Page", here=in_use),

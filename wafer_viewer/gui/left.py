@@ -8,6 +8,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
+from wafer_viewer.gui.defect_map import DefectMap
 from wafer_viewer.gui.defect_section import DefectSection
 from wafer_viewer.gui.dialogs import dataset_table, open_dataset, open_dialog
 from wafer_viewer.gui.exchange_dialogs import import_dialog
@@ -34,6 +35,7 @@ class LeftPanel:
             self._where = page.gui.add_folder(None)
             with self._where:
                 self.map = FieldMap(page.gui)
+            self.dies = DefectMap(page)
             self._works = Cell(page.gui)
             self._views = Cell(page.gui)
             self.defects = DefectSection(page)
@@ -50,11 +52,13 @@ class LeftPanel:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the panel up to date."""
         checking = view.step == "gauge"  # its points and earlier checks need the room, as do defects
-        set_prop(self._where, "visible", not checking)
-        self.map.show(snapshot, view)
+        dies = self.dies.show(snapshot, view)
+        set_prop(self._where, "visible", not checking and not dies)
+        if not dies:
+            self.map.show(snapshot, view)
         self._works.show(job_list(snapshot, view))
         reviewing = view.step == "review" and bool(snapshot.inspection.defects)
-        self._views.show("" if checking or reviewing else views_html(snapshot, view))
+        self._views.show("" if checking or reviewing or dies else views_html(snapshot, view))
         self.defects.show(snapshot, view)
         self._review.show(review_list(snapshot, view))
         self._gauge.show(snapshot, view)

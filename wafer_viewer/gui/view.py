@@ -18,6 +18,7 @@ Look = Literal["surface", "points", "plan"]
 ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overlap", "grey", "origin", "difference"]
 Tool = Literal["none"] | ToolName
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]
+Sheet = Literal["none", "beside", "stack"]
 Below = Literal["none", "profile", "why", "gauge", "defect"]
 
 OF_DEFECT = "defect "
@@ -41,6 +42,7 @@ class View:
     looked at, by its key; None the one that is being made.
     review: the key of what is under review, None the first; review_filter: which of all are listed; defects: how those
     are listed.
+    sheet: what lies over the scene in a review: the defect beside its like, or all dies stacked onto one.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     """
 
@@ -71,6 +73,7 @@ class View:
     review: str | None = None
     review_filter: ReviewFilter = "all"
     defects: DefectListing = DefectListing()
+    sheet: Sheet = "none"
     everything: bool = False
 
     @property
@@ -93,6 +96,16 @@ class View:
     def active_line(self) -> Region | None:
         """The line whose numbers are shown; None where there is none yet."""
         return self.lines[min(self.line, len(self.lines) - 1)] if self.lines else None
+
+    @property
+    def lists_some(self) -> bool:
+        """Whether some defects alone are listed."""
+        return self.step == "review" and self.defects.narrowed
+
+    @property
+    def sheet_over(self) -> Sheet:
+        """What lies over the scene now."""
+        return self.sheet if self.step == "review" and not self.explains else "none"
 
     @property
     def explains(self) -> bool:

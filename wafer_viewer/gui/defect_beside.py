@@ -1,0 +1,86 @@
+"""The defect under review beside the same place of the other dies and of the last scan, over the scene; key Z."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui import html
+from wafer_viewer.gui.commands import Command, unless
+from wafer_viewer.gui.defect_beside_html import HEAD_PX, PAD_PX, Sizes, head, sheet
+from wafer_viewer.gui.defect_items import chosen_defect
+from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.latest import Latest
+from wafer_viewer.gui.obstacles import no_defect
+from wafer_viewer.gui.over_scene import OverScene
+from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.view import View
+from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.like_place import SideBySide
+from wafer_viewer.session.state import Snapshot
+
+WAITING_PX = 120
+Asked = tuple[Any, ...]
+
+
+class DefectBeside:
+    """It follows what is under review; pictures are made by the painter and asked for on a thread of its own."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._sheet = OverScene(page)
+        self._worker = Latest("a defect beside its like")
+        self._asked: Asked | None = None
+        self._answer: SideBySide | None = None
+        self._told = ""
+        page.on_close(self._worker.close)
+        page.on_pick("sheet", lambda which: page.change(sheet=which))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the sheet up to date."""
+        defect = chosen_defect(snapshot, view.review) if view.sheet_over == "beside" else None
+        if defect is None or snapshot.surface is None or snapshot.dataset is None:
+            self._sheet.show("")
+            return
+        self._ask((defect.number, defect.outline, snapshot.dataset.path, snapshot.surface.stamp))
+        sizes = Sizes.within(self._sheet.room)
+        if self._answer is not None:
+            self._sheet.show(sheet(defect, self._answer, sizes), sizes.sheet_px)
+        else:
+            self._sheet.show(_instead(defect, self._told), HEAD_PX + WAITING_PX + 2 * PAD_PX)
+
+    def commands(self) -> list[Command]:
+        """The one key."""
+        icon = viser.Icon.LAYOUT_COLUMNS
+        return unless(no_defect, Command("Beside its like", "Z", self.toggle, icon, group="Review"))
+
+    def toggle(self) -> None:
+        """Lay it over the scene, or take it away."""
+        shown = self._page.view.sheet_over == "beside"
+        self._page.change(sheet="none" if shown else "beside")
+
+    def _ask(self, asked: Asked) -> None:
+        """Once for each defect on each surface."""
+        if asked != self._asked:
+            self._asked, self._answer, self._told = asked, None, ""
+            look = guarded(self._page, "The pictures were not made")(self._look)
+            self._worker.ask(lambda: look(asked))
+
+    def _look(self, asked: Asked) -> None:
+        """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
+        answer, told = None, "Nothing of this place is measured."
+        try:
+            answer = self._page.session.defects.views.beside(asked[0]).result()
+        except WaferViewerError as fault:
+            told = str(fault)
+        if asked == self._asked:
+            self._answer, self._told = answer, told
+            self._page.redraw()
+
+
+def _instead(defect: Defect, told: str) -> str:
+    """What stands there until the pictures are made, or where there are none."""
+    said = html.empty(html.micro(told) if told else "The pictures are made …")
+    return f'{head(defect)}<div style="height:{WAITING_PX}px">{said}</div>'
