@@ -12,8 +12,11 @@ import pytest
 
 from tests.measure.patterned import Wafer, made
 from wafer_viewer.__main__ import main
+from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace as spec_replace
 from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.store.defect_recipes import save_defect_recipe
 from wafer_viewer.store.golden import open_golden
 from wafer_viewer.store.klarf_reading import read_klarf
 from wafer_viewer.store.npz import write_npz
@@ -108,3 +111,33 @@ def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path
         )
         assert (status == 2) == bool(golden)
     assert "is of product 'A' and this wafer is of 'B'" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def dataset(folder: Path) -> Path:
+    """A dataset of product LX-7, with a golden die and a recipe that names it beside."""
+    from wafer_viewer.session.surface_import import import_surface
+    from wafer_viewer.store.record import read_record, write_record
+
+    path = import_surface(folder / "bumped.npz", folder / "w7.wafer")
+    record = read_record(path)
+    write_record(path, spec_replace(record, job=spec_replace(record.job, product="LX-7")))
+    save_defect_recipe(folder, DefectRecipe(product="LX-7", name="keen", sensitivity=0.2, golden="lx7"))
+    return path
+
+
+def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert main(["measure", "defects", str(dataset), *GIVEN]) == 2
+    refused = capsys.readouterr().err
+    assert "Recipe 'keen' of LX-7 is taken" in refused
+    assert "no golden die 'lx7'" in refused
+    plain = tmp_path / "plain.toml"
+    plain.write_text('product = "LX-7"')
+    golden = dataset.parent / "golden" / "lx7"
+    assert main(["measure", "defects", str(dataset), *GIVEN, "--recipe", str(plain), "--save-golden", str(golden)]) < 2
+    assert "is taken" not in capsys.readouterr().err
+    assert main(["measure", "defects", str(dataset), *GIVEN]) < 2
+    told = json.loads(capsys.readouterr().out)["inspection"]
+    assert (told["recipe"]["name"], told["reference"], told["recipe"]["sensitivity"]) == ("keen", "golden", 0.2)

@@ -6,21 +6,26 @@ A signature is the command's flags, its docstring the help.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 from tyro.conf import arg
 
 from wafer_viewer.arguments import Count, File, Source, Text, Um
-from wafer_viewer.command_output import print_json, progress
+from wafer_viewer.command_output import print_json, progress, warn
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defect_verdict import verdict_of
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_handover import WRITERS, Handover
 from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer_of
+from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.given_dies import GivenDies
 from wafer_viewer.session.offline import Hire
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.golden import GoldenDie
 
 BEYOND = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]
@@ -55,10 +60,10 @@ def measure_defects(
 
     Args:
         src: A NAME.wafer or a surface file.
-        recipe: How defects are looked for, a TOML file.
+        recipe: How defects are looked for, a TOML file; that kept for the product of a NAME.wafer by default.
         sensitivity: The dial: 0 finds only what is plain, 1 all that might be something; the recipe's by default.
         against: Compare dies with each other, or the surface with its fitted form.
-        golden: A NAME.golden.npz to compare with instead; shows what repeats in every die.
+        golden: A NAME.golden.npz to compare with instead; shows what repeats in every die. The recipe's by default.
         save_golden: Keep the typical die of this wafer as the next version of NAME.
         klarf: Write a KLARF 1.2 file.
         csv: Write a table.
@@ -76,66 +81,64 @@ def measure_defects(
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
     """
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
-    asked = _recipe(recipe, sensitivity, DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2))
-    stored = _golden(golden, against)
+    limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
     wafer = wafer_of(src, result)
+    asked = _recipe(recipe, wafer, src, sensitivity, limits)
+    stored = _golden(golden, against, asked, src)
     with progress("Looking for defects") as tell:
         found = inspected(wafer, asked, given, stored, against, tell, hire)
-    kept = _files(wafer, found, given, {"klarf": klarf, "csv": csv, "training": training, "golden": save_golden})
+    kept = _files(wafer, found, {"klarf": klarf, "csv": csv, "training": training})
+    kept |= _keep_golden(wafer, found, given, save_golden)
     verdict = verdict_of(found)
     print_json({"verdict": msgspec.to_builtins(verdict), "files": kept, "inspection": msgspec.to_builtins(found)})
     return 0 if verdict.within else BEYOND
 
 
-def _recipe(path: Path | None, sensitivity: float | None, limits: DefectLimits) -> DefectRecipe:
-    """The recipe of a file; flags go before what it says."""
+def _recipe(
+    path: Path | None, wafer: Wafer, src: Path, sensitivity: float | None, limits: DefectLimits
+) -> DefectRecipe:
+    """The recipe of a file, else that kept beside the dataset for its product, which is told; flags go before it."""
     from wafer_viewer.store.defect_recipes import read_defect_recipe
 
-    recipe = read_defect_recipe(path) if path is not None else DefectRecipe()
-    dial = recipe.sensitivity if sensitivity is None else sensitivity
-    return replace(recipe, sensitivity=dial, limits=limits.over(recipe.limits))
+    own = read_defect_recipe(path) if path is not None else _of_product(wafer, src)
+    dial = own.sensitivity if sensitivity is None else sensitivity
+    return replace(own, sensitivity=dial, limits=limits.over(own.limits))
 
 
-def _golden(path: Path | None, against: str) -> Any:
-    from wafer_viewer.store.golden import open_golden
+def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
+    from wafer_viewer.store.defect_recipes import readable_recipes
+
+    product = product_of(wafer.job) if wafer.job is not None else ""
+    kept = readable_recipes(src.absolute().parent)[0] if product else ()
+    recipe = next((recipe for recipe in kept if recipe.product == product), None)
+    if recipe is None:
+        return DefectRecipe(product=product)
+    warn(f"Recipe '{recipe.name}' of {product} is taken, for it was saved last: --recipe takes another.")
+    return recipe
+
+
+def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) -> GoldenDie | None:
+    """The golden die of a file, else the one that the recipe names, beside the dataset."""
+    from wafer_viewer.store.golden import FOLDER, golden_named, open_golden
 
     if path is not None and against == "form":
         raise MeasureError("A golden die is compared die by die: leave --golden or --against form out.")
-    return open_golden(path) if path is not None else None
+    if path is not None:
+        return open_golden(path)
+    named = recipe.golden if against == "dies" else ""
+    return golden_named(src.absolute().parent / FOLDER, named, recipe.product) if named else None
 
 
-def _files(wafer: Wafer, found: Inspection, given: GivenDies, asked: dict[str, Path | None]) -> dict[str, str]:
+def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) -> dict[str, str]:
     """Write what was asked for; where each lies."""
-    paths = {what: path for what, path in asked.items() if path is not None}
-    return {what: str(_WRITERS[what](wafer, found, given, path)) for what, path in paths.items()}
+    return {what: str(WRITERS[what](wafer, found, path)) for what, path in asked.items() if path is not None}
 
 
-def _write_klarf(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
-    from wafer_viewer.store.klarf import write_klarf
-
-    return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
-
-
-def _write_csv(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
-    from wafer_viewer.store.defects_csv import defects_csv
-    from wafer_viewer.store.files import write_text
-
-    write_text(path, defects_csv(found))
-    return path
-
-
-def _write_training(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
-    from wafer_viewer.store.training import write_training_set
-
-    return write_training_set(found, wafer.surface, path)
-
-
-def _write_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path) -> Path:
+def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path | None) -> dict[str, str]:
     from wafer_viewer.measure.defects import golden_of_surface
     from wafer_viewer.store.golden import save_golden
 
-    grid = found.grid or dies_on(wafer, given)
-    return save_golden(golden_of_surface(wafer.surface, grid, found.recipe, product=found.product), path)
-
-
-_WRITERS = {"klarf": _write_klarf, "csv": _write_csv, "training": _write_training, "golden": _write_golden}
+    if path is None:
+        return {}
+    golden = golden_of_surface(wafer.surface, found.grid or dies_on(wafer, given), found.recipe, product=found.product)
+    return {"golden": str(save_golden(golden, path))}
