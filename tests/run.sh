@@ -12,6 +12,7 @@ what="${1:-all}"
 venv="${WAFER_VIEWER_VENV:-$PWD/.venv}"
 missing=()
 took=()
+unset PYTHONDONTWRITEBYTECODE # many processes start: each would compile the package anew
 
 find_python() {
   for name in python3.13 python3.12 python3.11 python3; do
@@ -108,7 +109,7 @@ fi
 if [ "$what" = all ]; then
   step "Benchmarks, quick runs" quick_benchmarks
   step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "slow and not browser and not hardware"
-  step "Browser tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "browser and not hardware"
+  step "Browser tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "not hardware" tests/browser
 fi
 if [ ${#missing[@]} -gt 0 ]; then
   echo "Could not install: ${missing[*]}. What needs it was reported as skipped or failed above." >&2
