@@ -9,10 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wafer_viewer.measure.heights import Floats, heights, layer_of
+from wafer_viewer.measure.heights import Floats, heights, layer_of, pictured_window
 from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.pictured import picture_of
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.filters import blurred
@@ -22,6 +23,8 @@ COARSE_PIXELS = 400_000
 """The whole surface is read as about so many pixels at most."""
 SOFT_PX = 1.0
 LEAST_PIXELS = 10
+SPARE_PX = 8.0
+"""Round what is held of a die."""
 LEAST_SHARE = 0.4
 """Of what lies under the blur: with less of it known a pixel is unknown."""
 
@@ -44,12 +47,13 @@ class Coarse:
 
 def layers_of(part: HeightMap, evidence: Evidence) -> tuple[Float32s, ...]:
     """Heights, picture or both, as float32 with NaN where they are unknown."""
-    picture = np.where(part.origin == Origin.NOT_COVERED, np.float32(np.nan), part.all_in_focus.astype(np.float32))
-    layers: dict[Evidence, tuple[Float32s, ...]] = {
-        "height": (heights(part, layer_of(part.provenance.recipe, None)),),
-        "picture": (picture,),
-    }
-    return layers["height"] + layers["picture"] if evidence == "both" else layers[evidence]
+    z_um = heights(part, layer_of(part.provenance.recipe, None))
+    return _chosen(z_um, picture_of(part.all_in_focus, part.origin), evidence)
+
+
+def _chosen(z_um: Float32s, picture: Float32s, evidence: Evidence) -> tuple[Float32s, ...]:
+    chosen: dict[Evidence, tuple[Float32s, ...]] = {"height": (z_um,), "picture": (picture,), "both": (z_um, picture)}
+    return chosen[evidence]
 
 
 def read_coarse(surface: Mosaic, evidence: Evidence, region: Region | None = None) -> Coarse:
@@ -103,20 +107,53 @@ class CellLattice:
         return np.asarray(u_um[None, :], np.float64), np.asarray(v_um[:, None], np.float64)
 
 
-def read_cell(
-    surface: Mosaic, grid: DieGrid, at: tuple[int, int], lattice: CellLattice, level: int, evidence: Evidence
-) -> tuple[Float32s, ...]:
-    """The layers of one die on the lattice of a cell, by the four pixels round each place; NaN off the surface.
-
-    Raises MeasureError where the cell lies outside of the surface.
+class Cells:
+    """The dies of a surface at one level, softened. What was read of a die is held: as its lattice is made exact it
+    moves by parts of a pixel.
     """
-    u_um, v_um = lattice.places(grid)
-    x_um, y_um = grid.to_stage(*at, u_um, v_um)
-    pad = surface.pixel_um * 2**level
-    box = Region.rectangle(x_um.min() - pad, y_um.min() - pad, x_um.max() + pad, y_um.max() + pad)
-    part = surface.window(box, level)
-    rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
-    return tuple(flattened(sampled(softened(layer), rows, cols)) for layer in layers_of(part, evidence))
+
+    def __init__(self, surface: Mosaic, level: int, evidence: Evidence) -> None:
+        self.surface, self._level = surface, level
+        self._evidence: Evidence = evidence
+        self._pixel_um = surface.pixel_um * 2**level
+        self._held: dict[tuple[int, int], tuple[Region, Coarse]] = {}
+
+    def lattice(self, grid: DieGrid) -> CellLattice:
+        """How a cell is sampled at this level."""
+        return CellLattice.of(grid, self._pixel_um)
+
+    def read(self, grid: DieGrid, at: tuple[int, int], lattice: CellLattice) -> tuple[Float32s, ...]:
+        """The layers of one die on the lattice of a cell, by the four pixels round each place; NaN off the surface.
+
+        Raises MeasureError where the cell lies outside of the surface.
+        """
+        u_um, v_um = lattice.places(grid)
+        x_um, y_um = grid.to_stage(*at, u_um, v_um)
+        part = self._part(at, x_um, y_um)
+        rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+        return tuple(flattened(sampled(layer, rows, cols)) for layer in part.layers)
+
+    def _part(self, at: tuple[int, int], x_um: Floats, y_um: Floats) -> Coarse:
+        needed = _box(x_um, y_um, self._pixel_um)
+        held = self._held.get(at)
+        if held is None or not _holds(held[0], needed):
+            region = _box(x_um, y_um, SPARE_PX * self._pixel_um)
+            held = self._held[at] = region, self._softened(region)
+        return held[1]
+
+    def _softened(self, region: Region) -> Coarse:
+        part = pictured_window(self.surface, layer_of(self.surface.provenance.recipe, None), region, self._level)
+        layers = tuple(softened(layer) for layer in _chosen(part.z_um, part.picture, self._evidence))
+        return Coarse(layers, part.pixel_um, part.x0_um, part.y0_um)
+
+
+def _box(x_um: Floats, y_um: Floats, spare_um: float) -> Region:
+    return Region.rectangle(x_um.min() - spare_um, y_um.min() - spare_um, x_um.max() + spare_um, y_um.max() + spare_um)
+
+
+def _holds(outer: Region, inner: Region) -> bool:
+    (a, b, c, d), (e, f, g, h) = outer.bounds_um, inner.bounds_um
+    return a <= e and b <= f and c >= g and d >= h
 
 
 def softened(layer: Float32s) -> Float32s:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.measure.die_evidence import CellLattice, Evidence, bounds_of, median_cell, read_cell
+from wafer_viewer.measure.die_evidence import CellLattice, Cells, Evidence, bounds_of, median_cell
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.die_grid import DieGrid
@@ -35,6 +35,7 @@ LEAST_SHARE = 0.5
 MOST_U = 0.003
 """Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
 ROUNDS = 2
+"""At the finest level; at coarser ones the lattice needs only to come near."""
 Cell = tuple[Float32s, ...]
 
 
@@ -53,14 +54,13 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
 
     pixel_um: at which the rough lattice was found. Raises MeasureError where most cells are not alike.
     """
-    grid, levels = rough, levels_for(surface, rough, pixel_um)
-    for level in levels:
-        for _ in range(ROUNDS):
-            lattice = CellLattice.of(grid, surface.pixel_um * 2**level)
-            cells = cells_of(surface, grid, lattice, level, evidence)
-            grid = moved(grid, registered_shifts(cells, lattice))
-    lattice = CellLattice.of(grid, surface.pixel_um * 2 ** levels[-1])
-    cells = cells_of(surface, grid, lattice, levels[-1], evidence)
+    grid = rough
+    *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
+    for source in (*coarse, *[finest] * ROUNDS):
+        lattice = source.lattice(grid)
+        grid = moved(grid, registered_shifts(cells_of(source, grid, lattice), lattice))
+    lattice = finest.lattice(grid)
+    cells = cells_of(finest, grid, lattice)
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
         raise not_alike("Too few of the", lattice)
@@ -75,13 +75,11 @@ def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ..
     return (*range(coarsest, finest, -2), finest)
 
 
-def cells_of(
-    surface: Mosaic, grid: DieGrid, lattice: CellLattice, level: int, evidence: Evidence
-) -> dict[tuple[int, int], Cell]:
+def cells_of(source: Cells, grid: DieGrid, lattice: CellLattice) -> dict[tuple[int, int], Cell]:
     """Cells all over the surface that are known well enough. Raises MeasureError where there are fewer than two."""
     most = max(LEAST_DIES, min(MOST_DIES, CELLS_PIXELS // (lattice.rows * lattice.cols)))
-    places = spread(whole_cells(surface, grid), most)
-    read = {at: read_cell(surface, grid, at, lattice, level, evidence) for at in places}
+    places = spread(whole_cells(source.surface, grid), most)
+    read = {at: source.read(grid, at, lattice) for at in places}
     cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
     if len(cells) < 2:
         raise MeasureError(
