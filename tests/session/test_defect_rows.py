@@ -11,6 +11,7 @@ import pytest
 
 from tests.session.patterned_dataset import PLANTED, patterned_dataset
 from wafer_viewer.measure import die_cells
+from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.golden import Golden
 from wafer_viewer.model.defects import DefectRecipe, Inspection
@@ -84,10 +85,10 @@ def test_what_rows_are_compared_with_goes_by_a_file_that_is_gone_afterwards(made
 def test_what_a_killed_inspection_left_behind_is_swept_away(tmp_path):
     left = tmp_path / ".inspection-1f.npz"
     left.touch()
-    with defect_rows.kept(tmp_path, golden := Golden.nothing((2, 2), 1.0, 1.0), {}):
+    with defect_rows.kept(tmp_path, golden := Golden.nothing((2, 2), 1.0, 1.0), quiet := Noise({}, {})):
         assert left.exists()  # another one is at work
     os.utime(left, (0, 0))
-    with defect_rows.kept(tmp_path, golden, {}) as own:
+    with defect_rows.kept(tmp_path, golden, quiet) as own:
         assert list(tmp_path.iterdir()) == [own]
 
 

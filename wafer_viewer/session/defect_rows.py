@@ -25,7 +25,7 @@ from wafer_viewer.store.planes import read_planes, write_planes
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.defect_cells import CellResult, Work
-    from wafer_viewer.measure.defect_scores import Noise
+    from wafer_viewer.measure.defect_noise import Noise
     from wafer_viewer.measure.die_cells import Place
     from wafer_viewer.measure.golden import Golden
 
@@ -94,8 +94,7 @@ def kept(folder: Path, golden: Golden, noise: Noise) -> Generator[Path]:
     """What cells are compared with, in a file for as long as it is needed."""
     _sweep(folder)
     path = folder / f"{BEGINS}{uuid4().hex[:12]}{ENDS}"
-    planes = {name: getattr(golden, name) for name in PLANES}
-    write_planes(path, planes | {f"{layer}/{scale!r}": np.asarray(sigma) for (layer, scale), sigma in noise.items()})
+    write_planes(path, {name: getattr(golden, name) for name in PLANES} | _planes_of(noise))
     try:
         yield path
     finally:
@@ -112,6 +111,20 @@ def _sweep(folder: Path) -> None:
 def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], Noise]:
     """Golden planes by name, and the noise; kept from row to row."""
     planes = read_planes(path)
-    golden = {name: planes.pop(name) for name in PLANES}
-    keys = ((name.split("/"), sigma) for name, sigma in planes.items())
-    return golden, {(layer, float(scale)): sigma for (layer, scale), sigma in keys}
+    return {name: planes.pop(name) for name in PLANES}, _noise_of(planes)
+
+
+def _planes_of(noise: Noise) -> dict[str, NDArray[Any]]:
+    """By layer, scale and what they are: numbers too."""
+    facts = {"spread": noise.spread, "fall": noise.fall}
+    return {f"{what}/{k[0]}/{k[1]!r}": np.asarray(value) for what, by in facts.items() for k, value in by.items()}
+
+
+def _noise_of(planes: dict[str, NDArray[Any]]) -> Noise:
+    from wafer_viewer.measure.defect_noise import Noise
+
+    facts: dict[str, dict[tuple[str, float], Any]] = {"spread": {}, "fall": {}}
+    for name, value in planes.items():
+        what, layer, scale = name.split("/")
+        facts[what][layer, float(scale)] = value if value.ndim else float(value)
+    return Noise(**facts)
