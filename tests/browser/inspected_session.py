@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from wafer_viewer.model.sections import Section, SectionAsked
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.cutting import cut
+from wafer_viewer.session.defect_views import DefectViews, Earlier
+from wafer_viewer.session.paint_request import Source
 
 GRID = DieGrid(
     pitch_x_um=PITCH_UM,
@@ -48,9 +51,35 @@ PLANTED: tuple[tuple[DefectClass, int, int, float, float, float, float], ...] = 
 """Class, column, row, place on the die, half its length and its height, um."""
 
 
+EARLIER = Earlier(Source(Path("coupon-06.wafer"), "default", -99, 1), "coupon-06", lambda x_um, y_um: (x_um, y_um))
+"""The last scan of the wafer."""
+
+
 def inspected_session(n_defects: int = len(PLANTED)) -> InspectedSession:
     """A surface with its first so many defects."""
     return InspectedSession(n_defects)
+
+
+def repeating_session() -> InspectedSession:
+    """The same with a mark that the mask printed on most dies, and another that three of them have."""
+    session = InspectedSession(len(PLANTED))
+    now = session.snapshot.inspection.inspection
+    whole = [die for die in now.dies if die.state == "whole"]
+    most = whole[3:]
+    off = np.random.default_rng(4).normal(0.0, 1.0, (len(most), 2))
+    places = [(die, 92.0 + dx, 84.0 + dy) for die, (dx, dy) in zip(most, off.tolist(), strict=True)]
+    places += [(die, 24.0 + dx, 30.0 + dy) for die, (dx, dy) in zip(whole[2:11:4], off.tolist(), strict=False)]
+    first = len(now.defects) + 1
+    more = tuple(
+        _defect(first + k, "pattern" if v_um > 50 else "pit", die.col, die.row, u_um, v_um, 8.0, 3.0)
+        for k, (die, u_um, v_um) in enumerate(places)
+    )
+    session.change(
+        inspection=dataclasses.replace(
+            session.snapshot.inspection, inspection=replace(now, defects=(*now.defects, *more))
+        )
+    )
+    return session
 
 
 class InspectedSession(StitchedSession):
@@ -59,8 +88,10 @@ class InspectedSession(StitchedSession):
     def __init__(self, n_defects: int) -> None:
         super().__init__(3, 3)
         planted = PLANTED[:n_defects]
+        self.shelf.surfaces[EARLIER.source.show] = earlier(self.shelf.surfaces[0])
         self.shelf.surfaces[0] = _with(self.shelf.surfaces[0], planted)
         self.defects = FakeDefects(self)
+        self.defects.views = DefectViews(self.paint, lambda: self.snapshot, lambda *_: EARLIER)
         self.change(shelf=a_shelf())
         self.sections = CutSections(self.shelf.surfaces)
         self.change(inspection=dataclasses.replace(self.snapshot.inspection, inspection=found(planted)))
@@ -163,6 +194,12 @@ def _die(col: int, row: int, state: Any, defects: tuple[Defect, ...]) -> DieStat
     name = GRID.name(col, row)
     on_it = sum(d.die == name for d in defects) if state != "not scanned" else None
     return DieStatus(name=name, col=col, row=row, state=state, measured_fraction=0.97, defects=on_it)
+
+
+def earlier(surface: HeightMap) -> HeightMap:
+    """The surface before there were defects on it, laid down a little off."""
+    clean = _with(surface, ())
+    return dataclasses.replace(clean, x0_um=clean.x0_um + 3.0, y0_um=clean.y0_um - 1.5)
 
 
 def _with(surface: HeightMap, planted: tuple[Any, ...]) -> HeightMap:

@@ -12,8 +12,10 @@ import pytest
 from tests.browser import fake_session as fake
 from wafer_viewer.gui.commands import Command, looking, spoken
 from wafer_viewer.gui.compare_section import CompareSection
+from wafer_viewer.gui.defect_beside import DefectBeside
 from wafer_viewer.gui.defect_map import DefectMap
 from wafer_viewer.gui.defect_section import DefectSection
+from wafer_viewer.gui.defect_stack import DefectStack
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import sheet_html
 from wafer_viewer.gui.palette import Palette
@@ -47,7 +49,7 @@ def all_commands() -> list[Command]:
     scene = MagicMock()
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
     looks = [*looking(MagicMock()), *views.commands(), *views.going(with_views(fake.measured())), *picture.commands()]
-    panels = (ReviewPanel, ReportPanel, CompareSection, DefectMap, DefectSection, Welcome)
+    panels = (ReviewPanel, ReportPanel, CompareSection, DefectBeside, DefectMap, DefectSection, DefectStack, Welcome)
     of_panels = [command for panel in panels for command in panel.commands(MagicMock())]
     return [*looks, *commands_of(page, MagicMock(spec=Parts)), *of_panels]
 
@@ -131,6 +133,8 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (PLANNED, View(), "Accept", "no dataset is open"),
         (MEASURED, View(step="review"), "Class: Particle", "no defect is under review"),
         (MEASURED, View(), "Hillshade", "go to Surface first"),
+        (MEASURED, View(step="review"), "Beside its like", "no defect is under review"),
+        (MEASURED, View(step="review"), "All dies on one, next place", "no defects were searched for"),
         (MEASURED, View(step="surface"), "Accept", "go to Review first"),
         (MEASURED, View(step="surface", show=2), "Fields and overlaps", "over the stitched surface"),
         (MEASURED, View(step="surface"), "Close the comparison", "no comparison is on show"),

@@ -14,6 +14,7 @@ from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.defect_beside import DefectBeside
 from wafer_viewer.gui.defect_dock import DefectDock
+from wafer_viewer.gui.defect_stack import DefectStack
 from wafer_viewer.gui.gauge_dock import GaugeDock
 from wafer_viewer.gui.gauge_glass import GaugeGlass
 from wafer_viewer.gui.gauge_panel import GaugePanel
@@ -131,7 +132,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
     gauge = GaugePanel(page)
     review, report = ReviewPanel(page, scene), ReportPanel(page)
-    beside = DefectBeside(page)
+    beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
     ear.left = left.panel
     read_out, welcome = ReadOutBox(page), Welcome(page)
@@ -164,6 +165,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             GaugeDock(page),
             DefectDock(page),
             beside,
+            stack,
             GaugeGlass(page, lambda: gauge.live.answer),
         ),
         welcome,
@@ -178,7 +180,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, gauge, review, report, left.compare, left.defects, left.dies, beside
+    with_verbs = welcome, gauge, review, report, left.compare, left.defects, left.dies, beside, stack
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))

@@ -14,7 +14,14 @@ from wafer_viewer.session.state import Snapshot
 Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report", "Page"]
 Obstacle = Callable[[Snapshot, View], str | None]
 """Says why something is not possible now, in words that follow "Not now:"; None where it is (see obstacles.py)."""
-_SPOKEN = {"escape": "Esc", "pageup": "Page Up", "pagedown": "Page Down", "home": "Home", "enter": "Enter"}
+_SPOKEN = {
+    "escape": "Esc",
+    "pageup": "Page Up",
+    "pagedown": "Page Down",
+    "home": "Home",
+    "enter": "Enter",
+    "backspace": "Backspace",
+}
 _MODIFIERS = {"cmd/ctrl": "Ctrl", "shift": "Shift", "alt": "Alt"}
 
 

@@ -93,10 +93,8 @@ def _named(seen: Seen, defect: Defect, pixel_um: float) -> tuple[str, str]:
 
 
 def _moved(seen: Seen, pixel_um: float) -> str:
-    x_um, y_um = seen.moved_um
-    if seen.why_not or math.hypot(x_um, y_um) < _STILL_PX * pixel_um:
-        return ""
-    return f"found {number(x_um, 1, signed=True)}, {number(y_um, 1, signed=True)}\u202fµm off"
+    away_um = math.hypot(*seen.moved_um)
+    return "" if seen.why_not or away_um < _STILL_PX * pixel_um else f"found {with_unit(away_um, 1)} off"
 
 
 def _image(jpeg: bytes, title: str, what: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.profile_frame import frame_of
 from wafer_viewer.draw.profile_plot import profile_plot_html
 from wafer_viewer.gui import html
@@ -67,7 +68,7 @@ class DefectDock:
 
     def _head(self, defect: Defect, cut: Cut) -> str:
         words = " ".join(f"<span>{part}</span>" for part in _told(defect, cut, len(self._sections)))
-        return f'<div class="wv-dock"><b>Profile through the defect</b>{words}</div>'
+        return f'<div class="wv-dock wv-tight"><b>Profile through the defect</b>{words}</div>'
 
     def _curves(self) -> str:
         if self._problem:
@@ -78,7 +79,7 @@ class DefectDock:
 
 
 def _told(defect: Defect, cut: Cut, n_curves: int) -> Iterator[str]:
-    yield f'{html.chip("A", "#E8590C")} <span class="dim">through the middle</span>'
-    yield f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
+    height = f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
+    yield f'{html.chip("A", PROFILE_COLOURS[0])} {height} <span class="dim wv-hint">through the middle</span>'
     if cut.beside and n_curves > 1:
-        yield f'{html.chip("B", "#7B2CBF")} <span class="dim">same row, die {html.safe(cut.beside)}</span>'
+        yield f'{html.chip("B", PROFILE_COLOURS[1])} <span class="dim">same row, die {html.safe(cut.beside)}</span>'

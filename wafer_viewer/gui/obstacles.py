@@ -87,6 +87,12 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
     )
 
 
+def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:
+    """For what is made of an inspection."""
+    there = snapshot.inspection.inspection is not None
+    return elsewhere("review")(snapshot, view) or (None if there else "no defects were searched for yet.")
+
+
 def no_line(_: Snapshot, view: View) -> str | None:
     """For what is done to profile lines."""
     shown = view.step == "measure" and view.tool == "profile" and view.lines

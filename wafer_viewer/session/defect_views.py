@@ -44,8 +44,13 @@ class Earlier:
 class DefectViews:
     """Questions, from any thread; they read the disk. All raise WaferViewerError when there is no answer."""
 
-    def __init__(self, paint: Callable[[PaintRequest], Future[bytes]], snapshot: Callable[[], Snapshot]) -> None:
-        self._paint, self._snapshot = paint, snapshot
+    def __init__(
+        self,
+        paint: Callable[[PaintRequest], Future[bytes]],
+        snapshot: Callable[[], Snapshot],
+        earlier: Callable[[Snapshot, OpenDataset], Earlier | str] | None = None,
+    ) -> None:
+        self._paint, self._snapshot, self._earlier = paint, snapshot, earlier or earlier_scan
 
     def beside(self, number: int) -> Future[SideBySide | None]:
         """A defect beside the same place of the other dies or the golden one, and of the last scan of the wafer.
@@ -58,7 +63,7 @@ class DefectViews:
         if defect is None or inspection is None or data is None or surface is None:
             raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
         box = box_of(defect, surface.pixel_um)
-        like = _like(now, data, inspection, defect, box)
+        like = _like(inspection, defect, box, self._earlier(now, data))
         return _read(self._paint(PaintRequest(_source(data, surface), "beside", box_um=box, like=like)), SideBySide)
 
     def die(self) -> Future[DiePicture | None]:
@@ -86,9 +91,8 @@ def box_of(defect: Defect, pixel_um: float) -> Box:
     return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
 
 
-def _like(now: Snapshot, data: OpenDataset, inspection: Inspection, defect: Defect, box: Box) -> LikePlace:
+def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> LikePlace:
     here = _place(defect.die)
-    found = earlier_scan(now, data)
     missing, before = (found, None) if isinstance(found, str) else ("", found)
     middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     return LikePlace(

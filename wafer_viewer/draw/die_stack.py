@@ -1,0 +1,109 @@
+"""All dies laid onto one as SVG: their defects by class over the picture of a die, rings where a place repeats. Pure.
+
+Colours of lines and words are custom properties (``--ink``, ``--line`` …) of whoever shows it.
+"""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable, Collection, Sequence
+
+from wafer_viewer.draw.defect_looks import KINDS
+from wafer_viewer.draw.symbols import symbol
+from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.repeated_place import RepeatedPlace
+
+Attributes = Callable[[str, object], str]
+"""What makes a part of the drawing a button: from what is picked, and its key."""
+MOST_MARKS = 1500
+"""More are no drawing any more; those of repeated places come first."""
+_MARGIN_PX, _MARK_PX, _LEAST_RING_PX = 10.0, 3.6, 9.0
+
+
+def die_stack_svg(
+    inspection: Inspection,
+    places: Sequence[RepeatedPlace],
+    picture_url: str = "",
+    *,
+    width_px: int = 420,
+    most_height_px: int = 420,
+    chosen: int | None = None,
+    place: int | None = None,
+    attributes: Attributes = lambda what, key: "",
+) -> str:
+    """The die with what was found on all of them; empty without dies. chosen: a defect's number, place: of `places`."""
+    grid = inspection.grid
+    if grid is None:
+        return ""
+    room = width_px - 2 * _MARGIN_PX, most_height_px - 2 * _MARGIN_PX
+    scale = min(room[0] / grid.width_um, room[1] / grid.height_um)
+    width, height = grid.width_um * scale, grid.height_um * scale
+
+    def at(u_um: float, v_um: float) -> tuple[float, float]:
+        """Beyond the die, in its street, marks stay at its edge."""
+        x, y = _MARGIN_PX + u_um * scale, _MARGIN_PX + height - v_um * scale
+        return min(max(x, 2.0), width + 2 * _MARGIN_PX - 2), min(max(y, 2.0), height + 2 * _MARGIN_PX - 2)
+
+    box = f'x="{_MARGIN_PX:g}" y="{_MARGIN_PX:g}" width="{width:.1f}" height="{height:.1f}"'
+    image = f'<image {box} href="{html.escape(picture_url)}" preserveAspectRatio="none"/>' if picture_url else ""
+    frame = f'<rect {box} fill="{"none" if picture_url else "var(--fill)"}" stroke="var(--ink3)"/>'
+    drawn = shown(inspection, places)
+    marks = "".join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
+    rings = "".join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
+    w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
+    return (
+        f'<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
+        f'aria-label="All dies laid onto one" style="max-width:100%">{image}{frame}{rings}{marks}</svg>'
+    )
+
+
+def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defect]:
+    """The defects that are drawn, those of repeated places last, so that they lie above."""
+    repeated = {number for place in places for number in place.numbers}
+    on_dies = [defect for defect in inspection.found if defect.in_die is not None and defect.die]
+    some = sorted(on_dies, key=lambda defect: (defect.number not in repeated, -defect.score))[:MOST_MARKS]
+    return some[::-1]
+
+
+def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
+    """How many lie on dies and are not among those drawn."""
+    return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
+
+
+def _mark(
+    defect: Defect, at: Callable[[float, float], tuple[float, float]], chosen: bool, attributes: Attributes
+) -> str:
+    if defect.in_die is None:
+        return ""
+    x, y = at(defect.in_die.x_um, defect.in_die.y_um)
+    look = KINDS[defect.seen_as]
+    name = html.escape(f"D{defect.number}, {look.title}, die {defect.die}", quote=True)
+    ring = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8" fill="none" stroke="#15202B" stroke-width="2"/>' if chosen else ""
+    faint = ' opacity=".35"' if defect.judgement == "nuisance" else ""
+    return (
+        f'<g {attributes("review", f"defect {defect.number}")} aria-label="{name}"{faint}><title>{name}</title>{ring}'
+        f'<g stroke="#fff" stroke-width="1.4" paint-order="stroke">{symbol(look.shape, look.colour, x, y, _MARK_PX)}'
+        "</g></g>"
+    )
+
+
+def _ring(
+    k: int,
+    place: RepeatedPlace,
+    at: Callable[[float, float], tuple[float, float]],
+    scale: float,
+    chosen: bool,
+    attributes: Attributes,
+) -> str:
+    x, y = at(place.in_die.x_um, place.in_die.y_um)
+    radius = max(_LEAST_RING_PX, place.reach_um * scale + 6)
+    name = html.escape(f"Place {k + 1}, {place.words}", quote=True)
+    lines = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+        for ink, width in (("#fff", 4.5), ("#15202B", 2.6 if chosen else 1.5))
+    )
+    word = (
+        f'<text x="{x + radius + 2:.1f}" y="{y - radius + 5:.1f}" font-size="12" font-weight="650" fill="#15202B" '
+        f'stroke="#fff" stroke-width="3" paint-order="stroke">{k + 1}</text>'
+    )
+    return f'<g {attributes("defect-place", k)} aria-label="{name}"><title>{name}</title>{lines}{word}</g>'
