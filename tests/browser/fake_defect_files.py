@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from concurrent.futures import Future
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_files import lattice_for
 from wafer_viewer.session.defect_shelf import DefectShelf, OtherTool
+from wafer_viewer.store.klarf import write_klarf
 from wafer_viewer.store.klarf_reading import read_klarf
 
 
@@ -37,6 +40,21 @@ def golden_header(name: str, version: int, at: str, product: str = "LX-7") -> Go
         product=product, name=name, version=version, pixel_um=0.5, width_um=120.0, height_um=120.0, dies=20,
         made_of="coupon-04", made_at=at, simulated=True,
     )  # fmt: skip
+
+
+def other_file(folder: Path, inspection: Inspection) -> Path:
+    """A KLARF of another tool: what was found less one, a little off, and two places more."""
+    moved = [_moved(defect, 4.0, -3.0) for defect in inspection.found[1:]]
+    more = [
+        replace(_moved(defect, 55.0, 30.0), number=90 + k, kind="particle")
+        for k, defect in enumerate(inspection.found[:2])
+    ]
+    seen = replace(inspection, defects=(*moved, *more))
+    return write_klarf(seen, folder / "tool-2.klarf", at=datetime(2026, 3, 14, 9, 0))
+
+
+def _moved(defect: Defect, x_um: float, y_um: float) -> Defect:
+    return replace(defect, center=Point(x_um=defect.center.x_um + x_um, y_um=defect.center.y_um + y_um))
 
 
 class FakeDefectFiles:

@@ -104,7 +104,8 @@ def test_the_form_says_which_recipe_it_stands_for():
     standard = shelf.recipe_of("LX-7")
     assert standard is not None
     assert standard.name == "standard"
-    assert which_recipe(standard, standard, shelf, False) == "Recipe “standard” of LX-7, as it is kept."
+    assert which_recipe(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as it is kept."
+    assert "taken by itself" in which_recipe(standard, standard, shelf, False)
     turned = replace(standard, sensitivity=0.9)
     assert "changed: not kept" in which_recipe(standard, turned, shelf, False)
     assert "changed: not kept" in which_recipe(standard, None, shelf, False)

@@ -124,8 +124,8 @@ def golden_dialog(page: Page) -> None:
     dialog.answers("Keep", viser.Icon.CHECK, keep, "No golden die was kept")
 
 
-def save_recipe_dialog(page: Page, recipe: DefectRecipe) -> None:
-    """Keep a recipe under its product and a name; one that is there is replaced after a question."""
+def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:
+    """Keep a recipe under its product and a name, and go on with it; one that is there is replaced after a question."""
     below = (
         f"Kept beside the datasets. It is taken by itself when a dataset of {recipe.product or 'its product'} opens."
     )
@@ -138,10 +138,14 @@ def save_recipe_dialog(page: Page, recipe: DefectRecipe) -> None:
         named = replace(recipe, product=product.value.strip(), name=name.value.strip())
         kept = page.session.snapshot.shelf.recipes_of(named.product)
         if any(known.name == named.name and known != named for known in kept):
-            _ask_to_replace(page, named)
+            _ask_to_replace(page, named, keep)
         else:
-            _wait(page.session.defects.files.save_recipe(named))
-            page.redraw()
+            keep(named)
+
+    def keep(named: DefectRecipe) -> None:
+        _wait(page.session.defects.files.save_recipe(named))
+        then(named)
+        page.redraw()
 
     dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, "The recipe was not saved")
 
@@ -211,15 +215,10 @@ def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
     dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe stays")
 
 
-def _ask_to_replace(page: Page, recipe: DefectRecipe) -> None:
+def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectRecipe], None]) -> None:
     below = f"It is a recipe of {recipe.product} already; what it says now is gone then."
     dialog = Dialog(page, f"Replace recipe {recipe.name}?", below)
-
-    def replace_it() -> None:
-        _wait(page.session.defects.files.save_recipe(recipe))
-        page.redraw()
-
-    dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, replace_it, "Nothing was replaced")
+    dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, lambda: keep(recipe), "Nothing was replaced")
 
 
 def _next_version(page: Page, name: str) -> str:

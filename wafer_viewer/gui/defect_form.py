@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +23,8 @@ from wafer_viewer.gui.defect_form_values import (
     form_of,
     recipe_of,
 )
-from wafer_viewer.gui.defect_limits_text import limits_of
+from wafer_viewer.gui.defect_limits_text import limits_of, text_of
+from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
@@ -46,6 +48,7 @@ class InspectionForm:
         self._recipe = DefectRecipe()
         """What the form keeps of it is what it does not show."""
         self._of: object = None
+        self._limits = DefectLimits()
         self._form = DefectForm()
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
@@ -129,16 +132,17 @@ class InspectionForm:
 
     def _build_limits(self, gui: Any) -> None:
         page, failed = self._page, "The limits stay"
+        self._edits = Edits(self._limit, guarded(page, failed))
         per_die = gui.add_text("Most a die", "", hint="Defects that a die may have; empty: no limit")
         per_mm2 = gui.add_text("Most a mm²", "", hint="Defects that 1 mm² may have; empty: no limit")
-        self._per_die: Field[str] = Field(per_die, lambda _: self._limit(), page, failed)
-        self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._limit(), page, failed)
+        self._per_die: Field[str] = Field(per_die, lambda _: self._edits.made(), page, failed)
+        self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._edits.made(), page, failed)
 
     # --- what a person does
 
     def save(self) -> None:
         """Ask for a name and keep what stands on the form as the recipe of its product."""
-        save_recipe_dialog(self._page, self.recipe)
+        save_recipe_dialog(self._page, self.recipe, lambda kept: self._put(kept, form_of(kept, None, self._typed())))
 
     def _choose_recipe(self, event: Any) -> None:
         product, shelf = self._product.value.strip(), self._page.session.snapshot.shelf
@@ -151,12 +155,15 @@ class InspectionForm:
         self._form = replace(self._form, golden=name)
         self._page.redraw()
 
-    def _limit(self) -> None:
+    def _limit(self) -> Future[None] | None:
         """Limits hold for what was found already: the verdict follows at once, no search is needed."""
         page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
-        if page.session.snapshot.inspection.inspection is not None:
-            page.ask("The limits stay", page.session.defects.limit(limits))
         page.redraw()
+        if page.session.snapshot.inspection.inspection is None:
+            return None
+        answer = page.session.defects.limit(limits)
+        page.ask("The limits stay", answer)
+        return answer
 
     # --- showing
 
@@ -167,9 +174,9 @@ class InspectionForm:
         own = snapshot.shelf.recipe_of(product) or DefectRecipe(product=product)
         recipe = inspection.recipe if inspection is not None else own
         of = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
-        if inspection is not None:
-            self._per_die.show(form_of(recipe, inspection).max_per_die)
-            self._per_mm2.show(form_of(recipe, inspection).max_per_mm2)
+        if inspection is not None and recipe.limits != self._limits and not self._edits.under_way:
+            self._limits = recipe.limits
+            self._per_die.handle.value, self._per_mm2.handle.value = text_of(recipe.limits)
         if of != self._of:
             self._of = of
             self._put(recipe, form_of(recipe, inspection, self._typed()))

@@ -31,8 +31,10 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
 
 def which_recipe(recipe: DefectRecipe, now: DefectRecipe | None, shelf: DefectShelf, inspected: bool) -> str:
     """Where the form comes from, and whether it was changed since; `now` is what it asks for, None: it makes none."""
+    newest = shelf.recipe_of(recipe.product)
     if now is not None and now in shelf.recipes:
-        return f"Recipe “{now.name}” of {now.product}, as it is kept."
+        by_itself = " It was taken by itself, as that saved last." if not inspected and now == newest else ""
+        return f"Recipe “{now.name}” of {now.product}, as it is kept.{by_itself}"
     if inspected and now == recipe:
         return "As the surface was inspected; not kept."
     if recipe in shelf.recipes:

@@ -15,7 +15,7 @@ from wafer_viewer.model.klarf import KlarfDefect
 from wafer_viewer.session.defect_shelf import OtherTool
 from wafer_viewer.session.state import Snapshot
 
-MOST_ROWS, MOST_MARKS = 20, 400
+MOST_ROWS, MOST_MARKS = 6, 400
 INK = "var(--ink)"
 ROUND, LEAST_PX = 3.0, 120
 """So much more than a place is shown, and at least so many pixels of the surface."""

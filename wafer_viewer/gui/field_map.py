@@ -11,6 +11,7 @@ from dataclasses import replace
 from wafer_viewer.draw.map_marks import Mark, map_marks_svg
 from wafer_viewer.draw.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
 from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_other import other_marks
 from wafer_viewer.gui.kit import Cell, Gui
 from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_items import review_items
@@ -119,7 +120,7 @@ def _marks(snapshot: Snapshot, view: View) -> list[Mark]:
         listed = review_items(snapshot, view.review_filter, view.defects)
         placed = [item for item in listed if item.box_um is not None]
         few = [*placed[:MOST_MARKS], *(item for item in placed[MOST_MARKS:] if item.key == view.review)]
-        return [_judged(item, item.key == view.review) for item in few]
+        return [*other_marks(snapshot.shelf.other), *(_judged(item, item.key == view.review) for item in few)]
     if view.step != "measure":
         return []
     results = [item for item in review_items(snapshot) if item.number is not None]
