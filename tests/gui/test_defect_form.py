@@ -108,9 +108,11 @@ def test_the_form_says_which_recipe_it_stands_for():
     assert "taken by itself" in which_recipe(standard, standard, shelf, False)
     turned = replace(standard, sensitivity=0.9)
     assert "changed: not kept" in which_recipe(standard, turned, shelf, False)
-    assert "changed: not kept" in which_recipe(standard, None, shelf, False)
+    assert "As no recipe of LX-7" in which_recipe(DefectRecipe(), replace(turned, name=""), shelf, False)
     assert "As the surface was inspected" in which_recipe(turned, turned, shelf, True)
-    assert "No recipe of LX-9 is kept" in which_recipe(DefectRecipe(product="LX-9"), None, shelf, False)
+    other = DefectRecipe(product="LX-9")
+    assert "No recipe of LX-9 is kept" in which_recipe(other, other, shelf, False)
+    assert "Without a product" in which_recipe(other, DefectRecipe(), shelf, False)
     assert shelf.recipe_of("") is None
 
 

@@ -73,11 +73,15 @@ class InspectionForm:
         names = (NOT_KEPT, *(recipe.name for recipe in snapshot.shelf.recipes_of(product)))
         if tuple(self._recipes.handle.options) != names:
             self._recipes.handle.options = names
-        now = self._asked(form)
-        kept = now is not None and now in snapshot.shelf.recipes
-        self._recipes.show(now.name if now is not None and kept else NOT_KEPT)
         inspection = snapshot.inspection.inspection
-        self._said.show(_lab(words.which_recipe(self._recipe, now, snapshot.shelf, inspection is not None)))
+        try:
+            now = recipe_of(form, self._recipe)
+        except MeasureError as fault:
+            self._recipes.show(NOT_KEPT)
+            self._said.show(_lab(str(fault)))
+        else:
+            self._recipes.show(now.name if now in snapshot.shelf.recipes else NOT_KEPT)
+            self._said.show(_lab(words.which_recipe(self._recipe, now, snapshot.shelf, inspection is not None)))
         self._expected.show(_lab(words.expectation(form.sensitivity, inspection)))
         golden = form.compare == GOLDEN
         self._golden.show(words.golden_table(snapshot.shelf, product, form.golden) if golden else "")
@@ -208,12 +212,6 @@ class InspectionForm:
             max_per_mm2=self._per_mm2.value,
         )
 
-    def _asked(self, form: DefectForm) -> DefectRecipe | None:
-        try:
-            return recipe_of(form, self._recipe)
-        except MeasureError:
-            return None
-
     def _redrawing(self) -> Any:
         return guarded(self._page, "The form stays")(lambda _: self._page.redraw())
 
@@ -222,4 +220,4 @@ class InspectionForm:
 
 
 def _lab(text: str) -> str:
-    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(text)}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.micro(text))}</div>'

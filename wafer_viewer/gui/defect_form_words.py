@@ -29,17 +29,21 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     return f"{above} Expected to be false: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
 
 
-def which_recipe(recipe: DefectRecipe, now: DefectRecipe | None, shelf: DefectShelf, inspected: bool) -> str:
-    """Where the form comes from, and whether it was changed since; `now` is what it asks for, None: it makes none."""
+def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:
+    """Where the form comes from, and whether it was changed since; `now` is what it asks for."""
     newest = shelf.recipe_of(recipe.product)
-    if now is not None and now in shelf.recipes:
+    if now in shelf.recipes:
         by_itself = " It was taken by itself, as that saved last." if not inspected and now == newest else ""
         return f"Recipe “{now.name}” of {now.product}, as it is kept.{by_itself}"
     if inspected and now == recipe:
         return "As the surface was inspected; not kept."
     if recipe in shelf.recipes:
         return f"Recipe “{recipe.name}” of {recipe.product}, changed: not kept."
-    return f"No recipe of {recipe.product} is kept." if recipe.product else "Without a product no recipe is kept."
+    if not now.product:
+        return "Without a product no recipe is kept."
+    if shelf.recipes_of(now.product):
+        return f"As no recipe of {now.product} that is kept."
+    return f"No recipe of {now.product} is kept."
 
 
 def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
