@@ -72,8 +72,8 @@ class DefectViews:
         inspection, data, surface = now.inspection.inspection, now.dataset, now.surface
         if inspection is None or data is None or surface is None:
             raise DatasetError("Nothing was inspected yet: search for defects first.")
-        like = LikePlace(inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product)
-        return _read(self._paint(PaintRequest(_source(data, surface), "die", like=like)), DiePicture)
+        request = PaintRequest(_source(data, surface), "die", like=like_die(inspection))
+        return _read(self._paint(request), DiePicture)
 
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
         """The places at which at least three dies have a defect; see `wafer_viewer.repeated_defects`."""
@@ -89,6 +89,11 @@ def box_of(defect: Defect, pixel_um: float) -> Box:
     width = max(ROUND_A_DEFECT * max(x1 - x0, (y1 - y0) * ASPECT), LEAST_PX * pixel_um)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
+
+
+def like_die(inspection: Inspection) -> LikePlace:
+    """Which dies a picture of the usual one is made of."""
+    return LikePlace(inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product)
 
 
 def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> LikePlace:

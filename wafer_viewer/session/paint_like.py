@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -61,29 +62,41 @@ def beside(shelf: Shelf, request: PaintRequest) -> bytes:
 
 
 def die(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `DiePicture` as msgpack: the picture of a die, along its own axes."""
-    like = request.like
-    if like is None or like.grid is None or not (like.dies or like.golden):
-        return msgspec.msgpack.encode(DiePicture(why_not="No die was scanned whole."))
-    surface = shelf.surface(request.source)
+    """A `DiePicture` as msgpack."""
+    if request.like is None:
+        return b""
+    folder = request.source.dataset.parent
+    return msgspec.msgpack.encode(picture_of_die(shelf.surface(request.source), folder, request.like))
+
+
+def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture:
+    """The picture of a die along its own axes: that of the golden one, or the median of the dies of `like`.
+
+    folder: the data folder, where golden dies lie.
+    """
+    nothing = DiePicture(why_not="No die was scanned whole.")
+    if like.grid is None or not (like.dies or like.golden):
+        return nothing
     place = like.dies[0] if like.dies else (like.grid.first_col, like.grid.first_row)
     patch = Patch.of_die(surface, like.grid, place, DIE_PX)
     if like.golden:
         with suppress(WaferViewerError):
-            golden = _golden(request.source, like, surface)
-            seen = cut_of_golden(golden, like.grid, place, patch)
-            return msgspec.msgpack.encode(DiePicture(_grey(seen), golden.header.dies, golden.title))
+            golden = _golden(folder, like, surface)
+            return DiePicture(_grey(cut_of_golden(golden, like.grid, place, patch)), golden.header.dies, golden.title)
     own = cut(surface, patch)
     if own is None:
-        return msgspec.msgpack.encode(DiePicture(why_not="No die was scanned whole."))
-    laid = list(_laid(surface, replace(like, die=place, dies=like.dies[1:]), patch, own))
-    cuts = [own, *(one.cut for one in laid)]
-    return msgspec.msgpack.encode(DiePicture(_grey(usual(own, cuts)), len(cuts)))
+        return nothing
+    cuts = [own, *(one.cut for one in _laid(surface, replace(like, die=place, dies=like.dies[1:]), patch, own))]
+    return DiePicture(_grey(usual(own, cuts)), len(cuts))
 
 
 def _others(shelf: Shelf, source: Source, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Iterator[Pair]:
     """The reference, then the earlier scan; why it is missing where it is."""
-    yield _of_golden(source, like, surface, patch, own) if like.golden else _of_dies(like, surface, patch, own)
+    yield (
+        _of_golden(source.dataset.parent, like, surface, patch, own)
+        if like.golden
+        else _of_dies(like, surface, patch, own)
+    )
     yield _of_before(shelf, like, patch, own)
 
 
@@ -107,11 +120,11 @@ def _laid(surface: Mosaic, like: LikePlace, patch: Patch, own: Cut) -> Iterator[
                 yield found
 
 
-def _of_golden(source: Source, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
+def _of_golden(folder: Path, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
     if like.grid is None or like.die is None:
         return Seen("golden", why_not="The place lies outside of the dies."), None
     try:
-        golden = _golden(source, like, surface)
+        golden = _golden(folder, like, surface)
     except WaferViewerError as fault:
         return Seen("golden", why_not=str(fault)), None
     found = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
@@ -120,11 +133,11 @@ def _of_golden(source: Source, like: LikePlace, surface: Mosaic, patch: Patch, o
     return Seen("golden", name=golden.title, dies=golden.header.dies), found
 
 
-def _golden(source: Source, like: LikePlace, surface: Mosaic) -> GoldenDie:
+def _golden(folder: Path, like: LikePlace, surface: Mosaic) -> GoldenDie:
     """The stored golden die. Raises DatasetError where it is gone, MeasureError where it does not fit."""
     from wafer_viewer.store.golden import FOLDER, golden_named
 
-    golden = golden_named(source.dataset.parent / FOLDER, like.golden, like.product)
+    golden = golden_named(folder / FOLDER, like.golden, like.product)
     if like.grid is None:
         raise MeasureError("There are no dies: nothing to lay a golden die on.")
     size = {"width_um": like.grid.width_um, "height_um": like.grid.height_um}

@@ -12,6 +12,7 @@ from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, Section
 from wafer_viewer.session.finding_numbers import quantity_text
 from wafer_viewer.session.report_material import Material
 from wafer_viewer.session.report_pictures import place_picture
+from wafer_viewer.session.report_stack import repeated, stacked
 
 MOST_ROWS, MOST_PICTURES = 40, 12
 """Beyond that a report says how many more there are: the CSV and the KLARF have all."""
@@ -71,6 +72,7 @@ def _figures(material: Material, found: Inspection, largest: list[Defect]) -> It
     if found.found:
         chart = pareto_svg(defect.seen_as for defect in found.found)
         yield Figure("", "Defects by class; at the right the share of all up to each.", svg=chart)
+    yield from stacked(material, found)
     info = material.info
     if info is None or not material.result.has_mosaic:
         return
@@ -87,4 +89,5 @@ def _sentences(found: Inspection) -> Iterator[str]:
     not_clean = [die.name for die in found.dies if die.state in ("partly scanned", "not scanned")]
     if not_clean:
         yield f"Not or only partly scanned, so not clean: {'; '.join(not_clean)}."
+    yield from repeated(found)
     yield from found.notes
