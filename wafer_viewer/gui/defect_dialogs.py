@@ -157,7 +157,7 @@ def recipes_dialog(page: Page) -> None:
         page, "Recipes for defects", "That saved last is taken by itself when a dataset of its product opens."
     )
     with dialog.modal:
-        Cell(page.gui, recipe_table(shelf.recipes) + "".join(_lab(problem) for problem in shelf.problems))
+        Cell(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
 
     def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
         dialog.close()

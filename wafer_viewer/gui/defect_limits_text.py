@@ -31,8 +31,10 @@ def verdict(inspection: Inspection) -> str:
         return ""
     said = verdict_of(inspection, limits)
     if said.within:
-        return html.note("good", "Within the limits", f"{said.counted} counted, {_allowed(limits)} allowed.")
-    return html.note("fault", "Not within the limits", " ".join(said.why).replace("mm2", "mm²"))
+        note = html.note("good", "Within the limits", f"{said.counted} counted, {_allowed(limits)} allowed.")
+    else:
+        note = html.note("fault", "Not within the limits", " ".join(said.why).replace("mm2", "mm²"))
+    return f'<div class="wv-blind">{note}</div>'
 
 
 def _allowed(limits: DefectLimits) -> str:
