@@ -1,4 +1,4 @@
-"""What finding defects on large mosaics takes: seconds of clock and processor, and memory, in a process of its own.
+"""What finding defects on large mosaics takes: seconds of clock and processor, and memory, alone and on two workers.
 
 The mosaics are made up (patterned dies with noise of their own, 2 % unmeasured, some defects), written as any other is
 and kept between runs under the folder for temporary files.
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,13 +23,17 @@ from tests.bench.tables import met, show
 from tests.truth.defects import DEPTH_UM, Plan
 from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
+from wafer_viewer.model.defects import Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.rigs.virtual.scene import Scene, Window
+from wafer_viewer.session.cluster import client_of
+from wafer_viewer.session.crew import Cluster, Crew, Here
+from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic
 
 GOALS = {3_000: (6.0, 3.0), 12_850: (120.0, 3.0)}
-"""Side in px: seconds, and GB of memory."""
+"""Side in px: seconds, and GB of memory of all processes together."""
 QUICK_PX = 1_500
 NOISE_UM, SMOOTH_PX = 0.15, 3
 
@@ -105,43 +110,74 @@ def made_mosaic(side_px: int) -> Path:
 
 
 def show_speed(quick: bool) -> None:
-    """Each size in a process of its own."""
-    rows = [row(side_px, made_mosaic(side_px)) for side_px in ((QUICK_PX,) if quick else GOALS)]
-    header = ("mosaic", "clock s", "processor s", "memory GB", "defects", "goals")
-    show("Finding defects on made-up mosaics, all cores", header, rows)
+    """Each size in this process alone and on two workers, each time with a process of its own to lead it."""
+    sizes, hands = ((QUICK_PX,), (1, 2)) if quick else (tuple(GOALS), (1, 2))
+    rows = [row(side_px, made_mosaic(side_px), n) for side_px in sizes for n in hands]
+    header = ("mosaic", "workers", "dies s", "defects s", "clock s", "processor s", "leader GB", "worker GB", "goals")
+    show("Finding dies and defects on made-up mosaics on disk", header, rows)
 
 
-def row(side_px: int, path: Path) -> tuple[str | float | int, ...]:
-    command = [sys.executable, "-m", "tests.bench.defects_speed", str(path)]
+def row(side_px: int, path: Path, workers: int) -> tuple[str | float | int | None, ...]:
+    """One line of the table; a goal is what all processes together need."""
+    command = [sys.executable, "-m", "tests.bench.defects_speed", str(path), str(workers)]
     said = subprocess.run(command, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
     told = json.loads(said.stdout.splitlines()[-1])
-    if side_px not in GOALS:
-        goals = "-"
-    else:
+    goals = "-"
+    if side_px in GOALS:
         most_s, most_gb = GOALS[side_px]
-        goals = f"{most_s:g} s {met(told['clock_s'], most_s)}, {most_gb:g} GB {met(told['memory_gb'], most_gb)}"
-    name = f"{told['pixels'] / 1e6:.1f} Mpx"
-    return name, told["clock_s"], told["processor_s"], told["memory_gb"], told["defects"], goals
+        all_gb = told["leader_gb"] + workers * told.get("worker_gb", 0.0) * (workers > 1)
+        goals = f"{most_s:g} s {met(told['clock_s'], most_s)}, {most_gb:g} GB {met(all_gb, most_gb)}"
+    name = f"{told['pixels'] / 1e6:.1f} Mpx, {told['dies']} dies"
+    shown = ("dies_s", "defects_s", "clock_s", "processor_s", "leader_gb", "worker_gb")
+    return name, ("none" if workers == 1 else workers), *(told.get(key) for key in shown), goals
 
 
-def measured(path: Path) -> dict[str, float | int]:
-    """One inspection, kernels compiled before."""
+def measured(path: Path, workers: int) -> dict[str, float | int]:
+    """One search for dies and defects, kernels compiled before; 1: this process alone."""
+    if workers == 1:
+        return timed(path, Here(), list)
+    with client_of(None, workers) as client:
+        return timed(path, Cluster(client), lambda: list(client.run(spent).values()))
+
+
+def timed(path: Path, crew: Crew, asked: Callable[[], list[tuple[float, float]]]) -> dict[str, float | int]:
+    """asked: seconds of processor and peak of memory of each worker."""
+    inspected(made_mosaic(QUICK_PX), crew)
+    before = [spent()[0], *(seconds for seconds, _ in asked())]
+    begin = time.perf_counter()
+    pixels, found, dies_s = inspected(path, crew)
+    clock_s = time.perf_counter() - begin
+    leader, *others = [spent(), *asked()]
+    told = {
+        "pixels": pixels,
+        "dies": len(found.dies),
+        "dies_s": dies_s,
+        "defects_s": clock_s - dies_s,
+        "clock_s": clock_s,
+        "processor_s": sum(seconds for seconds, _ in (leader, *others)) - sum(before),
+        "leader_gb": leader[1],
+        "defects": len(found.found),
+    }
+    return told | ({"worker_gb": max(gigabytes for _, gigabytes in others)} if others else {})
+
+
+def inspected(path: Path, crew: Crew) -> tuple[int, Inspection, float]:
+    """(pixels, what was found, s that the search for dies took)."""
     from wafer_viewer.measure.defects import inspect
     from wafer_viewer.measure.die_grid import find_dies
 
-    small = MadePattern(1_500).window()
-    inspect(small, find_dies(small))
-    mosaic = ZarrMosaic.open(path)
-    begin, before = time.perf_counter(), time.process_time()
-    found = inspect(mosaic, find_dies(mosaic))
-    return {
-        "pixels": mosaic.shape[0] * mosaic.shape[1],
-        "clock_s": time.perf_counter() - begin,
-        "processor_s": time.process_time() - before,
-        "memory_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6,
-        "defects": len(found.found),
-    }
+    mosaic, begin = ZarrMosaic.open(path), time.perf_counter()
+    grid = find_dies(mosaic)
+    dies_s = time.perf_counter() - begin
+    return mosaic.shape[0] * mosaic.shape[1], inspect(mosaic, grid, rows_by=RowHands(crew, path)), dies_s
+
+
+def spent() -> tuple[float, float]:
+    """Seconds of processor of this process so far, and the most memory it had, GB."""
+    return time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 if __name__ == "__main__":
-    print(json.dumps(measured(Path(sys.argv[1]))))
+    from tests.bench import defects_speed  # so that workers find what they are asked by its name
+
+    print(json.dumps(defects_speed.measured(Path(sys.argv[1]), int(sys.argv[2]))))

@@ -10,13 +10,13 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.die_evidence import CellLattice, bounds_of, layers_of, median_of
-from wafer_viewer.measure.heights import Floats
+from wafer_viewer.measure.die_evidence import CellLattice, bounds_of, median_of
+from wafer_viewer.measure.heights import Floats, layer_of, pictured_window
 from wafer_viewer.measure.level import least_squares
 from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic, Origin
+from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.numerics.arrays import Float32s
 
 DIE_PX = 200
@@ -103,11 +103,11 @@ def _piece(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice,
         unknown = np.full(inside.shape, np.nan, np.float32)
         return Seen((unknown, unknown), inside, x_um, y_um)
     box = Region.rectangle(x_um[inside].min(), y_um[inside].min(), x_um[inside].max(), y_um[inside].max())
-    part = surface.window(box, level)
-    rows = np.rint((part.y0_um - y_um) / part.pixel_um).astype(np.intp).clip(0, part.shape[0] - 1)
-    cols = np.rint((x_um - part.x0_um) / part.pixel_um).astype(np.intp).clip(0, part.shape[1] - 1)
-    layers = tuple(np.where(inside, layer[rows, cols], np.float32(np.nan)) for layer in layers_of(part, "both"))
-    return Seen(layers, inside & (part.origin[rows, cols] != Origin.NOT_COVERED), x_um, y_um)
+    part = pictured_window(surface, layer_of(surface.provenance.recipe, None), box, level)
+    rows = np.rint((part.y0_um - y_um) / part.pixel_um).astype(np.intp).clip(0, part.z_um.shape[0] - 1)
+    cols = np.rint((x_um - part.x0_um) / part.pixel_um).astype(np.intp).clip(0, part.z_um.shape[1] - 1)
+    z_um, picture = (np.where(inside, layer[rows, cols], np.float32(np.nan)) for layer in (part.z_um, part.picture))
+    return Seen((z_um, picture), np.isfinite(picture), x_um, y_um)
 
 
 def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
