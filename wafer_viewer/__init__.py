@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.volume import area_volume
     from wafer_viewer.model.calibration import Calibration
     from wafer_viewer.model.conditions import Conditions
+    from wafer_viewer.model.defect_limits import DefectLimits
+    from wafer_viewer.model.defect_verdict import verdict_of
     from wafer_viewer.model.defects import DefectRecipe
     from wafer_viewer.model.die_grid import DieGrid
     from wafer_viewer.model.errors import WaferViewerError
@@ -75,6 +77,7 @@ if TYPE_CHECKING:
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.certificates import read_certificate
     from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.defect_recipes import read_defect_recipe, save_defect_recipe
     from wafer_viewer.store.exporters import export, write_surface
     from wafer_viewer.store.golden import open_golden, save_golden
     from wafer_viewer.store.importers import import_dataset, open_stack
@@ -82,6 +85,7 @@ if TYPE_CHECKING:
     from wafer_viewer.store.klarf_reading import read_klarf
     from wafer_viewer.store.npz import read_npz
     from wafer_viewer.store.readers import read_surface
+    from wafer_viewer.store.training import write_training_set
 
 _HOMES = {
     "AreaVolume": "model.findings",
@@ -92,6 +96,7 @@ _HOMES = {
     "Conditions": "model.conditions",
     "Coplanarity": "model.shape",
     "Dataset": "store.dataset",
+    "DefectLimits": "model.defect_limits",
     "DefectRecipe": "model.defects",
     "DieGrid": "model.die_grid",
     "DieSize": "model.shape",
@@ -159,12 +164,14 @@ _HOMES = {
     "point_height": "measure.point",
     "profile": "measure.profile",
     "read_certificate": "store.certificates",
+    "read_defect_recipe": "store.defect_recipes",
     "read_klarf": "store.klarf_reading",
     "read_npz": "store.npz",
     "read_surface": "store.readers",
     "reconstruct": "reconstruct.field",
     "repeats_of": "measure.repeatability",
     "roughness": "measure.roughness",
+    "save_defect_recipe": "store.defect_recipes",
     "save_golden": "store.golden",
     "site_ranges": "measure.one_sided",
     "statuses": "measure.die_status",
@@ -174,8 +181,10 @@ _HOMES = {
     "studies_of": "session.repeat_study",
     "study_rr": "measure.repeatability",
     "texture": "measure.texture",
+    "verdict_of": "model.defect_verdict",
     "write_klarf": "store.klarf",
     "write_surface": "store.exporters",
+    "write_training_set": "store.training",
 }
 """Where each public name lives."""
 
@@ -188,6 +197,7 @@ __all__ = [
     "Conditions",
     "Coplanarity",
     "Dataset",
+    "DefectLimits",
     "DefectRecipe",
     "DieGrid",
     "DieSize",
@@ -256,12 +266,14 @@ __all__ = [
     "point_height",
     "profile",
     "read_certificate",
+    "read_defect_recipe",
     "read_klarf",
     "read_npz",
     "read_surface",
     "reconstruct",
     "repeats_of",
     "roughness",
+    "save_defect_recipe",
     "save_golden",
     "site_ranges",
     "statuses",
@@ -271,8 +283,10 @@ __all__ = [
     "studies_of",
     "study_rr",
     "texture",
+    "verdict_of",
     "write_klarf",
     "write_surface",
+    "write_training_set",
 ]
 
 

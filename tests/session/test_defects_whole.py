@@ -1,0 +1,90 @@
+"""From a surface to a hand-over with a true session: inspected by its workers, judged, kept, written, opened again."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from tests.measure.noisy_wafer import Planted, wafer
+from tests.session.conftest import PATIENCE_S
+from wafer_viewer.model.defect_limits import DefectLimits
+from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.session.session import Session
+from wafer_viewer.store.golden import open_golden
+from wafer_viewer.store.klarf_reading import read_klarf
+from wafer_viewer.store.npz import write_npz
+
+pytestmark = pytest.mark.slow
+BUMP, PIT = Planted("bump", 250.0, 392.0, 30, 8), Planted("pit", 110.0, 110.0, 24, 10)
+RECIPE = DefectRecipe(product="LX-7", name="dull", sensitivity=0.25, limits=DefectLimits(max_per_die=0))
+
+
+@pytest.fixture(scope="module")
+def made():
+    return wafer(1, (3, 3), (120, 140), (BUMP, PIT))
+
+
+@pytest.fixture(scope="module")
+def inspected(tmp_path_factory, made):
+    """A session with a dataset that was searched, and one defect judged."""
+    folder = tmp_path_factory.mktemp("data")
+    write_npz(made.surface, folder / "w7.npz")
+    session = Session(folder)
+    path = session.exchange.import_surface(folder / "w7.npz").result(PATIENCE_S)
+    session.wait_until(lambda now: now.surface is not None, PATIENCE_S)
+    found = session.defects.inspect(RECIPE, made.grid).result(PATIENCE_S)
+    session.defects.judge(found.found[0].number, "real", "residue", "gel?").result(PATIENCE_S)
+    session.defects.judge(found.found[1].number, "nuisance").result(PATIENCE_S)
+    yield session, path
+    session.close()
+
+
+def test_nothing_is_lost_on_the_way_out_and_back(inspected, tmp_path: Path):
+    session, path = inspected
+    shown = session.snapshot.inspection.inspection
+    assert (shown.reference, shown.grid.by, len(shown.found) >= 2) == ("dies", "given", True)
+    files = session.defects.files
+    klarf = files.write("klarf", tmp_path / "w7.klarf").result(PATIENCE_S)
+    assert [d.bin for d in read_klarf(klarf).defects][:2] == [1, 2]
+    with files.write("csv", tmp_path / "w7.csv").result(PATIENCE_S).open() as table:
+        first = next(csv.DictReader(table))
+    assert (first["class"], first["judgement"], first["note"]) == ("residue", "real", "gel?")
+    folder = files.write("training", tmp_path / "set").result(PATIENCE_S)
+    assert len(list(folder.glob("*.npy"))) == len(shown.found)
+    other = files.lay_over(klarf).result(PATIENCE_S)
+    assert len(other.matched(shown.found)) == len(shown.found)
+    assert session.snapshot.works == ()
+
+    session.close_dataset().result(PATIENCE_S)
+    assert session.snapshot.inspection.inspection is None
+    assert session.snapshot.shelf.other is None
+    session.open_dataset(path).result(PATIENCE_S)
+    again = session.snapshot.inspection
+    assert again.inspection == shown
+    assert not again.stale
+
+
+def test_a_golden_die_and_a_recipe_serve_the_next_inspection(inspected, made):
+    session, _ = inspected
+    files = session.defects.files
+    kept = files.keep_golden("lx7").result(PATIENCE_S)
+    assert (kept.parent.name, open_golden(kept).header.product) == ("golden", "LX-7")
+    session.wait_until(lambda now: bool(now.shelf.golden), PATIENCE_S)
+    files.save_recipe(DefectRecipe(product="LX-7", golden="lx7", sensitivity=0.25)).result(PATIENCE_S)
+    assert [header.name for header in session.snapshot.shelf.golden] == ["lx7"]
+    found = session.defects.inspect(session.snapshot.shelf.recipe_of("LX-7"), made.grid).result(PATIENCE_S)
+    assert found.reference == "golden"
+    judged = session.snapshot.inspection.inspection.found
+    assert {"real", "nuisance"} <= {defect.judgement for defect in judged}
+
+
+def test_a_golden_die_of_another_product_is_refused(inspected, made):
+    session, _ = inspected
+    session.defects.files.keep_golden("lx7").result(PATIENCE_S)
+    of_another = DefectRecipe(product="LX-8", golden="lx7")
+    with pytest.raises((DatasetError, MeasureError), match=r"'lx7' is of product 'LX-7', not of 'LX-8'"):
+        session.defects.inspect(of_another, made.grid).result(PATIENCE_S)
+    assert "not of 'LX-8'" in session.snapshot.inspection.problem
