@@ -19,7 +19,9 @@ from tests.browser.compared_session import ComparedSession
 from tests.browser.fake_session import FakeSession
 from tests.browser.gauge_blocks import certificate
 from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
-from tests.browser.inspected_session import inspected_session
+from tests.browser.handed_session import with_golden, with_other_tool
+from tests.browser.inspected_session import inspected_session, repeating_session
+from tests.browser.inspected_states import failed, held_elsewhere, inspected_as, whole_wafer
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
@@ -31,6 +33,7 @@ from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.notebook_state import NotebookState
 
 Act = Callable[[Page], None]
+COUNT = "[data-pick=defect-map-by][data-k=count]"
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,11 @@ def press(*keys: str) -> Act:
             page.wait_for_timeout(700)
 
     return act
+
+
+def pause(page: Page) -> None:
+    """Let what is made elsewhere arrive."""
+    page.wait_for_timeout(2500)
 
 
 def click(selector: str) -> Act:
@@ -279,9 +287,31 @@ SCREENS: dict[str, Screen] = {
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),
     "review-defects": Screen(inspected_session, "review", seen=True, then=(press("PageDown", "y", "PageDown"),)),
+    "review-die": Screen(inspected_session, "review", seen=True, then=(click(COUNT), press("End", "End"))),
+    "review-wafer": Screen(whole_wafer, "review", seen=True, then=(press("PageDown"),)),
+    "review-wafer-count": Screen(whole_wafer, "review", seen=True, then=(click(COUNT), press("0"))),
+    "review-inspecting": Screen(lambda: inspected_as(work="1"), "review", seen=True),
+    "review-stale": Screen(lambda: inspected_as(stale=True), "review", seen=True),
+    "review-inspection-failed": Screen(failed, "review", seen=True),
+    "review-read-only": Screen(held_elsewhere, "review", seen=True, then=(click("[data-pick=defect-form]"),)),
     "review-defect-form": Screen(
         inspected_session, "review", seen=True, then=(press("PageDown"), click("[data-pick=defect-form]"))
     ),
+    "review-beside": Screen(inspected_session, "review", seen=True, then=(press("PageDown", "z"), pause)),
+    "review-stack": Screen(
+        repeating_session, "review", seen=True, then=(press("Backspace"), pause, press("Backspace"), pause)
+    ),
+    "review-golden-list": Screen(
+        inspected_session, "review", seen=True, then=(click("[data-pick=defect-form]"), with_golden)
+    ),
+    "review-export": Screen(inspected_session, "review", seen=True, then=(click("[data-pick=defect-errand]"),)),
+    "review-golden": Screen(
+        inspected_session, "review", seen=True, then=(click("[data-pick=defect-errand][data-k=golden]"),)
+    ),
+    "review-recipes": Screen(
+        inspected_session, "review", seen=True, then=(click("[data-pick=defect-form]"), press_button("Recipes…"))
+    ),
+    "review-other-tool": Screen(with_other_tool, "review", seen=True),
     "review-nothing-found": Screen(lambda: inspected_session(0), "review", seen=True),
     "review-not-inspected": Screen(lambda: StitchedSession(3, 3), "review", seen=True),
     "report": Screen(noted, "report", seen=True),
