@@ -9,6 +9,8 @@ import sys
 import types
 from typing import TYPE_CHECKING
 
+from wafer_viewer.homes import HOMES
+
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.defects import golden_of_surface, inspect
     from wafer_viewer.measure.die_grid import find_dies
     from wafer_viewer.measure.die_size import die_size
+    from wafer_viewer.measure.die_stack import repeated_places
     from wafer_viewer.measure.die_status import statuses
     from wafer_viewer.measure.find_faces import find_faces
     from wafer_viewer.measure.flatness import flatness
@@ -86,107 +89,6 @@ if TYPE_CHECKING:
     from wafer_viewer.store.npz import read_npz
     from wafer_viewer.store.readers import read_surface
     from wafer_viewer.store.training import write_training_set
-
-_HOMES = {
-    "AreaVolume": "model.findings",
-    "Calibration": "model.calibration",
-    "Certificate": "model.gauge",
-    "Chipping": "model.shape",
-    "CircleSize": "model.shape",
-    "Conditions": "model.conditions",
-    "Coplanarity": "model.shape",
-    "Dataset": "store.dataset",
-    "DefectLimits": "model.defect_limits",
-    "DefectRecipe": "model.defects",
-    "DieGrid": "model.die_grid",
-    "DieSize": "model.shape",
-    "Distance": "model.findings",
-    "FaceAngle": "model.findings",
-    "Field": "model.plan",
-    "FieldGrid": "model.plan",
-    "FieldStack": "model.stack",
-    "Flatness": "model.findings",
-    "FocusCurve": "model.evidence",
-    "FocusSweep": "model.plan",
-    "GaugeCheck": "model.gauge",
-    "GaugeRR": "model.repeatability",
-    "GaugeTerms": "model.gauge",
-    "HeightMap": "model.surface",
-    "Job": "model.plan",
-    "KerfWidth": "model.shape",
-    "Length": "model.quantities",
-    "Levelling": "model.levelling",
-    "Mosaic": "model.surface",
-    "Origin": "model.surface",
-    "PointHeight": "model.findings",
-    "Poses": "model.poses",
-    "Profile": "model.findings",
-    "ProfileCurve": "model.findings",
-    "Quality": "measure.quality",
-    "Quantity": "model.quantities",
-    "Radius": "model.findings",
-    "Recipe": "model.recipe",
-    "Region": "model.region",
-    "RigConfig": "rigs.config",
-    "Roughness": "model.texture",
-    "Sample": "model.sample",
-    "ScanPlan": "model.plan",
-    "Session": "session.session",
-    "StepHeight": "model.step",
-    "StepProfile": "model.step",
-    "Texture": "model.texture",
-    "WaferViewerError": "model.errors",
-    "area_volume": "measure.volume",
-    "bump_radius": "measure.radius",
-    "chipping": "measure.chipping",
-    "circle_size": "measure.circle",
-    "compare": "reconstruct.compare",
-    "compare_with_truth": "measure.quality",
-    "coplanarity": "measure.coplanarity",
-    "die_size": "measure.die_size",
-    "distance": "measure.point",
-    "export": "store.exporters",
-    "face_angle": "measure.angle",
-    "find_dies": "measure.die_grid",
-    "find_faces": "measure.find_faces",
-    "flatness": "measure.flatness",
-    "focus_curve": "reconstruct.why",
-    "gauge_check": "measure.gauge",
-    "gauge_repeat": "measure.gauge",
-    "gauge_rr": "measure.repeatability",
-    "golden_of_surface": "measure.defects",
-    "import_dataset": "store.importers",
-    "inspect": "measure.defects",
-    "kerf_width": "measure.kerf",
-    "levelled": "measure.levelled",
-    "open_golden": "store.golden",
-    "open_stack": "store.importers",
-    "point_height": "measure.point",
-    "profile": "measure.profile",
-    "read_certificate": "store.certificates",
-    "read_defect_recipe": "store.defect_recipes",
-    "read_klarf": "store.klarf_reading",
-    "read_npz": "store.npz",
-    "read_surface": "store.readers",
-    "reconstruct": "reconstruct.field",
-    "repeats_of": "measure.repeatability",
-    "roughness": "measure.roughness",
-    "save_defect_recipe": "store.defect_recipes",
-    "save_golden": "store.golden",
-    "site_ranges": "measure.one_sided",
-    "statuses": "measure.die_status",
-    "step_height": "measure.step",
-    "step_profile": "measure.step_profile",
-    "stitch": "reconstruct.stitch",
-    "studies_of": "session.repeat_study",
-    "study_rr": "measure.repeatability",
-    "texture": "measure.texture",
-    "verdict_of": "model.defect_verdict",
-    "write_klarf": "store.klarf",
-    "write_surface": "store.exporters",
-    "write_training_set": "store.training",
-}
-"""Where each public name lives."""
 
 __all__ = [
     "AreaVolume",
@@ -271,6 +173,7 @@ __all__ = [
     "read_npz",
     "read_surface",
     "reconstruct",
+    "repeated_places",
     "repeats_of",
     "roughness",
     "save_defect_recipe",
@@ -291,11 +194,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in _HOMES:
+    if name not in HOMES:
         raise AttributeError(f"module 'wafer_viewer' has no attribute {name!r}")
     import importlib
 
-    found = getattr(importlib.import_module(f"wafer_viewer.{_HOMES[name]}"), name)
+    found = getattr(importlib.import_module(f"wafer_viewer.{HOMES[name]}"), name)
     return globals().setdefault(name, found)
 
 
@@ -307,7 +210,7 @@ class _Api(types.ModuleType):
     """`reconstruct` is both a function of the API and a room of the house: here the function keeps the name."""
 
     def __setattr__(self, name: str, value: object) -> None:
-        if not (name in _HOMES and isinstance(value, types.ModuleType)):
+        if not (name in HOMES and isinstance(value, types.ModuleType)):
             super().__setattr__(name, value)
 
 
