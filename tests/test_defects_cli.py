@@ -53,6 +53,7 @@ def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path
     worst = told["inspection"]["defects"][0]
     assert (status, worst["kind"], told["inspection"]["grid"]["by"]) == (1, "particle", "found")
     assert worst["die"] in told["verdict"]["failing"]
+    assert not any(worst["number"] in place["numbers"] for place in told["repeats"])
     assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
     klarf = read_klarf(out["klarf"])
     assert len(klarf.defects) == told["verdict"]["counted"]

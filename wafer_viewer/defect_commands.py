@@ -80,6 +80,8 @@ def measure_defects(
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
     """
+    from wafer_viewer.measure.die_stack import repeated_places
+
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
     wafer = wafer_of(src, result)
@@ -90,7 +92,8 @@ def measure_defects(
     kept = _files(wafer, found, {"klarf": klarf, "csv": csv, "training": training})
     kept |= _keep_golden(wafer, found, given, save_golden)
     verdict = verdict_of(found)
-    print_json({"verdict": msgspec.to_builtins(verdict), "files": kept, "inspection": msgspec.to_builtins(found)})
+    told = {"verdict": verdict, "files": kept, "repeats": repeated_places(found), "inspection": found}
+    print_json(msgspec.to_builtins(told))
     return 0 if verdict.within else BEYOND
 
 

@@ -202,9 +202,18 @@ def earlier(surface: HeightMap) -> HeightMap:
     return dataclasses.replace(clean, x0_um=clean.x0_um + 3.0, y0_um=clean.y0_um - 1.5)
 
 
+def _printed(surface: HeightMap) -> np.ndarray:
+    """The picture of the dies: pads in rows, and a block at the right."""
+    _, _, u_um, v_um = GRID.to_die(*np.meshgrid(surface.x_um, surface.y_um))
+    pads = (u_um % 24 < 13) & (v_um % 20 < 9) & (u_um > 8) & (u_um < 80) & (v_um > 12) & (v_um < 112)
+    block = (u_um > 92) & (u_um < 112) & (v_um > 20) & (v_um < 104)
+    die = np.where(np.nan_to_num(surface.z_um) > 5, 140, 90)
+    return np.where(pads, 205, np.where(block, 175, die)).astype(np.uint8)
+
+
 def _with(surface: HeightMap, planted: tuple[Any, ...]) -> HeightMap:
     """The surface with what is planted on it, which the picture shows too."""
-    z, grey = surface.z_um.copy(), np.where(np.nan_to_num(surface.z_um) > 5, 150, 90).astype(np.uint8)
+    z, grey = surface.z_um.copy(), _printed(surface)
     for kind, col, row, u_um, v_um, half_um, high_um in planted:
         x_um, y_um = (float(um) for um in GRID.to_stage(col, row, u_um, v_um))
         across_um = half_um * (0.12 if kind == "scratch" else 0.9)

@@ -10,7 +10,7 @@ from wafer_viewer.gui import defect_beside_html as beside
 from wafer_viewer.gui import defect_stack_html as stacked
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.gui.view import View
-from wafer_viewer.measure.die_stack import repeats
+from wafer_viewer.measure.die_stack import repeated_places
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.like_place import DiePicture, Seen, SideBySide
 
@@ -65,10 +65,10 @@ def test_words_stand_where_there_is_nothing_to_compare_with():
 
 
 def test_all_dies_are_drawn_on_one_with_rings_where_a_place_repeats(repeating):
-    places = repeats(repeating)
-    assert [len(place.dies) for place in places] == [17, 3]
+    places = repeated_places(repeating)
+    assert [len(place.dies) for place in places] == [17, 4, 3]
     svg = die_stack_svg(repeating, places, "data:image/jpeg;base64,", chosen=1, place=0)
-    assert svg.count("<title>Place ") == 2
+    assert svg.count("<title>Place ") == 3
     assert svg.count("<title>D") == len(repeating.found)
     assert 'aria-label="Place 1, in 17 of 20 whole dies"' in svg
     assert "<image" in svg
@@ -76,7 +76,7 @@ def test_all_dies_are_drawn_on_one_with_rings_where_a_place_repeats(repeating):
 
 
 def test_of_thousands_those_of_repeated_places_are_drawn_first(repeating):
-    places = repeats(repeating)
+    places = repeated_places(repeating)
     many = tuple(replace(DEFECT, number=1000 + k, score=900.0) for k in range(2000))
     crowded = replace(repeating, defects=(*repeating.defects, *many))
     drawn = shown(crowded, places)
@@ -88,7 +88,7 @@ def test_of_thousands_those_of_repeated_places_are_drawn_first(repeating):
 
 
 def test_the_list_names_places_dies_and_the_one_that_is_chosen(repeating):
-    places = repeats(repeating)
+    places = repeated_places(repeating)
     text = stacked.sheet(repeating, places, DiePicture(b"p", 9), stacked.drawing_px(repeating, SMALL), None, 1)
     assert "Pattern<small>x 9" in text
     assert "<b>17</b><small>of 20 dies</small>" in text

@@ -81,7 +81,7 @@ def _row(k: int, place: RepeatedPlace, chosen: bool) -> str:
     look, at = KINDS[place.kind], place.in_die
     name = (
         f"{symbol_svg(look.shape, look.colour)} {look.title}"
-        f"<small>x {number(at.x_um, 1)}, y {number(at.y_um, 1)}\u202fµm of the die</small>"
+        f"<small>x {number(at.x_um, 1)}, y {number(at.y_um, 1)}\u202fµm</small>"
     )
     dies = f"<b>{len(place.dies)}</b><small>of {place.of_dies} dies</small>"
     told = html.safe(f"Place {k + 1}, {look.title}, {place.words}")

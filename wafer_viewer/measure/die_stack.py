@@ -18,13 +18,13 @@ LEAST_WITHIN_UM = 5.0
 Floats = NDArray[np.float64]
 
 
-def repeats(
+def repeated_places(
     inspection: Inspection, within_um: float | None = None, least_dies: int = LEAST_DIES
 ) -> tuple[RepeatedPlace, ...]:
     """The places at which at least so many dies have a defect, those in most dies first.
 
     within_um: how far two defects may lie apart on the die and still be at the same place; None: half the length of
-    the longer one, 5 um at least. Areas without heights and what people rejected do not count, nor do defects outside
+    the shorter one, 5 um at least. Areas without heights and what people rejected do not count, nor do defects outside
     of dies; each defect belongs to one place. Raises MeasureError for a distance that is none, or fewer than two dies.
     """
     if within_um is not None and not within_um > 0:
@@ -51,18 +51,13 @@ def _groups(defects: Sequence[Defect], within_um: float | None, least_dies: int)
 
 
 def _neighbours(defects: Sequence[Defect], within_um: float | None) -> list[list[int]]:
-    """For each defect those at the same place, itself among them."""
+    """For each defect those at the same place, itself among them: a long scratch takes no small ones along."""
     from scipy.spatial import KDTree
 
     places = np.array([[d.in_die.x_um, d.in_die.y_um] for d in defects if d.in_die is not None])
     reach = np.array([_reach_um(defect, within_um) for defect in defects])
-    tree = KDTree(places)
-    near: list[set[int]] = [set() for _ in defects]
-    for k, others in enumerate(tree.query_ball_point(places, reach).tolist()):
-        near[k].update(others)
-        for other in others:
-            near[other].add(k)
-    return [sorted(others) for others in near]
+    seen = [set(others) for others in KDTree(places).query_ball_point(places, reach).tolist()]
+    return [sorted(other for other in others if k in seen[other]) for k, others in enumerate(seen)]
 
 
 def _reach_um(defect: Defect, within_um: float | None) -> float:

@@ -76,11 +76,11 @@ class DefectViews:
         return _read(self._paint(request), DiePicture)
 
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
-        """The places at which at least three dies have a defect; see `wafer_viewer.repeated_defects`."""
-        from wafer_viewer.measure.die_stack import repeats
+        """The places at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
+        from wafer_viewer.measure.die_stack import repeated_places
 
         inspection = self._snapshot().inspection.inspection
-        return () if inspection is None else repeats(inspection, within_um)
+        return () if inspection is None else repeated_places(inspection, within_um)
 
 
 def box_of(defect: Defect, pixel_um: float) -> Box:

@@ -19,11 +19,11 @@ WIDTH_PX = 420
 
 def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
     """The defects of all dies on one; none without dies or without defects on them."""
-    from wafer_viewer.measure.die_stack import repeats
+    from wafer_viewer.measure.die_stack import repeated_places
 
     if found.grid is None or not any(defect.die for defect in found.found):
         return
-    places = repeats(found)
+    places = repeated_places(found)
     ringed = " Rings: places that repeat." if places else ""
     caption = f"All dies laid onto one, their defects by class.{ringed}"
     yield Figure("", caption, svg=die_stack_svg(found, places, _ground(material, found), width_px=WIDTH_PX))
@@ -31,9 +31,9 @@ def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
 
 def repeated(found: Inspection) -> Iterator[str]:
     """The places at which several dies have a defect."""
-    from wafer_viewer.measure.die_stack import repeats
+    from wafer_viewer.measure.die_stack import repeated_places
 
-    places = repeats(found)
+    places = repeated_places(found)
     if places:
         yield "Defects that repeat at the same place of several dies are systematic, of the mask or the process."
     for k, place in enumerate(places[:MOST_PLACES], 1):
