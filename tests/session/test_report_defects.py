@@ -8,6 +8,8 @@ import pytest
 
 from tests.session.judged_datasets import RESULT, judged_dataset, released_job
 from tests.store.inspections import defect, inspection
+from wafer_viewer.model.defect_limits import DefectLimits
+from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.report import ReportOrder, Section
 from wafer_viewer.session.reporting import contents, report_of
 from wafer_viewer.store.dataset import Dataset
@@ -46,6 +48,7 @@ def test_it_tells_dies_classes_and_what_is_not_known(dataset: Path):
     assert section.table.rows[1][4] == "not resolved"
     assert "Not or only partly scanned, so not clean: 1,1." in section.sentences
     assert section.sentences[-1] == "Only the strongest are listed."
+    assert dict(section.pairs)["Limits"] == "none set"
     page = report_html(report)
     assert "Die 0,0: 2 defects" in page
     assert "Die 1,1: not scanned" in page
@@ -64,3 +67,11 @@ def test_all_dies_lie_on_one_and_what_repeats_is_said(dataset: Path):
     assert "All dies laid onto one, their defects by class. Rings: places that repeat." in page
     assert page.count("<title>Place 1, in 4 of 6 whole dies</title>") == 1
     assert "<title>D9, Particle, die 1,1</title>" in page
+
+
+def test_the_limits_of_the_recipe_are_held_and_said(dataset: Path):
+    strict = DefectRecipe(limits=DefectLimits(max_per_die=1))
+    found = inspection(defect(1, "0,0", 100.0, 50.0), defect(2, "0,0", 200.0, 50.0), recipe=strict)
+    write_inspection(Dataset.open(dataset).result(RESULT).path, found)
+    section: Section = report_of(dataset, RESULT, ORDER).sections[0]
+    assert dict(section.pairs)["Limits"] == "not within. More than 1 defect on 1 die: 0,0."

@@ -59,7 +59,8 @@ def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]
     if not failing:
         return ()
     dies = "1 die" if len(failing) == 1 else f"{len(failing)} dies"
-    return (f"More than {limits.max_per_die} defects on {dies}: {_listed(failing)}.",)
+    most = "1 defect" if limits.max_per_die == 1 else f"{limits.max_per_die} defects"
+    return (f"More than {most} on {dies}: {_listed(failing)}.",)
 
 
 def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from wafer_viewer.draw.defect_map import defect_map_svg, kinds_text
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.pareto import pareto_svg
+from wafer_viewer.model.defect_verdict import verdict_of
 from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, Section, Table
 from wafer_viewer.session.finding_numbers import quantity_text
@@ -54,7 +55,16 @@ def _inspected(found: Inspection) -> Pairs:
         ("Inspected", f"{found.inspected_mm2:.3g}\u202fmm²; unmeasured {found.unmeasured_mm2:.3g}\u202fmm²"),
         ("Recipe", f"{found.recipe.name}, sensitivity {found.recipe.sensitivity:g}"),
         ("False defects", false),
+        ("Limits", _held(found)),
     )
+
+
+def _held(found: Inspection) -> str:
+    """The word by the limits of the recipe, and why; that there are none."""
+    if not found.recipe.limits.are_set:
+        return "none set"
+    verdict = verdict_of(found)
+    return f"within, {verdict.counted} counted" if verdict.within else " ".join(("not within.", *verdict.why))
 
 
 def _row(defect: Defect) -> tuple[str, ...]:

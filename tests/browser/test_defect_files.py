@@ -1,0 +1,79 @@
+"""What belongs to an inspection, on a true session: recipe saved, golden die kept, KLARF written and laid over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.steps import eventually, notes, press, text_field, type_into
+from tests.measure.noisy_wafer import Planted, wafer
+from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.session.session import Session
+from wafer_viewer.store.defect_recipes import defect_recipes
+from wafer_viewer.store.golden import open_golden
+from wafer_viewer.store.klarf_reading import read_klarf
+from wafer_viewer.store.npz import write_npz
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
+PATIENCE_S = 240.0
+PLANTED = (Planted("bump", 250.0, 392.0, 30, 8), Planted("pit", 110.0, 110.0, 24, 10))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
+    """A surface of nine dies that was inspected for defects."""
+    folder, made = tmp_path_factory.mktemp("data"), wafer(1, (3, 3), (120, 140), PLANTED)
+    write_npz(made.surface, folder / "w7.npz")
+    opened = Session(folder)
+    opened.exchange.import_surface(folder / "w7.npz").result(PATIENCE_S)
+    opened.wait_until(lambda now: now.surface is not None, PATIENCE_S)
+    opened.defects.inspect(DefectRecipe(product="LX-7", sensitivity=0.25), made.grid).result(PATIENCE_S)
+    yield opened
+    opened.close()
+
+
+def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Session, page: Page):
+    folder, dialog = session.snapshot.data_folder, page.get_by_role("dialog")
+    page.keyboard.press("Shift+R")
+    page.locator("[data-pick=defect-form]").press("Enter")
+    expect(page.get_by_text("As the surface was inspected; not kept.")).to_be_visible()
+
+    press(page, "Save recipe…")
+    type_into(page, "Name", "night shift")
+    dialog.get_by_role("button", name="Save", exact=True).click()
+    expect(page.get_by_text("Recipe “night shift” of LX-7, as it is kept.")).to_be_visible()
+    (kept,) = defect_recipes(folder, "LX-7")
+    assert (kept.name, kept.sensitivity) == ("night shift", 0.25)
+
+    page.locator("[data-pick=defect-errand][data-k=golden]").press("Enter")
+    expect(dialog).to_contain_text("none is written over")
+    type_into(page, "Name", "lx7")
+    expect(dialog).to_contain_text("It will be version 1.")
+    dialog.get_by_role("button", name="Keep", exact=True).click()
+    eventually(lambda: len(session.snapshot.shelf.golden) == 1, "the golden die is listed")
+    assert open_golden(folder / "golden" / "lx7.1.golden.npz").header.made_of == "w7"
+
+    page.locator("[data-pick=defect-errand][data-k=export]").press("Enter")
+    expect(dialog).to_contain_text("It has no room for U")
+    path = Path(text_field(page, "Path").input_value())
+    assert path == folder / "w7-defects.klarf"
+    dialog.get_by_role("button", name="Export", exact=True).click()
+    eventually(path.exists, "the KLARF is written")
+    n = len(session.snapshot.inspection.inspection.found)
+    assert len(read_klarf(path).defects) == n
+
+    page.locator("[data-pick=defect-errand][data-k=klarf]").press("Enter")
+    type_into(page, "Path", str(path.with_name("gone.klarf")))
+    dialog.get_by_role("button", name="Lay over", exact=True).click()
+    expect(dialog).to_contain_text("is not there: check the path.")
+    type_into(page, "Path", str(path))
+    dialog.get_by_role("button", name="Lay over", exact=True).click()
+    expect(page.get_by_text(f"{n} places of another tool: {n} found here too, 0 not.")).to_be_visible()
+    assert notes(page).count() == 0
