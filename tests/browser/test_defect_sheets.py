@@ -1,0 +1,53 @@
+"""A defect beside its like and all dies on one, by keys alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser.inspected_session import repeating_session
+from tests.browser.steps import eventually, go_to
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+
+def test_a_defect_is_seen_beside_its_like_and_a_repeated_place_is_listed_alone_by_keys(serve: Callable[..., Page]):
+    session = repeating_session()
+    page = serve(session)
+    go_to(page, "Review")
+    selected = page.locator(".wv-defects tr.sel")
+    expect(selected).to_be_visible()
+
+    page.keyboard.press("z")
+    pictures = page.locator(".wv-over-picture img")
+    expect(pictures).to_have_count(6)
+    first = page.locator(".wv-over-head").inner_text()
+    expect(page.locator(".wv-beside")).to_contain_text("median of 9")
+    expect(page.locator(".wv-beside")).to_contain_text("coupon-06")
+    page.keyboard.press("PageDown")
+    expect(page.locator(".wv-over-head")).not_to_have_text(first)
+    expect(pictures).to_have_count(6)
+
+    page.keyboard.press("Backspace")
+    expect(pictures).to_have_count(0)
+    places = page.locator(".wv-stack-list tr")
+    expect(places).to_have_count(3)
+    expect(page.locator(".wv-stack image")).to_have_count(1)
+    page.keyboard.press("Backspace")
+    expect(places.first).to_have_class(re.compile("sel"))
+    expect(page.locator(".wv-alone")).to_contain_text("17 of one place")
+    expect(selected).to_contain_text("Pattern")
+    page.keyboard.press("y")
+    judged = session.defects.views.repeats()[0].numbers
+    eventually(
+        lambda: any(session.snapshot.inspection.defect(n).judgement == "real" for n in judged), "one of them is real"
+    )
+
+    page.keyboard.press("Escape")
+    expect(page.locator(".wv-stack")).to_have_count(0)
+    page.keyboard.press("Escape")
+    expect(page.locator(".wv-alone")).to_have_count(0)
+    session.close()
