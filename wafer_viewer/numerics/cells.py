@@ -172,17 +172,15 @@ def shift_sums(here: Float32s, typical_one: Float32s, offset: Real, limit: Real)
 
     down, right: slopes of the typical one; differences beyond `limit` of the offset count nothing.
     """
-    sums = np.zeros((3, 4))
-    line = np.empty(4)
-    for r in range(1, here.shape[0] - 1):
-        for c in range(1, here.shape[1] - 1):
-            left = here[r, c] - typical_one[r, c]
+    n, d, r, z, dd, dr, rr, dz, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(1, here.shape[0] - 1):
+        for j in range(1, here.shape[1] - 1):
+            left = here[i, j] - typical_one[i, j]
             if abs(left - offset) <= limit:
-                line[0], line[3] = 1.0, left
-                line[1] = 0.5 * (typical_one[r + 1, c] - typical_one[r - 1, c])
-                line[2] = 0.5 * (typical_one[r, c + 1] - typical_one[r, c - 1])
-                if line[1] == line[1] and line[2] == line[2]:
-                    for i in range(3):
-                        for j in range(4):
-                            sums[i, j] += line[i] * line[j]
-    return sums
+                down = np.float32(0.5) * (typical_one[i + 1, j] - typical_one[i - 1, j])
+                right = np.float32(0.5) * (typical_one[i, j + 1] - typical_one[i, j - 1])
+                if down == down and right == right:
+                    n, d, r, z = n + 1, d + down, r + right, z + left
+                    dd, dr, rr = dd + down * down, dr + down * right, rr + right * right
+                    dz, rz = dz + down * left, rz + right * left
+    return np.array([[n, d, r, z], [d, dd, dr, dz], [r, dr, rr, rz]])

@@ -1,0 +1,95 @@
+"""Places where a picture is over a limit: a few pixels of many, so each is walked through from where it is met.
+
+Pixels that touch, at a side or at a corner, belong together; NaN is over no limit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Real, Whole
+from wafer_viewer.numerics.jit import kernel
+
+
+def tops_over(plane: Float32s, least: Real, least_px: Whole = 1) -> Float32s:
+    """The highest value of each place over `least` that has so many pixels, as they are met row by row."""
+    over = plane >= np.float32(least)
+    n = int(np.count_nonzero(over))
+    tops = np.empty(n, np.float32)
+    return tops[: _tops(plane, over, np.empty(n, np.int32), int(least_px), tops)] if n else tops
+
+
+def hanging_together(low: Bools, peaks: Bools) -> Bools:
+    """The places of `low` that have a pixel of `peaks`, which are pixels of `low` too; bool [row, col]."""
+    found = np.zeros(low.shape, np.bool_)
+    n = int(np.count_nonzero(low))
+    if n:
+        _hang(np.ascontiguousarray(peaks & low), low.copy(), np.empty(n, np.int32), found)
+    return found
+
+
+def widened(mask: Bools, reach_px: Whole) -> Bools:
+    """The mask and all pixels that are at most so many rows and columns away from it; bool [row, col]."""
+    out = np.zeros(mask.shape, np.bool_)
+    _widen(np.ascontiguousarray(mask), int(reach_px), out)
+    return out
+
+
+@kernel
+def _tops(plane: Float32s, over: Bools, waiting: Int32s, least_px: Whole, tops: Float32s) -> int:
+    """How many places there are; `over` is cleared."""
+    n_cols, n = plane.shape[1], 0
+    for r in range(plane.shape[0]):
+        for c in range(n_cols):
+            if over[r, c]:
+                size = _walk(r, c, over, waiting)
+                if size >= least_px:
+                    top = plane[r, c]
+                    for k in range(size):
+                        top = max(top, plane[waiting[k] // n_cols, waiting[k] % n_cols])
+                    tops[n] = top
+                    n += 1
+    return n
+
+
+@kernel
+def _hang(peaks: Bools, low: Bools, waiting: Int32s, found: Bools) -> None:
+    """`low` is cleared where it is found."""
+    n_cols = low.shape[1]
+    for r in range(low.shape[0]):
+        for c in range(n_cols):
+            if peaks[r, c] and low[r, c]:
+                for k in range(_walk(r, c, low, waiting)):
+                    found[waiting[k] // n_cols, waiting[k] % n_cols] = True
+
+
+@kernel
+def _walk(row: Whole, col: Whole, open_ones: Bools, waiting: Int32s) -> int:
+    """How many open pixels hang together with one of them; they come to stand in `waiting` and are open no more."""
+    n_rows, n_cols = open_ones.shape
+    open_ones[row, col] = False
+    waiting[0] = row * n_cols + col
+    n_met, n_done = 1, 0
+    while n_done < n_met:
+        r, c = waiting[n_done] // n_cols, waiting[n_done] % n_cols
+        n_done += 1
+        for r2 in range(max(0, r - 1), min(n_rows, r + 2)):
+            for c2 in range(max(0, c - 1), min(n_cols, c + 2)):
+                if open_ones[r2, c2]:
+                    open_ones[r2, c2] = False
+                    waiting[n_met] = r2 * n_cols + c2
+                    n_met += 1
+    return n_met
+
+
+@kernel
+def _widen(mask: Bools, reach: Whole, out: Bools) -> None:
+    n_rows, n_cols = mask.shape
+    for r in range(n_rows):
+        until = 0
+        for c in range(n_cols):
+            if mask[r, c]:
+                for c2 in range(max(until, c - reach), min(n_cols, c + reach + 1)):
+                    for r2 in range(max(0, r - reach), min(n_rows, r + reach + 1)):
+                        out[r2, c2] = True
+                until = c + reach + 1
