@@ -48,13 +48,18 @@ class Wafer:
         )
 
 
-def made(wafer: Wafer = Wafer(), gap: Region | None = None, no_die: tuple[tuple[int, int], ...] = ()) -> HeightMap:
-    """The surface of a made-up wafer; gap: no field was taken there; no_die: (col, row) where the street goes on."""
+def made(
+    wafer: Wafer = Wafer(), gap: Region | None = None, no_die: tuple[tuple[int, int], ...] = (), printed=None
+) -> HeightMap:
+    """The surface of a made-up wafer; gap: no field was taken there; no_die: (col, row) where the street goes on.
+
+    printed: what is on a die, 0 ... 1, by the share of its width and height; `pattern` by default.
+    """
     rng = np.random.default_rng(wafer.seed)
     x_um = np.arange(wafer.cols) * wafer.pixel_um
     y_um = (wafer.rows - 1 - np.arange(wafer.rows)) * wafer.pixel_um
     x, y = np.meshgrid(x_um, y_um)
-    die, shape = covered(wafer, x, y, no_die)
+    die, shape = covered(wafer, x, y, no_die, printed or pattern)
     far = ((x - x.mean()) / np.ptp(x_um)) ** 2 + ((y - y.mean()) / np.ptp(y_um)) ** 2
     z = wafer.bow_um * far + 0.002 * x + wafer.die_over_street_um * (die + 0.3 * shape)
     z += wafer.noise_um * rng.standard_normal(z.shape)
@@ -79,7 +84,7 @@ def made(wafer: Wafer = Wafer(), gap: Region | None = None, no_die: tuple[tuple[
     )
 
 
-def covered(wafer: Wafer, x, y, no_die):
+def covered(wafer: Wafer, x, y, no_die, printed):
     """The share of each pixel that is die, and how much is printed on it: means of 3 x 3 places, each by chance.
 
     Without chance a whole edge would be off by the same part of a pixel.
@@ -93,7 +98,7 @@ def covered(wafer: Wafer, x, y, no_die):
             die = (u > 0) & (u < wafer.width_um) & (v > 0) & (v < wafer.height_um)
             for at in no_die:
                 die &= (col != at[0]) | (row != at[1])
-            total += die, die * pattern(u / wafer.width_um, v / wafer.height_um)
+            total += die, die * printed(u / wafer.width_um, v / wafer.height_um)
     return total / 9
 
 

@@ -126,13 +126,22 @@ def test_noise_and_a_blank_surface_are_no_dies():
         find_dies(plain, evidence="picture")
 
 
-def test_every_other_die_another_leaves_the_pitch_open():
-    surface = made(Wafer(noise_grey=2.0, pitch_x_um=160.0, width_um=140.0))
-    col, _, u, v = Wafer(pitch_x_um=160.0, width_um=140.0).grid.to_die(surface.x_um[None, :], surface.y_um[:, None])
+def every_other_die_another(grey: int):
+    """Dies with another brightness inside, in every other column."""
+    wafer = Wafer(noise_grey=2.0, pitch_x_um=160.0, width_um=140.0)
+    surface = made(wafer)
+    col, _, u, v = wafer.grid.to_die(surface.x_um[None, :], surface.y_um[:, None])
     other = (col % 2 == 1) & (u > 5) & (u < 135) & (v > 5) & (v < 116)
-    grey = np.where(other, np.uint8(125), surface.all_in_focus)
+    return dataclasses.replace(surface, all_in_focus=np.where(other, np.uint8(grey), surface.all_in_focus))
+
+
+def test_where_every_other_die_is_another_two_dies_repeat():
+    assert find_dies(every_other_die_another(125), evidence="picture").pitch_x_um == pytest.approx(320.0, abs=0.1)
+
+
+def test_every_other_die_nearly_another_leaves_the_pitch_open():
     with pytest.raises(MeasureError, match="The pitch along x may be all or 1/2 of what repeats best"):
-        find_dies(dataclasses.replace(surface, all_in_focus=grey), evidence="picture")
+        find_dies(every_other_die_another(118), evidence="picture")
 
 
 def test_the_pitch_has_its_uncertainty_only_with_a_calibration():

@@ -21,7 +21,8 @@ from wafer_viewer.numerics.filters import blurred
 Evidence = Literal["height", "picture", "both"]
 COARSE_PIXELS = 400_000
 """The whole surface is read as about so many pixels at most."""
-SOFT_PX = 1.0
+SOFT_PX, PAD_PX = 1.0, 4
+"""A blur, and what is read round a cell so that its border is blurred by what lies beyond, as all else is."""
 LEAST_PIXELS = 10
 SPARE_PX = 8.0
 """Round what is held of a die."""

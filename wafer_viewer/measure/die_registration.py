@@ -30,8 +30,9 @@ LEAST_ALIKE = 0.35
 """Correlation with the median die from which on a cell is one of them."""
 AS_CLEAR = 0.5
 """Of the layer that is most alike: one with less is noise and is left out."""
-LEAST_SHARE = 0.5
-"""Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies."""
+LEAST_SHARE = 0.65
+"""Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies. A round wafer fills 0.78
+of the square round it, what repeats within a large die hardly half of a surface."""
 MOST_U = 0.003
 """Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
 ROUNDS = 2
@@ -137,7 +138,7 @@ Shifts = dict[tuple[int, int], tuple[float, float]]
 def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) -> Shifts:
     """How far (du_um, dv_um) each cell lies from where the lattice has it; of those that are alike only.
 
-    Raises MeasureError where fewer than half are.
+    Raises MeasureError where fewer than LEAST_SHARE are.
     """
     reference = _contrasts(median_cell(list(cells.values())))
     found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}

@@ -20,6 +20,8 @@ STANDS_OUT = 6.0
 """Robust deviations of the profile of edges: a street's two edges both have more."""
 MOST_DIFFERING_PX = 8
 """Edges of two layers that lie further apart are not of the same street."""
+ON_TOP = 1e-3
+"""What both edges count beside the weaker one: beside the top of a strong edge all is as strong as a weak one."""
 BANDS = 4
 """A street's edges are found in so many parts of the cell as well: their scatter says how sure they are."""
 
@@ -67,6 +69,7 @@ def _filled(plane: Float32s) -> Floats:
 def _street(plane: Floats) -> Street | None:
     if len(plane) < BANDS or plane.shape[1] < 8:
         return None
+    plane = _upright(plane)
     slope = edges_profile(plane)
     spread = 1.4826 * float(np.median(np.abs(slope - np.median(slope)))) or float(np.abs(slope).max()) / 1e3
     best, begin, width = _strongest_pair(slope)
@@ -75,6 +78,12 @@ def _street(plane: Floats) -> Street | None:
     edges = [_between(slope, begin), _between(slope, begin + width)]
     u_px = math.hypot(*(_scatter(plane, round(edge)) for edge in edges)) / math.sqrt(2)
     return Street(edges[0], edges[1] - edges[0], u_px, best / spread)
+
+
+def _upright(plane: Floats) -> Floats:
+    """Without the slope along its lines that most places have: the cell's plane leans to where its street lies."""
+    each = np.diff(np.median(plane, axis=0))
+    return plane - float(np.median(each)) * np.arange(plane.shape[1])
 
 
 def edges_profile(plane: Floats) -> Floats:
@@ -90,7 +99,8 @@ def _strongest_pair(slope: Floats) -> tuple[float, int, int]:
     best = (0.0, 0, 0)
     for width in range(NARROWEST_PX, math.floor(WIDEST * len(slope)) + 1):
         after = np.roll(slope, -width)
-        pair = np.where(slope * after < 0, np.minimum(np.abs(slope), np.abs(after)), 0.0)
+        both = np.minimum(np.abs(slope), np.abs(after)) + ON_TOP * (np.abs(slope) + np.abs(after))
+        pair = np.where(slope * after < 0, both, 0.0)
         begin = int(np.argmax(pair))
         best = max(best, (float(pair[begin]), begin, width))
     return best

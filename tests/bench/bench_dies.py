@@ -1,0 +1,124 @@
+"""How often the dies of a patterned wafer are found, how exactly, and whether what is no lattice is refused.
+
+    python tests/bench/bench_dies.py [--quick] [--wafers N] [--seed N] [--only WORD] [--optics N]
+
+Made-up wafers thrown with dice, 600 x 720 pixels, some 50 dies: heights and picture with noise, bow of 10 um and 2 %
+unmeasured. Right is a lattice whose dies lie within half a pixel everywhere on the surface, or a refusal where there is
+none; wrong is any other lattice. --optics N: as many wafers of tests/truth as well, seen through the virtual
+optics, dies half a pixel off their places.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.bench.die_scenes import LATTICES, NO_LATTICES, Dice, Thrown
+from tests.bench.tables import show
+from tests.measure.patterned import Wafer
+from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface import HeightMap
+
+RIGHT_PX = 0.5
+HEADER = ["wafers", "n", "right", "refused", "wrong", "pitch off, px", "worst", "corner off, px", "worst", "s each"]
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of one wafer: how far pitches and corners are off, px; None where it was refused."""
+
+    pitch_px: float | None
+    corner_px: float | None
+    seconds: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="one wafer of every other kind")
+    parser.add_argument("--wafers", type=int, default=10, help="of each kind")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="kinds that have this word in their name")
+    parser.add_argument("--optics", type=int, default=0, help="so many wafers seen through the virtual optics")
+    asked = parser.parse_args()
+    n, step = (1, 2) if asked.quick else (asked.wafers, 1)
+    rows = [
+        [name, *_row([_outcome(thrown, dice) for dice in _dice(asked.seed, name, n)], thrown in NO_LATTICES.values())]
+        for name, thrown in list((LATTICES | NO_LATTICES).items())[::step]
+        if asked.only in name
+    ]
+    show(f"Dies found, {n} wafers of each kind from seed {asked.seed}", HEADER, rows)
+    if asked.optics:
+        seen = [_optics(asked.seed + k) for k in range(asked.optics)]
+        show("Dies found through the virtual optics", HEADER, [["9 x 8 dies, 0.5 px off", *_row(seen, False)]])
+
+
+def _dice(seed: int, name: str, n: int) -> list[Dice]:
+    return [np.random.default_rng((seed, k, *name.encode())) for k in range(n)]
+
+
+def _outcome(throw: Callable[[Dice], Thrown], dice: Dice) -> Outcome:
+    thrown = throw(dice)
+    return _found(thrown.surface, thrown.wafer.grid if thrown.wafer else None, thrown.every)
+
+
+def _found(surface: HeightMap, true: DieGrid | None, every: tuple[int, int] = (1, 1)) -> Outcome:
+    begun = time.process_time()
+    try:
+        grid = find_dies(surface)
+    except MeasureError:
+        return Outcome(None, None, time.process_time() - begun)
+    seconds = time.process_time() - begun
+    if true is None:
+        return Outcome(math.inf, math.inf, seconds)
+    return Outcome(*off_px(grid, true, surface.pixel_um, every), seconds)
+
+
+def off_px(grid: DieGrid, true: DieGrid, pixel_um: float, every: tuple[int, int]) -> tuple[float, float]:
+    """(pitches, lower left corners of the dies on the surface), each as far as it is off at most, in pixels.
+
+    With another pitch than so many dies the corners are off by as much as dies lie between what is found.
+    """
+    asked = true.pitch_x_um * every[0], true.pitch_y_um * every[1]
+    pitch_um = max(abs(grid.pitch_x_um - asked[0]), abs(grid.pitch_y_um - asked[1]))
+    col, row, _, _ = true.to_die(*grid.to_stage(0, 0, true.width_um / 2, true.height_um / 2))
+    cols, rows = np.array(grid.places).T
+    there = true.to_stage(cols * every[0] + int(col), rows * every[1] + int(row))
+    corners = np.hypot(*np.subtract(grid.to_stage(cols, rows), there))
+    return pitch_um / pixel_um, float(corners.max()) / pixel_um
+
+
+def _optics(seed: int) -> Outcome:
+    from tests.truth.defects import make
+    from tests.truth.planted import DIE_UM, PITCH_UM, STREET_PX, Plan
+    from tests.truth.planted import PIXEL_UM as FINE_UM
+
+    street = STREET_PX * FINE_UM / 2
+    true = Wafer(pitch_x_um=PITCH_UM[0], pitch_y_um=PITCH_UM[1], width_um=DIE_UM[0], height_um=DIE_UM[1]).grid
+    return _found(make(Plan(seed=seed), 0.186).surface, replace(true, x0_um=street, y0_um=street))
+
+
+def _row(outcomes: list[Outcome], none: bool) -> list[str]:
+    found = [one for one in outcomes if one.corner_px is not None]
+    right = len(outcomes) - len(found) if none else sum(one.corner_px < RIGHT_PX for one in found)
+    wrong = len(found) if none else len(found) - right
+    counts = [str(count) for count in (len(outcomes), right, len(outcomes) - len(found), wrong)]
+    seconds = f"{np.median([one.seconds for one in outcomes]):.2f}"
+    known = [] if none else [one for one in found if one.corner_px < RIGHT_PX]
+    pitches, corners = _median_worst([one.pitch_px for one in known]), _median_worst([one.corner_px for one in known])
+    return [*counts, *pitches, *corners, seconds]
+
+
+def _median_worst(each: list[float]) -> tuple[str, str]:
+    return (f"{np.median(each):.3f}", f"{max(each):.3f}") if each else ("", "")
+
+
+if __name__ == "__main__":
+    main()
