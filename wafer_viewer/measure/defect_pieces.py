@@ -15,6 +15,7 @@ from wafer_viewer.measure.defect_scores import Mask, Residual, Scores, enlarged,
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.defects import DefectRecipe, Evidence
 from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.places import hanging_together, widened
 from wafer_viewer.numerics.smoothing import coarseness, smooth
 
 Floats = NDArray[np.float64]
@@ -64,14 +65,14 @@ class Where:
 
 def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: DefectRecipe, where: Where) -> list[Piece]:
     """The places of a cell over the recipe's threshold; spread_um: of its heights from die to die."""
-    from scipy.ndimage import binary_dilation, find_objects, label
+    from scipy.ndimage import find_objects, label
 
     shape = residual.z_um.shape
     low = _over(scores, recipe, (shape[0], shape[1]))
     if not low.any():
         return []
     labels = np.zeros(shape, np.int32)
-    label(binary_dilation(low, np.ones((3, 3), bool), BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    label(widened(low, BRIDGE_PX), np.ones((3, 3), int), output=labels)
     boxes = enumerate(find_objects(labels), 1)
     found = (_piece(residual, scores, spread_um, labels, n, box, low, where) for n, box in boxes)
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
@@ -123,15 +124,11 @@ def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
 
 
 def _hanging_together(low: Mask, peaks: Mask, recipe: DefectRecipe, scale: float) -> Mask:
-    from scipy.ndimage import label, uniform_filter
+    from scipy.ndimage import uniform_filter
 
     if scale == 0:
         peaks = peaks & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
-    labels = np.zeros(low.shape, np.int32)
-    label(low, np.ones((3, 3), int), output=labels)
-    wanted = np.zeros(int(labels.max()) + 1, bool)
-    wanted[labels[peaks]] = True
-    return wanted[labels]
+    return hanging_together(low, peaks)
 
 
 def _piece(
