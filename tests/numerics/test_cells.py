@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.cells import bridged, read_affine
+from wafer_viewer.numerics.cells import bridged, less_products, read_affine
 
 ROWS, COLS = np.mgrid[:90, :120].astype(np.float32)
 WAYS = {
@@ -37,6 +37,13 @@ def places(way: tuple[float, ...], shape: tuple[int, int] = (40, 60)) -> tuple[n
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_a_bent_surface_is_read_between_its_pixels(way: tuple[float, ...]) -> None:
     np.testing.assert_allclose(read(bent(ROWS, COLS), way), bent(*places(way)), atol=2e-4)
+
+
+def test_products_of_rows_and_columns_are_taken_off() -> None:
+    out, plane = np.empty(ROWS.shape, np.float32), bent(ROWS, COLS).astype(np.float32)
+    r, c = np.arange(90.0), np.arange(120.0)
+    less_products(plane, np.stack([r**0, r, r**2]), np.stack([0.02 * c**2, 0.001 * c - 0.3, 0.01 * c**0]), out)
+    assert np.abs(out).max() < 1e-4
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)

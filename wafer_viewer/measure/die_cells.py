@@ -22,8 +22,8 @@ from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.numerics.cells import bridged, read_affine
+from wafer_viewer.model.surface import Heights, Mosaic
+from wafer_viewer.numerics.cells import bridged, less_products, read_affine
 
 Plane = NDArray[np.float32]
 Place = tuple[int, int]
@@ -117,8 +117,8 @@ class Source:
             part = pictured_window(self.surface, self.layer, region)
         except MeasureError:
             return None
-        zero = self.form.at(part.x_um[None, :], part.y_um[:, None])
-        z_um = np.subtract(part.z_um, zero, dtype=np.float32, casting="same_kind")
+        z_um = np.empty(part.z_um.shape, np.float32)
+        less_products(part.z_um, *_as_products(self.form, part), z_um)
         picture = np.log(part.picture + np.float32(self.dark))
         return Strip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
 
@@ -141,6 +141,19 @@ class Strip:
         read_affine(self.z_um, self.whole_um, way, out_z)
         read_affine(self.picture, self.picture, way, out_picture)
         return out_z, out_picture
+
+
+def _as_products(form: Datum, part: Heights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A polynomial as the sum of products of what depends on the row with what depends on the column, [term, n] each.
+
+    It has one term for each power of y: a few for each row, instead of a polynomial for each pixel.
+    """
+    u, v = part.x_um - form.center.x_um, part.y_um - form.center.y_um
+    highest = max((j for _, j in form.powers), default=0)
+    by_col = np.zeros((highest + 1, u.size))
+    for (i, j), coefficient in zip(form.powers, form.coefficients, strict=True):
+        by_col[j] += coefficient * u**i
+    return np.stack([v**j for j in range(highest + 1)]), by_col
 
 
 def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:

@@ -35,6 +35,20 @@ def bridged(plane: Float32s) -> Float32s:
 
 
 @kernel
+def less_products(plane: Float32s, by_row: Float64s, by_col: Float64s, out: Float32s) -> None:
+    """out[r, c] = plane[r, c] less the sum over k of by_row[k, r] * by_col[k, c]."""
+    line = np.empty(plane.shape[1])
+    for r in range(plane.shape[0]):
+        line[:] = 0
+        for k in range(by_row.shape[0]):
+            weight, terms = by_row[k, r], by_col[k]
+            for c in range(line.size):
+                line[c] += weight * terms[c]
+        for c in range(line.size):
+            out[r, c] = plane[r, c] - line[c]
+
+
+@kernel
 def read_affine(plane: Float32s, whole: Float32s, way: Float64s, out: Float32s) -> None:
     """out[i, j] = plane at row way[0] + way[1] i + way[2] j, column way[3] + way[4] i + way[5] j.
 
