@@ -4,8 +4,9 @@
 
 2 x 2 fields at full camera size across the step, 126 frames each, through the session as an operator has it; the joint
 lies inside a field, since a seam on it would tell nothing of the two heights. The truth is the same measurement on the
-heights that the virtual sample really has. Everything is SIMULATED, and U has no certificate's term. --quick: one scan;
-otherwise twenty, each of another rig: each is added to the file --kept, and a run that was stopped goes on from there.
+heights that the virtual sample really has. Everything is SIMULATED, and U has no certificate's term. Twenty scans, each
+of another rig: each is added to the file --kept, and a run that was stopped goes on from there. --quick: one scan, with
+a camera of half as many rows and columns.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.virtual.rig import Size
 from wafer_viewer.rigs.virtual.scene import scene
 from wafer_viewer.session.session import Session
 
@@ -33,17 +35,28 @@ RIGS = 20
 GOAL_UM, COVERED, PAPER_UM = 0.05, 18, 0.16
 """The mean error allowed, how many of the rigs U has to cover the truth in, and the error that the paper reports."""
 PATIENCE_S = 900.0
-MIDDLE_UM = (150.0, 0.0)
-UPPER = Region.rectangle(-470, -380, -120, 380)
-LOWER = Region.rectangle(120, -380, 520, 380)
 KEPT = Path(tempfile.gettempdir()) / "wafer-viewer-bench" / "gauge.jsonl"
 
 
-def job_of(session: Session) -> Job:
+@dataclasses.dataclass(frozen=True, slots=True)
+class Place:
+    """Where a camera of some size looks, and its regions on both faces, clear of the shadow of the step."""
+
+    size: Size
+    middle_um: tuple[float, float]
+    upper: Region
+    lower: Region
+
+
+FULL = Place("full", (150.0, 0.0), Region.rectangle(-470, -380, -120, 380), Region.rectangle(120, -380, 520, 380))
+SMALL = Place("small", (75.0, 0.0), Region.rectangle(-235, -190, -120, 190), Region.rectangle(120, -190, 260, 190))
+
+
+def job_of(session: Session, place: Place) -> Job:
     limits = session.wait_until(lambda s: s.rig.limits is not None, PATIENCE_S).rig.limits
     grid = FieldGrid(
         rows=2, cols=2, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um
-    ).centred_on(*MIDDLE_UM)
+    ).centred_on(*place.middle_um)
     sweep = FocusSweep(z_step_um=SCENE.tour_z_step_um, n_frames=SCENE.tour_frames)
     return Job(product=SCENE.title, grid=grid, z_start_um=SCENE.tour_z_start_um, sweep=sweep)
 
@@ -57,12 +70,12 @@ def truth_of(mosaic: Mosaic) -> HeightMap:
     return dataclasses.replace(seen, z_um=z_um, z_raw_um=z_um, origin=origin)
 
 
-def measure(folder: Path, seed: int) -> dict[str, Any]:
+def measure(folder: Path, seed: int, place: Place) -> dict[str, Any]:
     """Scan with one rig: its height, U, truth, budget and times."""
-    session = Session(folder, RigConfig(scene="gauge_blocks", size="full", seed=seed))
+    session = Session(folder, RigConfig(scene="gauge_blocks", size=place.size, seed=seed))
     try:
         session.wait_until(lambda s: s.rig.state == "ready" and s.compute_ready, PATIENCE_S)
-        session.edit_job(job_of(session)).result()
+        session.edit_job(job_of(session, place)).result()
         began = time.perf_counter()
         session.start_scan(f"gauge-{seed}").result()
         session.wait_until(lambda s: not s.scanning, PATIENCE_S)
@@ -71,8 +84,8 @@ def measure(folder: Path, seed: int) -> dict[str, Any]:
         if done.surface is None:
             raise SystemExit(f"The scan failed: {done.faults}")
         surface_s = time.perf_counter() - began
-        found = session.measure("step", (UPPER, LOWER))
-        true_um = step_height(truth_of(session.mosaic()), UPPER, LOWER).height.value_um
+        found = session.measure("step", (place.upper, place.lower))
+        true_um = step_height(truth_of(session.mosaic()), place.upper, place.lower).height.value_um
     finally:
         session.close()
     return {
@@ -119,7 +132,7 @@ def kept_in(path: Path) -> list[dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="The step between two virtual gauge blocks against its truth.")
-    parser.add_argument("--quick", action="store_true", help="one scan instead of twenty")
+    parser.add_argument("--quick", action="store_true", help="one scan, with the small camera")
     parser.add_argument("--kept", type=Path, default=KEPT, help="where runs are kept; delete it to begin anew")
     asked = parser.parse_args()
     runs = [] if asked.quick else kept_in(asked.kept)
@@ -127,7 +140,7 @@ def main() -> None:
         tell(run)
     for seed in range(len(runs), 1 if asked.quick else RIGS):
         with tempfile.TemporaryDirectory() as folder:
-            runs.append(measure(Path(folder), seed))
+            runs.append(measure(Path(folder), seed, SMALL if asked.quick else FULL))
         tell(runs[-1])
         if not asked.quick:
             asked.kept.parent.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,13 @@
 """How quick the page is on large surfaces: 165 million points, as many as the paper's wafer has, and 44 million.
 
-    python tests/bench/bench_page.py [--quick]
+    python tests/bench/bench_page.py [--brief | --quick]
 
 The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. The
 surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from
 the moment the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at
 rest, and while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of
-the scene's middle so much is covered while the camera comes nearer, as a share of what is at both ends. --quick: fewer
-rounds, no reconstruction, under a minute when the machine is free.
+the scene's middle so much is covered while the camera comes nearer, as a share of what is at both ends. --brief: one
+round, no reconstruction; --quick: that with two jumps on a surface of 11 million points.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
-from tests.bench.big_mosaic import BLOCKS_PX, WAFER_PX, big_dataset
+from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, WAFER_PX, big_dataset
 from tests.bench.page_driver import Seat, Viewer, seats
 from tests.bench.tables import met, show
 from wafer_viewer.session.crew import crew_for
@@ -57,14 +57,17 @@ class Figures:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="How quick the page is on large surfaces.")
-    parser.add_argument("--quick", action="store_true", help="fewer rounds, under a minute")
-    quick = parser.parse_args().quick
-    load = psutil.getloadavg()[0]
-    figures = {side: measured(big_dataset(side), 1 if quick else 5, not quick) for side in (BLOCKS_PX, WAFER_PX)}
-    show_figures(figures, load, "" if quick else " and two workers reconstruct")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--brief", action="store_true", help="one round, under two minutes")
+    which.add_argument("--quick", action="store_true", help="one round on a small surface")
+    told = parser.parse_args()
+    load, whole = psutil.getloadavg()[0], not (told.brief or told.quick)
+    sides, jumps = ((QUICK_PX,), JUMPS[:2]) if told.quick else ((BLOCKS_PX, WAFER_PX), JUMPS)
+    figures = {side: measured(big_dataset(side), 5 if whole else 1, jumps, whole) for side in sides}
+    show_figures(figures, load, " and two workers reconstruct" if whole else "")
 
 
-def measured(dataset: Path, rounds: int, works: bool) -> Figures:
+def measured(dataset: Path, rounds: int, jumps: tuple[int, ...], works: bool) -> Figures:
     """All figures of one surface: medians of some rounds; the largest of bytes."""
     viewer = Viewer(dataset.parent)
     try:
@@ -72,7 +75,7 @@ def measured(dataset: Path, rounds: int, works: bool) -> Figures:
             seat.open()
             seat.choose(dataset)
             firsts, view_bytes = zip(*(connected(seat) for _ in range(rounds)), strict=True)
-            settled, covered, sent = zip(*(jumped(seat, n) for _ in range(rounds) for n in JUMPS), strict=True)
+            settled, covered, sent = zip(*(jumped(seat, n) for _ in range(rounds) for n in jumps), strict=True)
             click_s = statistics.median(seat.answer_s(17.0 * k, 11.0 * k) for k in range(2 * rounds))
             with reconstruction() if works else nullcontext():
                 busy_s = statistics.median(click_while_streaming(seat, k) for k in range(2 * rounds))
@@ -106,9 +109,9 @@ def jumped(seat: Seat, notches: int) -> tuple[float, float, int]:
     before, began = seat.viewer.bytes_sent(), seat.now_ms()
     seat.zoom(notches)
     settled_s = seat.settled_s(seat.now_ms())
-    looks = seat.seen_since(began)
-    ends = min(looks[0].coloured, looks[-1].coloured)  # the surface fills more of the scene the nearer it comes
-    covered = min(look.coloured for look in looks) / max(ends, 1e-6) if notches > 0 else 1.0
+    looks = [look.coloured for look in seat.seen_since(began)] or [float("nan")]
+    ends = min(looks[0], looks[-1])  # the surface fills more of the scene the nearer it comes
+    covered = min(looks) / max(ends, 1e-6) if notches > 0 else 1.0
     return settled_s, covered, seat.viewer.bytes_sent() - before
 
 

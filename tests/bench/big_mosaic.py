@@ -6,8 +6,10 @@ runs under the folder for temporary files; a dataset of it has no frames, for no
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,8 +28,8 @@ from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
 
 PIXEL_UM = 0.46729
 FIELD_ROWS, FIELD_COLS = 1080, 1440
-WAFER_PX, BLOCKS_PX = 12_850, 6_633
-"""Sides of a mosaic of 165 million points, as many as the paper's wafer has, and of 44 million, its gauge blocks."""
+WAFER_PX, BLOCKS_PX, QUICK_PX = 12_850, 6_633, 3_300
+"""Sides of a mosaic of 165 million points, as many as the paper's wafer has; of 44 million, its gauge blocks; of 11."""
 RESULT = "default"
 TAKEN = "2026-01-01T00:00:00"
 _DIE_UM, _STREET_UM, _PAD_UM, _PAD_PITCH_UM = (820.0, 610.0), 46.0, 32.0, 64.0
@@ -120,7 +122,11 @@ def big_dataset(side_px: int) -> Path:
     path = Path(tempfile.gettempdir()) / "wafer-viewer-bench" / f"made-{side_px}.wafer"
     if not (path / "results" / RESULT / "surface.json").exists():
         shutil.rmtree(path, ignore_errors=True)
-        _make(path, MadeWafer(side_px))
+        unfinished = path.with_name(f"unfinished-{os.getpid()}.wafer")
+        _make(unfinished, MadeWafer(side_px))
+        with suppress(OSError):  # another has made it meanwhile
+            unfinished.rename(path)
+        shutil.rmtree(unfinished, ignore_errors=True)
     return path
 
 

@@ -2,7 +2,7 @@
 
     python tests/bench/speed.py [--quick]
 
-A full-size field, 1080 x 1440, memory-mapped from a file: 126 frames, 24 with --quick, which takes at most a minute.
+A full-size field, 1080 x 1440, memory-mapped from a file: 126 frames, 12 with --quick.
 Times on one thread are the least processor time of several runs, so that what else the machine does counts little;
 times on two threads are by the clock.
 """
@@ -63,14 +63,14 @@ print(imported - began, time.perf_counter() - imported, time.process_time() - bu
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="How fast a field becomes a surface.")
-    parser.add_argument("--quick", action="store_true", help="a short field, under a minute")
+    parser.add_argument("--quick", action="store_true", help="a short field, fewer runs")
     quick = parser.parse_args().quick
     show_first_call()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "field.npy"
-        stack = field_on_disk(file, 24 if quick else 126)
-        show_measures(stack, runs=3 if quick else 7)
-        show_field(stack, runs=2 if quick else 5)
+        stack = field_on_disk(file, 12 if quick else 126)
+        show_measures(stack, runs=1 if quick else 7)
+        show_field(stack, runs=1 if quick else 5)
         show_live(stack)
         show_memory(file)
     show_stitch(2 if quick else 4)

@@ -5,6 +5,7 @@ Fixed before any method was tuned on them. A, B, C, D are four optical settings;
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -115,7 +116,7 @@ def _kept_light(layout: Layout, scene: TruthScene, z_um: NDArray[np.float64], fo
     file = folder / f"{GENERATOR}-{layout.name}-{layout.seed}-{rows}x{cols}-{sweep}.npy"
     if not file.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        half = file.with_suffix(".part.npy")
+        half = file.with_suffix(f".{os.getpid()}.npy")
         np.save(half, light_of(scene, layout.optics, z_um))
         half.rename(file)
     return np.load(file)
