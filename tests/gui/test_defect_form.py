@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from html import unescape
 
 import pytest
 
@@ -19,7 +20,7 @@ from wafer_viewer.gui.defect_form_values import (
     form_of,
     recipe_of,
 )
-from wafer_viewer.gui.defect_form_words import expectation, golden_table, which_recipe
+from wafer_viewer.gui.defect_form_words import expectation, golden_table, more, which_recipe
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of, verdict
 from wafer_viewer.model.class_rules import ClassRules
 from wafer_viewer.model.defect_limits import DefectLimits
@@ -124,6 +125,13 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
     assert "version 3, the newest" in table
     assert "1 of other products are not listed" in table
     assert "No golden die is kept" in golden_table(a_shelf(), "LX-9", "")
+
+
+def test_what_is_folded_away_is_told_in_a_line():
+    assert "no limits" in more(form_of(DefectRecipe(), None), False)
+    line = more(form_of(KEPT, None), False)
+    assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 a die and 0.1 a mm²" in unescape(line)
+    assert "scales" not in more(form_of(KEPT, None), True)
 
 
 def test_limits_are_typed_and_lead_to_a_verdict():

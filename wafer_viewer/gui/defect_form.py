@@ -49,19 +49,25 @@ class InspectionForm:
         """What the form keeps of it is what it does not show."""
         self._of: object = None
         self._limits = DefectLimits()
+        self._shows_more = False
         self._form = DefectForm()
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
             self._build_recipe(gui)
             self._build_search(gui)
-            self._build_dies(gui)
-            self._build_limits(gui)
+            self._more = Cell(gui)
+            self._rest = gui.add_folder(None, visible=False)
+            with self._rest:
+                self._build_evidence(gui)
+                self._build_dies(gui)
+                self._build_limits(gui)
             self._why = Cell(gui)
             begin = guarded(page, FAILED)(lambda _: self.inspect())
             self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
             in_a_row(gui, [self._begin], 34)
         page.on_pick("defect-golden", self._choose_golden)
+        page.on_pick("defect-more", lambda _: self._show_more())
 
     def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
         """Bring the form up to date; `why_not`: why nothing can be inspected now."""
@@ -69,22 +75,13 @@ class InspectionForm:
         self._take_up(snapshot)
         if not unfolded:
             return
-        form, product = self._typed(), self._product.value.strip()
-        names = (NOT_KEPT, *(recipe.name for recipe in snapshot.shelf.recipes_of(product)))
-        if tuple(self._recipes.handle.options) != names:
-            self._recipes.handle.options = names
-        inspection = snapshot.inspection.inspection
-        try:
-            now = recipe_of(form, self._recipe)
-        except MeasureError as fault:
-            self._recipes.show(NOT_KEPT)
-            self._said.show(_lab(str(fault)))
-        else:
-            self._recipes.show(now.name if now in snapshot.shelf.recipes else NOT_KEPT)
-            self._said.show(_lab(words.which_recipe(self._recipe, now, snapshot.shelf, inspection is not None)))
-        self._expected.show(_lab(words.expectation(form.sensitivity, inspection)))
+        form = self._typed()
+        self._show_recipe(snapshot, form)
+        self._expected.show(_lab(words.expectation(form.sensitivity, snapshot.inspection.inspection)))
         golden = form.compare == GOLDEN
-        self._golden.show(words.golden_table(snapshot.shelf, product, form.golden) if golden else "")
+        self._golden.show(words.golden_table(snapshot.shelf, form.product.strip(), form.golden) if golden else "")
+        self._more.show(words.more(form, self._shows_more))
+        set_prop(self._rest, "visible", self._shows_more)
         set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
         set_prop(self._begin, "disabled", bool(why_not))
         self._why.show(_lab(why_not) if why_not else "")
@@ -119,9 +116,13 @@ class InspectionForm:
         self._expected = Cell(gui)
         self._against = gui.add_dropdown("Compare", AGAINST, hint="A surface of one die has no others")
         self._golden = Cell(gui)
+        for widget in (self._dial, self._against):
+            widget.on_update(self._redrawing())
+
+    def _build_evidence(self, gui: Any) -> None:
         self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
         self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
-        for widget in (self._dial, self._against, self._evidence, self._scales):
+        for widget in (self._evidence, self._scales):
             widget.on_update(self._redrawing())
 
     def _build_dies(self, gui: Any) -> None:
@@ -159,6 +160,10 @@ class InspectionForm:
         self._form = replace(self._form, golden=name)
         self._page.redraw()
 
+    def _show_more(self) -> None:
+        self._shows_more = not self._shows_more
+        self._page.redraw()
+
     def _limit(self) -> Future[None] | None:
         """Limits hold for what was found already: the verdict follows at once, no search is needed."""
         page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
@@ -184,6 +189,21 @@ class InspectionForm:
         if of != self._of:
             self._of = of
             self._put(recipe, form_of(recipe, inspection, self._typed()))
+
+    def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
+        """Which recipe the form stands for, or why it makes none."""
+        shelf, inspected = snapshot.shelf, snapshot.inspection.inspection is not None
+        names = (NOT_KEPT, *(recipe.name for recipe in shelf.recipes_of(form.product.strip())))
+        if tuple(self._recipes.handle.options) != names:
+            self._recipes.handle.options = names
+        try:
+            now = recipe_of(form, self._recipe)
+        except MeasureError as fault:
+            self._recipes.show(NOT_KEPT)
+            self._said.show(_lab(str(fault)))
+            return
+        self._recipes.show(now.name if now in shelf.recipes else NOT_KEPT)
+        self._said.show(_lab(words.which_recipe(self._recipe, now, shelf, inspected)))
 
     def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
         """Fill the form in."""

@@ -8,6 +8,7 @@ from datetime import datetime
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_form_values import DefectForm
 from wafer_viewer.gui.defect_words import per_mm2
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.model.defects import DefectRecipe, Inspection, threshold_of
@@ -59,9 +60,23 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     return html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "")
 
 
-def golden_facts(shelf: DefectShelf, chosen: str) -> GoldenHeader | None:
-    """The golden die of a name, or of a name and a version."""
-    return next((header for header, name in _named(shelf.golden) if name == chosen), None)
+def more(form: DefectForm, unfolded: bool) -> str:
+    """The head of what is seldom changed, and how that stands while it is folded away."""
+    link = f'<span class="wv-link" {html.pick("defect-more")}>{"Less" if unfolded else "Change…"}</span>'
+    if unfolded:
+        return f'<div class="wv-h">More settings<span>{link}</span></div>'
+    limits = [text for text in (form.max_per_die and f"{form.max_per_die} a die", _a_mm2(form.max_per_mm2)) if text]
+    told = (
+        form.evidence,
+        f"scales {form.scales_px} px",
+        f"dies: {form.dies[0].lower()}{form.dies[1:]}",
+        f"at most {' and '.join(limits)}" if limits else "no limits",
+    )
+    return f'<div class="wv-lab" style="margin:2px 0 6px">{html.safe("; ".join(told))} · {link}</div>'
+
+
+def _a_mm2(text: str) -> str:
+    return f"{text} a mm²" if text else ""
 
 
 def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[tuple[GoldenHeader, str]]:
