@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import math
 from concurrent.futures import Future
 from functools import cache
 from pathlib import Path
@@ -14,8 +15,11 @@ from PIL import Image
 
 from tests.gui.stand_in import grid, job_and_plan, snapshot_of
 from tests.measure.patterned import Wafer, made
+from tests.session.released import MARKS
 from tests.store.inspections import defect, inspection
 from tests.store.samples import make_job, make_plan
+from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.comparison import Change, Comparison, Face, Registration, SurfaceName
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieStatus
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
@@ -24,9 +28,11 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.session.defect_views import DefectViews
+from wafer_viewer.session.compared import Compared
+from wafer_viewer.session.defect_views import DefectViews, earlier_scan
 from wafer_viewer.session.inspection_state import InspectionState
 from wafer_viewer.session.like_place import Seen, SideBySide
+from wafer_viewer.session.paint_request import Source
 from wafer_viewer.session.painter import paint_from_store
 from wafer_viewer.session.state import DatasetEntry, Snapshot
 from wafer_viewer.store.golden import save_golden
@@ -58,11 +64,11 @@ def surface(seed: int = 1, off_um: float = 0.0, bump_um: float = 0.0) -> HeightM
     return dataclasses.replace(clean, z_um=z, z_raw_um=z)
 
 
-def written(path: Path, height: HeightMap, taken: str, wafer_id: str) -> Path:
+def written(path: Path, height: HeightMap, taken: str, wafer_id: str, alignment: Alignment | None = None) -> Path:
     """A dataset with a stitched surface."""
     path.mkdir()
     (path / JOURNAL).touch()
-    job = replace(make_job(), sample=Sample(wafer_id=wafer_id))
+    job = replace(make_job(), sample=Sample(wafer_id=wafer_id), alignment=alignment, marks=MARKS if alignment else None)
     write_record(path, ScanRecord(software_version="1", taken=taken, job=job, plan=make_plan(job)))
     write_mosaic(path / "results" / "default" / "mosaic.zarr", height)
     return path
@@ -94,17 +100,17 @@ def found(**changes) -> Inspection:
     return inspection(particle, **({"grid": GRID, "dies": dies} | changes))
 
 
-def views(folder: Path, wafer_id: str = "W1", **changes) -> DefectViews:
+def views(folder: Path, wafer_id: str = "W1", alignment=None, entries=(), **changes) -> DefectViews:
     job, plan = job_and_plan(grid(1, 1))
     now: Snapshot = snapshot_of(surface(1, bump_um=HIGH_UM), plan, job)
     data = dataclasses.replace(
         now.dataset,
         path=folder / "now.wafer",
         taken="2026-01-04T08:00:00",
-        job=replace(job, sample=Sample(wafer_id=wafer_id)),
+        job=replace(job, sample=Sample(wafer_id=wafer_id), alignment=alignment, marks=MARKS if alignment else None),
     )
     when = {"first": 1, "second": 2, "other": 3, "now": 4}
-    entries = tuple(
+    entries = entries or tuple(
         DatasetEntry(folder / f"{name}.wafer", name, f"2026-01-0{day}T08:00:00", False, True)
         for name, day in when.items()
     )
@@ -135,6 +141,37 @@ def test_a_defect_stands_beside_the_other_dies_and_the_last_scan(folder: Path):
     assert answer.high_um - answer.low_um > 0.9 * HIGH_UM
     x0, y0, x1, y1 = answer.box_um
     assert (x1 - x0) / (y1 - y0) == pytest.approx(4 / 3, rel=0.02)
+
+
+def test_a_wafer_that_lay_turned_is_laid_on_by_the_alignment_of_both(tmp_path: Path):
+    turned = dataclasses.replace(WAFER, angle_deg=2.0, seed=8)
+    about = Alignment(rotation_rad=math.radians(-2.0))
+    x_um, y_um = about.to_wafer(WAFER.x0_um, WAFER.y0_um)
+    aligned = replace(about, shift_x_um=WAFER.x0_um - x_um, shift_y_um=WAFER.y0_um - y_um)
+    written(tmp_path / "turned.wafer", made(turned), "2026-01-01T08:00:00", "W1", aligned)
+    written(tmp_path / "now.wafer", surface(1, bump_um=HIGH_UM), "2026-01-04T08:00:00", "W1", Alignment())
+    entry = DatasetEntry(tmp_path / "turned.wafer", "turned", "2026-01-01T08:00:00", False, True)
+    seen = shown(views(tmp_path, alignment=Alignment(), entries=(entry,)).beside(1).result(20))["before"]
+    assert (seen.name, seen.why_not) == ("turned", "")
+    assert seen.moved_um == pytest.approx((0.0, 0.0), abs=0.5)
+    assert seen.alike > 0.8
+
+
+def test_a_comparison_that_is_kept_lays_the_earlier_scan_on(folder: Path):
+    """Its second face is the earlier surface as it lies on this one."""
+    change = Change(
+        n_points=1, mean_um=0, median_um=0, sq_um=0, lowest_um=0, highest_um=0, limit_um=1, changed_fraction=0,
+        gained_um3=0, lost_um3=0,
+    )  # fmt: skip
+    first, second = (SurfaceName(path=str(folder / f"{name}.wafer")) for name in ("now", "second"))
+    made_of = Comparison(number=1, first=first, second=second, registration=Registration(), change=change)
+    now = views(folder)._snapshot()
+    kept = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7),))
+    found = earlier_scan(kept, kept.dataset)
+    assert found.source == Source(folder / "now.wafer", "difference-second", -Face.SECOND, 7)
+    assert found.at_um(3.0, 4.0) == (3.0, 4.0)
+    outdated = dataclasses.replace(now, comparisons=(Compared(1, "difference-second", made_of, 7, True),))
+    assert earlier_scan(outdated, outdated.dataset).source.dataset == folder / "second.wafer"
 
 
 def test_words_stand_where_there_is_no_earlier_scan_and_no_other_die(folder: Path):

@@ -15,7 +15,8 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.obstacles import no_defect
 from wafer_viewer.gui.over_scene import OverScene
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.review_items import neighbour
+from wafer_viewer.gui.view import OF_DEFECT, View
 from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.like_place import SideBySide
@@ -44,7 +45,8 @@ class DefectBeside:
         if defect is None or snapshot.surface is None or snapshot.dataset is None:
             self._sheet.show("")
             return
-        self._ask((defect.number, defect.outline, snapshot.dataset.path, snapshot.surface.stamp))
+        recipe = snapshot.inspection.inspection.recipe if snapshot.inspection.inspection is not None else None
+        self._ask((defect.number, defect.outline, snapshot.dataset.path, snapshot.surface.stamp, recipe))
         sizes = Sizes.within(self._sheet.room)
         if self._answer is not None:
             self._sheet.show(sheet(defect, self._answer, sizes), sizes.sheet_px)
@@ -78,6 +80,15 @@ class DefectBeside:
         if asked == self._asked:
             self._answer, self._told = answer, told
             self._page.redraw()
+            self._make_next(asked[0])
+
+    def _make_next(self, number: int) -> None:
+        """Have the painter make the pictures of the defect that comes next: it keeps them."""
+        page = self._page
+        view, snapshot = page.view, page.session.snapshot
+        item = neighbour(snapshot, f"{OF_DEFECT}{number}", 1, view.review_filter, view.defects)
+        if item is not None and item.defect not in (None, number):
+            page.session.defects.views.beside(item.defect)
 
 
 def _instead(defect: Defect, told: str) -> str:

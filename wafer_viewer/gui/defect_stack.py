@@ -11,6 +11,7 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_items import key_of, number_of
+from wafer_viewer.gui.defect_listing import listed
 from wafer_viewer.gui.defect_stack_html import FOOT_PX, HEAD_PX, PAD_PX, drawing_px, head, place_of, sheet
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.latest import Latest
@@ -76,10 +77,11 @@ class DefectStack:
         new = places[k].numbers if k < len(places) else ()
         if new == page.view.defects.numbers:
             new = ()
-        page.change(defects=replace(page.view.defects, numbers=new, kind="", die=""))
-        defect = page.session.snapshot.inspection.defect(new[0]) if new else None
-        if defect is not None:
-            self._look_at(key_of(defect))
+        listing = replace(page.view.defects, numbers=new, kind="", die="")
+        page.change(defects=listing)
+        shown = listed(page.session.snapshot.inspection.defects, listing) if new else ()
+        if shown:
+            self._look_at(key_of(shown[0]))
 
     def _ask(self, of: tuple[Any, ...], inspection: Inspection) -> None:
         """The picture once for each surface and reference, the places whenever a defect changed."""

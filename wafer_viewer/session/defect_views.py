@@ -34,11 +34,15 @@ MOST_DIES = 9
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """An earlier scan of the same wafer; at_um turns places of this stage into those of its own."""
+    """An earlier scan of the same wafer; at_um turns places of this stage into those of its own.
+
+    turn_rad: how the wafer is turned there against how it lies here, anticlockwise.
+    """
 
     source: Source
     name: str
     at_um: Callable[[float, float], tuple[float, float]]
+    turn_rad: float = 0.0
 
 
 class DefectViews:
@@ -109,6 +113,7 @@ def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str
         defect_um=defect.outline.bounds_um,
         before=before.source if before is not None else None,
         before_at_um=before.at_um(*middle) if before is not None else None,
+        before_turn_rad=before.turn_rad if before is not None else 0.0,
         before_name=before.name if before is not None else "",
         no_before=missing,
     )
@@ -174,7 +179,7 @@ def earlier_scan(now: Snapshot, data: OpenDataset) -> Earlier | str:
             if (source := _compared(now, data, entry.path)) is not None:
                 return Earlier(source, entry.path.stem, lambda x, y: (x, y))
             if (source := _stitched(entry.path)) is not None:
-                return Earlier(source, entry.path.stem, _way(data.job.alignment, known.alignment))
+                return _laid(source, entry.path.stem, data.job.alignment, known.alignment)
     return f"No earlier scan of wafer {sample.wafer_id} with a surface lies in the data folder."
 
 
@@ -212,8 +217,9 @@ def _stitched(path: Path) -> Source | None:
     return Source(path, found[-1].parent.parent.name, 0, found[-1].stat().st_mtime_ns)
 
 
-def _way(here: Alignment | None, there: Alignment | None) -> Callable[[float, float], tuple[float, float]]:
+def _laid(source: Source, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
     """Over the wafer where both scans are aligned to it, else as the stage says."""
     if here is None or there is None:
-        return lambda x_um, y_um: (x_um, y_um)
-    return lambda x_um, y_um: there.to_stage(*here.to_wafer(x_um, y_um))
+        return Earlier(source, name, lambda x_um, y_um: (x_um, y_um))
+    turn_rad = here.rotation_rad - there.rotation_rad
+    return Earlier(source, name, lambda x_um, y_um: there.to_stage(*here.to_wafer(x_um, y_um)), turn_rad)

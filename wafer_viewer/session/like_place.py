@@ -25,7 +25,7 @@ class LikePlace:
     die: the one it lies on, dies: those whose median is taken, without it; golden: the name of the stored golden die
     that is shown in their place, of which product. defect_um: the box of what differs, which no range of heights may
     cut off. before: an earlier scan, before_name: what it is called, before_at_um: where on its stage the middle of the
-    box lies; no_before: why there is none.
+    box lies, and how it is turned there, anticlockwise; no_before: why there is none.
     """
 
     grid: DieGrid | None = None
@@ -36,6 +36,7 @@ class LikePlace:
     defect_um: tuple[float, float, float, float] | None = None
     before: Source | None = None
     before_at_um: tuple[float, float] | None = None
+    before_turn_rad: float = 0.0
     before_name: str = ""
     no_before: str = ""
 

@@ -153,7 +153,8 @@ def _of_before(shelf: Shelf, like: LikePlace, patch: Patch, own: Cut) -> Pair:
         earlier = shelf.surface(like.before)
     except WaferViewerError as fault:
         return Seen("before", name=name, why_not=str(fault)), None
-    laid = laid_on(own, earlier, replace(patch, x_um=x_um, y_um=y_um), SCAN_REACH_PX)
+    there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
+    laid = laid_on(own, earlier, there, SCAN_REACH_PX)
     if laid is None or laid.cut.measured < LEAST_MEASURED:
         return Seen("before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."), None
     if laid.alike < LEAST_ALIKE:
