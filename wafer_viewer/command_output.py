@@ -74,7 +74,8 @@ def print_verdict(verdict: WaferVerdict) -> int:
         limits = limits_text(item.feature)
         print(f"{item.word.upper():<12} {item.name}: {measured_text(item.measured)}, limits {limits}. {item.why}")
     if verdict.dies:
-        print(f"{len(verdict.dies)} dies: {', '.join(f'{n} {word}' for word, n in verdict.die_counts.items())}")
+        dies = "1 die" if len(verdict.dies) == 1 else f"{len(verdict.dies)} dies"
+        print(f"{dies}: {', '.join(f'{n} {word}' for word, n in verdict.die_counts.items())}")
     simulated = " SIMULATED" if verdict.simulated else ""
     print(f"{verdict.word.upper()}{simulated}: {verdict.next}")
     return 0 if verdict.word == "pass" else 1

@@ -85,7 +85,7 @@ def kinds_text(dies: Sequence[DieStatus]) -> str:
 def fills_by_count(counts: Mapping[str, int], colour: str = "var(--fault)") -> dict[str, Fill]:
     """Dies, by name, the stronger the more defects lie on them, with the number."""
     most = max(counts.values(), default=0)
-    return {name: Fill(colour, 0.15 + 0.6 * n / most, f"{n}") for name, n in counts.items() if n}
+    return {name: Fill(colour, 0.1 + 0.4 * n / most, f"{n}") for name, n in counts.items() if n}
 
 
 def die_frame(

@@ -50,7 +50,8 @@ def map_html(
     kinds = kinds_of(inspection.dies).items()
     legend = html.legend((look_svg(kind), f"{number(n, 0)} {kind}") for kind, n in kinds)
     said = "Each die has the colour of its commonest class." if by_class and many else ""
-    return _svg(frame, shapes + signs + over) + legend + (f'<div class="wv-lab">{said}</div>' if said else "")
+    below = f'<div class="wv-lab">{said}</div>' if said else ""
+    return f'<div class="wv-dies-and">{_svg(frame, shapes + signs + over)}{legend}</div>{below}'
 
 
 def fills_by_class(defects: Sequence[Defect]) -> dict[str, Fill]:

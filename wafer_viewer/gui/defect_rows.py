@@ -53,7 +53,7 @@ def sorting(listing: DefectListing, inspection: Inspection) -> str:
 def _alone(listing: DefectListing, inspection: Inspection) -> str:
     """What alone is listed, and the way back to all; nothing where all is."""
     state = next((die.word for die in inspection.dies if die.name == listing.die), "")
-    told = [f"Die {listing.die}, {state}" if state else f"Die {listing.die}"] if listing.die else []
+    told = [f"Die {listing.die} ({state})" if state else f"Die {listing.die}"] if listing.die else []
     told += [KINDS[kind].title for kind in KINDS if kind == listing.kind]
     told += [f"{len(listing.numbers)} of one place on the dies"] if listing.numbers else []
     link = f'<span class="wv-link" {html.pick("defect-all")}>all</span>'

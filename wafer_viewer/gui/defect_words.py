@@ -92,7 +92,8 @@ def nothing_found(inspection: Inspection) -> str:
     if inspection.inspected_mm2 <= 0:
         return html.empty("Nothing could be inspected:", "this is not a clean wafer.")
     clean = sum(die.word == "clean" for die in inspection.dies)
-    where = f"on the {clean} dies inspected whole." if clean else f"on {number(inspection.inspected_mm2, 2)} mm²."
+    dies = "the one die" if clean == 1 else f"the {clean} dies"
+    where = f"on {dies} inspected whole." if clean else f"on {number(inspection.inspected_mm2, 2)} mm²."
     return html.empty("No defect was found", where)
 
 

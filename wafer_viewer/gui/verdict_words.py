@@ -101,7 +101,8 @@ def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
             words.setdefault(item.feature.name, []).append(item.word)
     first = {item.feature.name: item.feature for item in verdict.items if item.die}
     for name, of_dies in words.items():
-        good = f"{of_dies.count('pass')} of {len(of_dies)} dies pass"
+        dies = "1 die passes" if len(of_dies) == 1 else f"{len(of_dies)} dies pass"
+        good = f"{of_dies.count('pass')} of {dies}"
         yield html.row([html.safe(name), good, limits(first[name]), ""], " nn ")
 
 

@@ -141,7 +141,8 @@ class Inspection(Spec, frozen=True, kw_only=True):
     """What one inspection looked at and found: the file ``results/NAME/defects.json``.
 
     reference: what the surface was compared with; inspected_mm2: measured and compared, where a list without defects
-    means that there are none; unmeasured_mm2: where nothing can be said. A die that is not or only partly scanned is
+    means that there are none; unmeasured_mm2: where nothing can be said; not_scanned_mm2: of the surface's rectangle,
+    without dies, whose states say it. A die that is not or only partly scanned is
     never clean.
     """
 
@@ -153,6 +154,7 @@ class Inspection(Spec, frozen=True, kw_only=True):
     defects: tuple[Defect, ...] = ()
     inspected_mm2: NonNegative = 0.0
     unmeasured_mm2: NonNegative = 0.0
+    not_scanned_mm2: NonNegative = 0.0
     threshold_sigma: NonNegative = 5.0
     expected_false_per_mm2: NonNegative | None = None
     false_counts: FalseCounts = FalseCounts()
@@ -164,8 +166,8 @@ class Inspection(Spec, frozen=True, kw_only=True):
 
     @property
     def found(self) -> tuple[Defect, ...]:
-        """The defects proper: unmeasured areas are missing data, not defects."""
-        return tuple(defect for defect in self.defects if defect.kind != "unmeasured")
+        """The defects proper: unmeasured areas are missing data, not defects; the operator's word counts here too."""
+        return tuple(defect for defect in self.defects if defect.seen_as != "unmeasured")
 
     def expected_false_at(self, sensitivity: float) -> float | None:
         """The expected false count per mm2 with another setting of the dial, without a new run."""
