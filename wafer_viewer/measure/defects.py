@@ -18,6 +18,7 @@ from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defect_scores import false_counts
 from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
+from wafer_viewer.measure.die_status import not_scanned_mm2, statuses
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
@@ -208,7 +209,8 @@ def _inspection(
         dies=_statuses(reading.surface, grid, defects),
         defects=defects,
         inspected_mm2=inspected_mm2,
-        unmeasured_mm2=sum(result.missing_px for result in results) * mm2,
+        unmeasured_mm2=sum(_missing_px(result, work.cells) for result in results) * mm2,
+        not_scanned_mm2=not_scanned_mm2(reading.surface) if grid is None else 0.0,
         threshold_sigma=work.recipe.threshold_sigma,
         expected_false_per_mm2=counted.at(work.recipe.threshold_sigma),
         false_counts=counted,
@@ -219,11 +221,14 @@ def _inspection(
     )
 
 
+def _missing_px(result: CellResult, cells: CellGrid) -> int:
+    """A cell of which nothing was compared lacks all its pixels."""
+    return result.missing_px if result.compared_px else math.prod(cells.shape)
+
+
 def _statuses(surface: Mosaic, grid: DieGrid | None, defects: Sequence[Defect]) -> tuple[DieStatus, ...]:
     """Of every die, with how many defects lie on it."""
     if grid is None:
         return ()
-    from wafer_viewer.measure.die_status import statuses
-
     on = [defect.die for defect in defects if defect.kind != "unmeasured"]
     return tuple(replace(status, defects=on.count(status.name)) for status in statuses(surface, grid))

@@ -16,13 +16,14 @@ from wafer_viewer.measure.level import least_squares
 from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface import Mosaic, Origin
 from wafer_viewer.numerics.arrays import Float32s
 
 DIE_PX = 200
 """The shorter pitch is read at a level that gives it about as many pixels."""
 PLACES = 32
 """Of a cell along its longer side, at which it is looked at."""
+COARSE_PIXELS = 1_000_000
 WINDOW_PIXELS = 4_000_000
 """Rows of dies are read in pieces of so many pixels at most."""
 MEDIAN_OF = 200
@@ -71,6 +72,14 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
         DieStatus(name=grid.name(*at), col=at[0], row=at[1], state=state, measured_fraction=float(share))
         for at, state, share in zip(places, states, measured, strict=True)
     )
+
+
+def not_scanned_mm2(surface: Mosaic) -> float:
+    """How much of the rectangle that a surface fills no field covers, at a level of a million pixels or so."""
+    rows, cols = surface.shape
+    level = min(surface.levels - 1, max(0, math.ceil(math.log(max(1.0, rows * cols / COARSE_PIXELS), 4))))
+    share = float((surface.window(None, level).origin == Origin.NOT_COVERED).mean())
+    return share * rows * cols * (surface.pixel_um / 1000) ** 2
 
 
 def _seen(surface: Mosaic, grid: DieGrid, places: Places, lattice: CellLattice) -> Seen:

@@ -9,6 +9,9 @@ from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.spec import NonNegative, Spec
 
+LEAST_GAP = 0.02
+"""Of a surface: what its fields leave at a ragged border is less."""
+
 
 class DefectVerdict(Spec, frozen=True, kw_only=True):
     """Whether an inspected wafer is within its limits, and why not.
@@ -37,7 +40,12 @@ def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> De
     per_mm2 = len(counted) / area_mm2 if area_mm2 else None
     failing = _failing(counted, limits)
     lacking = tuple(die.name for die in inspection.dies if die.state in ("partly scanned", "not scanned"))
-    why = (*_too_many(failing, limits), *_too_dense(per_mm2, limits), *_not_looked_at(lacking, per_mm2))
+    why = (
+        *_too_many(failing, limits),
+        *_too_dense(per_mm2, limits),
+        *_not_looked_at(lacking, per_mm2),
+        *_gaps(inspection),
+    )
     return DefectVerdict(
         within=not why,
         counted=len(counted),
@@ -73,6 +81,14 @@ def _not_looked_at(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str
     if per_mm2 is None:
         return ("Nothing was inspected.",)
     return (f"Not or only partly scanned, so not clean: {_listed(lacking)}.",) if lacking else ()
+
+
+def _gaps(inspection: Inspection) -> tuple[str, ...]:
+    """What was not scanned of a surface whose dies are not known."""
+    whole_mm2 = inspection.inspected_mm2 + inspection.unmeasured_mm2
+    if inspection.dies or inspection.not_scanned_mm2 <= LEAST_GAP * whole_mm2:
+        return ()
+    return (f"{inspection.not_scanned_mm2:.3g} mm2 of the surface were not scanned, so it is not clean.",)
 
 
 def _listed(names: tuple[str, ...], most: int = 12) -> str:
