@@ -13,11 +13,12 @@ import pytest
 from tests.measure.patterned import Wafer, made
 from wafer_viewer.__main__ import main
 from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as spec_replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.store.defect_recipes import save_defect_recipe
-from wafer_viewer.store.golden import open_golden
+from wafer_viewer.store.golden import open_golden, save_golden
 from wafer_viewer.store.klarf_reading import read_klarf
 from wafer_viewer.store.npz import write_npz
 
@@ -65,6 +66,10 @@ def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path
     assert row["class"] == "particle"
     assert np.nanmax(heights) - np.nanmedian(heights) > 8
     assert open_golden(told["files"]["golden"]).header.version == 1
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *GIVEN, "--other", out["klarf"]]) < 2
+    beside = json.loads(capsys.readouterr().out)["other"]
+    assert beside["places"] == len(klarf.defects)
+    assert worst["number"] in beside["matched"].values()
 
 
 def test_within_its_limits_the_status_is_0(folder: Path, capsys: pytest.CaptureFixture[str]):
@@ -142,3 +147,23 @@ def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     assert main(["measure", "defects", str(dataset), *GIVEN]) < 2
     told = json.loads(capsys.readouterr().out)["inspection"]
     assert (told["recipe"]["name"], told["reference"], told["recipe"]["sensitivity"]) == ("keen", "golden", 0.2)
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"product": "LX-8"}, "is of product 'LX-8' and this wafer is of 'LX-7': choose a golden die of this product"),
+        ({"pixel_um": 1.0}, "has pixels of 1 um and this surface of 2 um"),
+        ({"width_um": 120.0}, "has dies of 120 x 121 um and this wafer of 173 x 121 um"),
+    ],
+)
+def test_a_golden_die_of_something_else_is_refused_in_a_sentence(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], header: dict[str, object], says: str
+):
+    own = {"product": "LX-7", "pixel_um": made(WAFER).pixel_um, "width_um": 173.0, "height_um": 121.0, "dies": 9}
+    layer = np.zeros((12, 17), np.float32)
+    path = save_golden(GoldenDie(GoldenHeader(**own | header), *[layer] * 4), tmp_path / "std")
+    assert main(["measure", "defects", str(dataset), *GIVEN, "--golden", str(path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert says in captured.err

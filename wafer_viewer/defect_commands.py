@@ -6,7 +6,7 @@ A signature is the command's flags, its docstring the help.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 from tyro.conf import arg
@@ -23,6 +23,7 @@ from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer
 from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.given_dies import GivenDies
 from wafer_viewer.session.offline import Hire
+from wafer_viewer.session.other_tool import compared, laid_over
 
 if TYPE_CHECKING:
     from wafer_viewer.model.golden import GoldenDie
@@ -41,6 +42,7 @@ def measure_defects(
     klarf: File = None,
     csv: File = None,
     training: Annotated[Path | None, arg(metavar="FOLDER")] = None,
+    other: File = None,
     max_per_die: Count = None,
     max_per_mm2: Um = None,
     pitch_um: Pair = None,
@@ -68,6 +70,7 @@ def measure_defects(
         klarf: Write a KLARF 1.2 file.
         csv: Write a table.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
+        other: A KLARF of another tool: what both found and what only one of them did is told.
         max_per_die: The most defects on one die; the recipe's by default.
         max_per_mm2: The most defects on one mm2 of what was inspected; the recipe's by default.
         pitch_um: From die to die along x and y; found by default.
@@ -93,7 +96,7 @@ def measure_defects(
     kept |= _keep_golden(wafer, found, given, save_golden)
     verdict = verdict_of(found)
     told = {"verdict": verdict, "files": kept, "repeats": repeated_places(found), "inspection": found}
-    print_json(msgspec.to_builtins(told))
+    print_json(msgspec.to_builtins(told | _beside(other, wafer, found)))
     return 0 if verdict.within else BEYOND
 
 
@@ -135,6 +138,14 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
 def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) -> dict[str, str]:
     """Write what was asked for; where each lies."""
     return {what: str(WRITERS[what](wafer, found, path)) for what, path in asked.items() if path is not None}
+
+
+def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any]:
+    """What another tool found beside what was found here."""
+    if path is None:
+        return {}
+    alignment = wafer.job.alignment if wafer.job is not None else None
+    return {"other": compared(laid_over(path, alignment, found), found)}
 
 
 def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path | None) -> dict[str, str]:

@@ -13,10 +13,9 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.golden import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import lattice_for
-from wafer_viewer.session.defect_shelf import DefectShelf, OtherTool
+from wafer_viewer.session.defect_shelf import DefectShelf
+from wafer_viewer.session.other_tool import laid_over
 from wafer_viewer.store.klarf import write_klarf
-from wafer_viewer.store.klarf_reading import read_klarf
 
 
 def a_shelf() -> DefectShelf:
@@ -89,13 +88,12 @@ class FakeDefectFiles:
     def lay_over(self, path: Path, unit: Any = None, within_um: float = 25.0) -> Future[Any]:
         now = self._session.snapshot
         try:
-            klarf = read_klarf(path, unit)
-            grid, by = lattice_for(klarf, now.dataset.job, now.inspection.inspection, path.name)
+            other = laid_over(path, now.dataset.job.alignment, now.inspection.inspection, unit, within_um)
         except WaferViewerError as fault:
             refused: Future[Any] = Future()
             refused.set_exception(fault)
             return refused
-        return self._put("lay_over", (path,), other=OtherTool(path.name, klarf, grid, by, within_um))
+        return self._put("lay_over", (path,), other=other)
 
     def take_away(self) -> Future[Any]:
         return self._put("take_away", (), other=None)

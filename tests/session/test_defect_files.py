@@ -8,22 +8,22 @@ from pathlib import Path
 
 import pytest
 
-from tests.browser.fake_session import a_job
 from tests.session.compared_datasets import two_datasets
 from tests.store.inspections import GRID, defect, inspection
-from wafer_viewer.model.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import DefectFilesKeeper, lattice_for
+from wafer_viewer.session.defect_files import DefectFilesKeeper
 from wafer_viewer.session.defect_handover import hand_over, keep_golden
 from wafer_viewer.session.defects import DefectKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.notices import Notices
+from wafer_viewer.session.other_tool import compared, lattice_for
 from wafer_viewer.session.state import Snapshot
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.defects import read_inspection, write_inspection
@@ -165,6 +165,8 @@ def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
     assert (missed.number, missed.col, missed.row) == (7, 2, 1)
     at = more.defects[1].center
     assert (place.points[0].x_um, place.points[0].y_um) == pytest.approx((at.x_um, at.y_um), abs=0.01)
+    told = compared(other, FOUND)
+    assert (told["matched"], told["not_found_here"], told["not_in_file"]) == ({"1": 1}, [7], [2])
     assert bench.shelf.other is other
     bench.do(bench.keeper.take_away)
     assert bench.shelf.other is None
@@ -206,16 +208,18 @@ def test_a_distance_of_nothing_is_refused(bench, tmp_path):
 
 def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
     center_um = (130.0, -40.0)
-    places = (Mark(name="left", x_um=-900.0, y_um=0.0), Mark(name="right", x_um=900.0, y_um=0.0))
     lies = Alignment(shift_x_um=-center_um[0], shift_y_um=-center_um[1], n_marks=2)
-    aligned = replace(a_job(), marks=Marks(places=places), alignment=lies)
     theirs = replace(GRID, x0_um=GRID.x0_um + GRID.pitch_x_um, y0_um=GRID.y0_um - 2 * GRID.pitch_y_um)
     path = write_klarf(replace(FOUND, grid=theirs), tmp_path / "other.klarf", Sample(), center_um=center_um)
     read = read_klarf(path)
     assert read.defects[0].col == 0
-    grid, by = lattice_for(read, aligned, FOUND, path.name)
+    grid, by = lattice_for(read, lies, FOUND, path.name)
     assert by == "dies by the wafer's centre"
     assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
-    grid, by = lattice_for(read, aligned, None, path.name)
+    at_zero = write_klarf(replace(FOUND, grid=theirs), tmp_path / "zero.klarf")
+    grid, by = lattice_for(read_klarf(at_zero), None, FOUND, path.name)
+    assert by.endswith("taken to be at the stage's zero")
+    assert read_klarf(at_zero).matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
+    grid, by = lattice_for(read, lies, None, path.name)
     assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
     assert by.startswith("its own dies")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import replace as with_changes
 from pathlib import Path
 
@@ -86,3 +87,13 @@ def test_a_file_that_is_none_is_refused(golden: GoldenDie, tmp_path: Path):
 def test_layers_of_different_sizes_are_no_golden_die(golden: GoldenDie):
     with pytest.raises(MeasureError, match="must be of one size"):
         with_changes(golden, picture=golden.picture[1:])
+
+
+def test_a_full_disk_is_told_and_nothing_is_left_there(golden: GoldenDie, tmp_path: Path, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(DatasetError, match="cannot be written: the disk is full"):
+        save_golden(golden, tmp_path / "std")
+    assert list(tmp_path.iterdir()) == []

@@ -18,9 +18,9 @@ from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import KlarfUnit
 from wafer_viewer.session.defect_handover import Handover
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
+from wafer_viewer.session.other_tool import KlarfUnit
 
 WAIT_S = 20.0
 """A verb of the session is waited for, so that what it says can be mended in the dialog."""

@@ -6,25 +6,18 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace as with_changes
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.defects import DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.klarf import Klarf
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.spec import replace
+from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.session.defect_handover import Handover, hand_over, keep_golden
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM, DefectShelf, OtherTool
+from wafer_viewer.session.other_tool import KlarfUnit, laid_over
 
 if TYPE_CHECKING:
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.file_work import FileWork
     from wafer_viewer.session.library import Library
 
-KlarfUnit = Literal["um", "nm", "mm"]
-SAME_PITCH = 5e-3
-"""Pitches that differ by more of themselves are those of different products."""
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
 
 
@@ -81,13 +74,8 @@ class DefectFilesKeeper:
 
     def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
         """Read a KLARF file and lay its defects over the surface."""
-        from wafer_viewer.store.klarf_reading import read_klarf
-
-        job, inspection = self._library.shown.job, self._desk.now.inspection.inspection
-        if within_um <= 0:
-            raise DatasetError(f"The same place is within {within_um:g} um: give more than 0.")
-        grid, by = lattice_for(read := read_klarf(path, unit), job, inspection, path.name)
-        other = OtherTool(path.name, read, grid, by, within_um)
+        alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
+        other = laid_over(path, alignment, inspection, unit, within_um)
         self._put(other=other)
         return other
 
@@ -148,48 +136,3 @@ class DefectFiles:
     def refresh(self) -> Future[None]:
         """List recipes and golden dies anew."""
         return self._do(self._keeper.refresh)
-
-
-def lattice_for(klarf: Klarf, job: Job, inspection: Inspection | None, name: str) -> tuple[DieGrid, str]:
-    """The lattice that the places of a KLARF file count from, stage um, and how its dies were known, in words.
-
-    The dies of the inspection, by the wafer's centre where file and job both say where it is, else by their numbers;
-    without an inspection the file's own about the wafer's centre. Raises DatasetError where the pitches differ.
-    """
-    grid = inspection.grid if inspection is not None else None
-    if grid is None:
-        return _about_center(klarf, job), "its own dies about the wafer's centre"
-    _require_pitch(klarf, grid, name)
-    if job.alignment is None or not (klarf.center_x_um or klarf.center_y_um):
-        return grid, "dies by their numbers"
-    cols, rows = _steps(klarf, job, grid)
-    x_um, y_um = grid.corner(cols, rows)
-    return replace(grid, x0_um=x_um, y0_um=y_um), "dies by the wafer's centre"
-
-
-def _about_center(klarf: Klarf, job: Job) -> DieGrid:
-    """The file's lattice, turned and shifted as the wafer lies on the stage."""
-    if job.alignment is None:
-        return klarf.grid
-    own = klarf.grid
-    x_um, y_um = job.alignment.to_stage(own.x0_um, own.y0_um)
-    return replace(own, x0_um=x_um, y0_um=y_um, angle_rad=-job.alignment.rotation_rad)
-
-
-def _steps(klarf: Klarf, job: Job, grid: DieGrid) -> tuple[int, int]:
-    """How many columns and rows die 0,0 of the file is from die 0,0 of the lattice."""
-    import numpy as np
-
-    center = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
-    cols, rows, u_um, v_um = grid.to_die(*(np.asarray(um) for um in center))
-    x_um, y_um = float(cols) * grid.pitch_x_um + float(u_um), float(rows) * grid.pitch_y_um + float(v_um)
-    return round((x_um - klarf.center_x_um) / grid.pitch_x_um), round((y_um - klarf.center_y_um) / grid.pitch_y_um)
-
-
-def _require_pitch(klarf: Klarf, grid: DieGrid, name: str) -> None:
-    pairs = ((klarf.pitch_x_um, grid.pitch_x_um), (klarf.pitch_y_um, grid.pitch_y_um))
-    if any(abs(theirs / ours - 1) > SAME_PITCH for theirs, ours in pairs):
-        raise DatasetError(
-            f"{name} has dies {klarf.pitch_x_um:.6g} x {klarf.pitch_y_um:.6g} um apart and this surface "
-            f"{grid.pitch_x_um:.6g} x {grid.pitch_y_um:.6g} um: it is of another product, or in another unit."
-        )
