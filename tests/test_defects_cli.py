@@ -135,8 +135,12 @@ def dataset(folder: Path) -> Path:
 def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
+    torn = dataset.parent / "recipes" / "LX-7-torn.defects.toml"
+    torn.write_text("sensitvity = 0.5")
     assert main(["measure", "defects", str(dataset), *GIVEN]) == 2
+    torn.unlink()
     refused = capsys.readouterr().err
+    assert "LX-7-torn.defects.toml: unknown key 'sensitvity'" in refused
     assert "Recipe 'keen' of LX-7 is taken" in refused
     assert "no golden die 'lx7'" in refused
     plain = tmp_path / "plain.toml"

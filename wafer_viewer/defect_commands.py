@@ -115,7 +115,9 @@ def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
     from wafer_viewer.store.defect_recipes import readable_recipes
 
     product = product_of(wafer.job) if wafer.job is not None else ""
-    kept = readable_recipes(src.absolute().parent)[0] if product else ()
+    kept, problems = readable_recipes(src.absolute().parent) if product else ((), ())
+    for problem in problems:
+        warn(problem)
     recipe = next((recipe for recipe in kept if recipe.product == product), None)
     if recipe is None:
         return DefectRecipe(product=product)

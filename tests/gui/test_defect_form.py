@@ -20,7 +20,7 @@ from wafer_viewer.gui.defect_form_values import (
     form_of,
     recipe_of,
 )
-from wafer_viewer.gui.defect_form_words import expectation, golden_table, more, which_recipe
+from wafer_viewer.gui.defect_form_words import expectation, golden_table, more, unreadable, which_recipe
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of, verdict
 from wafer_viewer.model.class_rules import ClassRules
 from wafer_viewer.model.defect_limits import DefectLimits
@@ -115,6 +115,8 @@ def test_the_form_says_which_recipe_it_stands_for():
     assert "No recipe of LX-9 is kept" in which_recipe(other, other, shelf, False)
     assert "Without a product" in which_recipe(other, DefectRecipe(), shelf, False)
     assert shelf.recipe_of("") is None
+    assert unreadable(shelf) == ""
+    assert unreadable(dataclasses.replace(shelf, problems=("torn",))).startswith("1 recipe file cannot be read")
 
 
 def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name():

@@ -102,8 +102,8 @@ def golden_dialog(page: Page) -> None:
         raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
     product = inspection.product
     below = (
-        f"The median of {len(inspection.dies)} dies{f' of {product}' if product else ''}, with its spread from die to "
-        "die. Under a name that is there it becomes the next version; none is written over."
+        f"The median of the dies of this wafer{f' of {product}' if product else ''}, with its spread from die to die. "
+        "Under a name that is there it becomes the next version; none is written over."
     )
     dialog = Dialog(page, "Keep as golden die", below)
     named = next((header.name for header in shelf.golden if product and header.product == product), product)

@@ -203,7 +203,8 @@ class InspectionForm:
             self._said.show(_lab(str(fault)))
             return
         self._recipes.show(now.name if now in shelf.recipes else NOT_KEPT)
-        self._said.show(_lab(words.which_recipe(self._recipe, now, shelf, inspected)))
+        told = words.which_recipe(self._recipe, now, shelf, inspected)
+        self._said.show(_lab(f"{told} {words.unreadable(shelf)}".rstrip()))
 
     def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
         """Fill the form in."""

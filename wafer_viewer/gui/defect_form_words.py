@@ -47,6 +47,12 @@ def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, in
     return f"No recipe of {now.product} is kept."
 
 
+def unreadable(shelf: DefectShelf) -> str:
+    """That there are files that are no recipes; the list of recipes has their sentences."""
+    n = len(shelf.problems)
+    return f"{n} recipe {'file' if n == 1 else 'files'} cannot be read: Recipes… says why." if n else ""
+
+
 def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     """The golden dies of a product to choose from, newest first of each; those of others are only counted."""
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
