@@ -27,7 +27,7 @@ from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.defect_views import DefectViews, earlier_scan
 from wafer_viewer.session.inspection_state import InspectionState
@@ -185,6 +185,19 @@ def test_words_stand_where_there_is_no_earlier_scan_and_no_other_die(folder: Pat
     assert "compared with its form" in seen["dies"].why_not
     with pytest.raises(DatasetError, match="There is no defect 7"):
         views(folder).beside(7)
+
+
+def test_a_place_without_heights_still_shows_its_picture(tmp_path: Path):
+    """A dark particle whose heights were refused is seen in the picture alone."""
+    blind = surface(1, bump_um=HIGH_UM)
+    x, y = GRID.to_stage(*HERE, U_UM, V_UM)
+    near = (np.abs(blind.x_um[None, :] - x) < 200) & (np.abs(blind.y_um[:, None] - y) < 150)
+    z = np.where(near, np.nan, blind.z_um).astype(np.float32)
+    origin = np.where(near, Origin.NO_TEXTURE, blind.origin).astype(np.uint8)
+    written(tmp_path / "now.wafer", dataclasses.replace(blind, z_um=z, z_raw_um=z, origin=origin), "2026-01-04", "")
+    seen = shown(views(tmp_path, "").beside(1).result(20))
+    assert seen["here"].picture
+    assert not seen["here"].height
 
 
 def test_the_golden_die_that_it_was_inspected_against_is_shown_and_only_if_it_fits(folder: Path):

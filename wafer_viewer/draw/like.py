@@ -31,16 +31,17 @@ class Range:
 
 
 def heights_of(planes: Sequence[Plane], inside: Plane, pixel_um: float) -> Range:
-    """The range of all heights together, which cuts off nothing of what lies `inside`; 0 is the middle of the second.
+    """The range of all heights together, which cuts off nothing of what lies `inside`.
 
-    The light is that of the first.
+    0 is the middle of the second, or of the first without one; the light is that of the first.
     """
     low, high = _ends(planes, _ENDS)
     if np.isfinite(inside).any():
         least, most = np.nanpercentile(inside, _INNER_ENDS)
         low, high = min(low, float(least)), max(high, float(most))
     spare = max(0.0, _LEAST_SPAN_UM - (high - low)) / 2
-    zero = float(np.nanmedian(planes[min(1, len(planes) - 1)]))
+    known = [plane[np.isfinite(plane)] for plane in (*planes[1:2], planes[0])]
+    zero = next((float(np.median(values)) for values in known if values.size), 0.0)
     return Range(low - spare, high + spare, zero, light_gain(planes[0], pixel_um))
 
 

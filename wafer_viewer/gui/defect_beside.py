@@ -72,7 +72,7 @@ class DefectBeside:
 
     def _look(self, asked: Asked) -> None:
         """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
-        answer, told = None, "Nothing of this place is measured."
+        answer, told = None, "Nothing of this place was scanned."
         try:
             answer = self._page.session.defects.views.beside(asked[0]).result()
         except WaferViewerError as fault:

@@ -59,7 +59,7 @@ class DefectViews:
     def beside(self, number: int) -> Future[SideBySide | None]:
         """A defect beside the same place of the other dies or the golden one, and of the last scan of the wafer.
 
-        Done with None where nothing of the place is measured.
+        Done with None where nothing of the place was scanned.
         """
         now = self._snapshot()
         defect, inspection = now.inspection.defect(number), now.inspection.inspection

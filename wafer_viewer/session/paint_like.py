@@ -43,14 +43,14 @@ Pair = tuple[Seen, Cut | None]
 
 
 def beside(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A `SideBySide` as msgpack; no bytes where nothing of the place is measured."""
+    """A `SideBySide` as msgpack; no bytes where nothing of the place was scanned."""
     like, box = request.like, request.box_um
     if like is None or box is None:
         return b""
     surface = shelf.surface(request.source)
     patch = Patch.of_box(surface, box, PLACE_PX)
     own = cut(surface, patch)
-    if own is None or not np.isfinite(own.z_um).any():
+    if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
         return b""
     found = [(Seen("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
     cuts = [one for _, one in found if one is not None]
@@ -188,4 +188,5 @@ def _inside(own: Cut, patch: Patch, like: LikePlace) -> NDArray[np.float32]:
 def _box_of(patch: Patch) -> tuple[float, float, float, float]:
     """What an upright patch takes in, to the outer edges of its pixels."""
     half_y, half_x = (n / 2 * patch.pixel_um for n in patch.shape)
-    return patch.x_um - half_x, patch.y_um - half_y, patch.x_um + half_x, patch.y_um + half_y
+    x_um, y_um = float(patch.x_um), float(patch.y_um)
+    return x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y
