@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from wafer_viewer.measure.die_evidence import Coarse, Evidence, bounds_of, read_coarse
-from wafer_viewer.measure.die_registration import Registered, cells_over, refined
+from wafer_viewer.measure.die_registration import Registered, cells_over, not_alike, refined
 from wafer_viewer.measure.die_streets import Street, street_of
 from wafer_viewer.measure.periodicity import Periods, periods_of
 from wafer_viewer.measure.reading import Reading
@@ -18,6 +18,8 @@ from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 
+SURE_DIES = 9
+"""Fewer that no street parts may be any few places that are alike."""
 ACROSS = 9
 """A die lies on the surface when one of so many places across and up does."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
@@ -30,12 +32,16 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     all-in-focus picture or both. u_pitch_um and u_origin_um say how well the lattice fits the surface, without the
     pixel scale.
 
-    Raises MeasureError where nothing repeats along an axis, fewer than two whole dies lie on the surface, it is open
-    whether a pitch or a part of it is meant, or dies are turned by more than 5 degrees.
+    Raises MeasureError where nothing repeats along an axis, fewer than two whole dies lie on the surface, a few places
+    are alike that no street parts, it is open whether a pitch or a part of it is meant, or dies are turned by more than
+    5 degrees.
     """
     coarse = read_coarse(surface, evidence)
     found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
-    return on_surface(with_streets(found), surface)
+    grid = with_streets(found)
+    if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
+        raise not_alike(f"Only {found.n_dies}", found.lattice)
+    return on_surface(grid, surface)
 
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:

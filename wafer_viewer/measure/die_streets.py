@@ -13,7 +13,7 @@ from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.periodicity import vertex
 from wafer_viewer.numerics.arrays import Float32s
 
-WIDEST = 0.45
+WIDEST = 0.3
 """Of the pitch: a street is narrower."""
 NARROWEST_PX = 2
 STANDS_OUT = 6.0
