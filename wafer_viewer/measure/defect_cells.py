@@ -22,7 +22,7 @@ from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, 
 from wafer_viewer.measure.golden import Golden, registered, spaced
 from wafer_viewer.model.defects import DefectRecipe
 
-NOISE_CELLS = 16
+NOISE_CELLS = 24
 LEAST_MEASURED = 0.02
 LISTED_FROM = 0.3
 """Of a cell less measured, unmeasured areas are not listed one by one: the state of the die says it."""
@@ -78,6 +78,8 @@ def spread_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> t
 
 def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] | None:
     shift = registered(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
+    if shift is None:
+        return None
     rows, cols = work.cells.shape
     cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
     if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:

@@ -55,7 +55,7 @@ def noise_of(many: Sequence[Planes]) -> Noise:
     fall: dict[Key, float] = {}
     for key in many[0] if many else ():
         planes = [planes[key] for planes in many]
-        spread[key] = here = _spread(planes, key[1])
+        spread[key] = here = _spread(planes, key)
         fall[key] = _fall([np.abs(plane / np.asarray(here, np.float32)) for plane in planes])
     return Noise(spread, fall)
 
@@ -93,11 +93,11 @@ def _fall(planes: Sequence[Plane]) -> float:
     return math.log(2) / max(1e-3, float(np.median(tops)) - START) if tops.size >= LEAST_TOPS else NORMAL_FALL
 
 
-def _spread(planes: list[Plane], scale_px: float) -> float | Plane:
+def _spread(planes: list[Plane], key: Key) -> float | Plane:
     sigmas = [sigma for plane in planes if (sigma := robust_sigma(plane)) > 0]
     usual = float(np.median(sigmas)) if sigmas else 1.0
-    local = coarseness(scale_px) > 1 and len(planes) >= LOCAL_FROM_CELLS
-    return _of_each_place(planes, usual) if local else usual
+    uneven = coarseness(key[1]) > 1 or key[0] == "detail"
+    return _of_each_place(planes, usual) if uneven and len(planes) >= LOCAL_FROM_CELLS else usual
 
 
 def _of_each_place(planes: list[Plane], usual: float) -> Plane:

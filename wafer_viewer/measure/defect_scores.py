@@ -16,7 +16,7 @@ from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.golden import Cell, Golden
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
-from wafer_viewer.numerics.smoothing import coarseness, gaussian_sums
+from wafer_viewer.numerics.smoothing import gaussian_sums
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5
@@ -26,14 +26,16 @@ COUNTED_FROM, FITTED_FROM, ANCHORED_TO, FITTED_TO, LEAST_COUNTED = 2.25, 2.75, 3
 NORMAL_FALL, SLOWEST_FALL = 0.5, 0.15
 """Of the logarithm of how many places reach a deviation, by its square: of normal noise, and the slowest believed."""
 TILT_POINTS = 6_000
-LAYERS = ("height", "picture", "detail")
-"""Detail: what the finest scale of the picture shows over the next, such as the glint in the middle of a particle."""
+DETAIL_PX = 0.7, 1.5
+"""What the picture shows at the first scale over the second: a layer of its own, for the glint in the middle of a dark
+particle. Unfiltered it would show how dies lie between pixels.
+"""
 Mask = NDArray[np.bool_]
 NEAR_HOLES_PX, UNSURE = 15, 4.0
 """Heights near unmeasured pixels are so much less sure: by the share that is unmeasured of so many pixels."""
-ALONE = 1.25
+ALONE = 1.16
 """What shows in one layer alone must lie so many times further out, where both are looked at."""
-JOINT, LEAST_JOINT = 0.93, 2.0
+JOINT, LEAST_JOINT = 0.86, 2.0
 """The root sum of squares of both is over a limit more often than either: so much of it is as rare."""
 
 
@@ -74,19 +76,23 @@ def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatt
 
 def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> Planes:
     """Residuals over their spread, smoothed at each scale, by layer and scale."""
-    pairs = (("height", residual.z_um, golden.z_spread_um), ("picture", residual.picture, golden.picture_spread))
     planes: Planes = {}
-    for layer, left, spread in pairs:
-        if recipe.evidence in (layer, "both"):
-            sure = _sureness(left) if layer == "height" else np.float32(1)
-            part = np.clip(left / spread * sure, -LOUDEST, LOUDEST)
-            known = np.isfinite(part)
-            filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
-            planes |= {(layer, scale): gaussian_sums(filled, weight, scale) for scale in recipe.scales_px}
-    fine = sorted(scale for scale in recipe.scales_px if coarseness(scale) == 1)[:2]
-    if ("picture", fine[0]) in planes and len(fine) == 2:
-        planes["detail", fine[1]] = planes["picture", fine[0]] - planes["picture", fine[1]]
+    if recipe.evidence in ("height", "both"):
+        part = residual.z_um / golden.z_spread_um * _sureness(residual.z_um)
+        planes |= {("height", scale): plane for scale, plane in _at_scales(part, recipe.scales_px).items()}
+    if recipe.evidence in ("picture", "both"):
+        fine, wide = DETAIL_PX
+        of_picture = _at_scales(residual.picture / golden.picture_spread, (*recipe.scales_px, fine, wide))
+        planes |= {("picture", scale): of_picture[scale] for scale in recipe.scales_px}
+        planes["detail", fine] = of_picture[fine] - of_picture[wide]
     return planes
+
+
+def _at_scales(quotient: Plane, scales_px: tuple[float, ...]) -> dict[float, Plane]:
+    part = np.clip(quotient, -LOUDEST, LOUDEST)
+    known = np.isfinite(part)
+    filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
+    return {scale: gaussian_sums(filled, weight, scale) for scale in dict.fromkeys(scales_px)}
 
 
 def _sureness(left: Plane) -> Plane:

@@ -24,8 +24,9 @@ from wafer_viewer.model.region import Point, Region
 Floats = NDArray[np.float64]
 HALF = 0.5
 THIN = 3.0
-HEIGHT_SHARE = 0.4
-"""Of the score: where heights show less of it, all pixels that differ are the outline."""
+HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
+"""Of the score, and in deviations: where heights show less than both, and stand out of the noise of their place by less
+than so much too, all pixels that differ are the outline."""
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
 UNSEEN = "It shows in the picture; most of its heights could not be measured."
@@ -121,7 +122,8 @@ def _height(whole: Gathered) -> tuple[float, NDArray[np.bool_]]:
     values = whole.smooth_um[known]
     upper, lower = float(values.max()), float(values.min())
     height_um = upper if upper >= -lower else lower
-    if "height" not in whole.peaks or whole.peaks["height"] < HEIGHT_SHARE * whole.first.score:
+    faint = whole.peaks.get("height", 0.0) < min(HEIGHT_SURE, HEIGHT_SHARE * whole.first.score)
+    if faint and abs(height_um) < HEIGHT_SURE * whole.first.noise_um:
         return height_um, np.ones(len(whole.x_um), bool)
     with np.errstate(invalid="ignore"):
         return height_um, known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))

@@ -23,6 +23,8 @@ BLOCK_PIXELS = 24_000_000
 PATCH_PX = 384
 """Shifts are found on the middle of the dies."""
 FURTHEST_PX = 3.0
+LEAST_KNOWN_PX = 3_000
+"""With fewer a die that is cut by the border cannot be laid over the others."""
 ROUNDS = 3
 POOLED_PX, POOLED_AS = (5, 21), 20
 """The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
@@ -132,19 +134,23 @@ def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> d
     return {place: Pose(shifts[place], level) for place, level in levels.items()}
 
 
-def registered(source: Read, cells: CellGrid, place: Place, golden: Golden) -> Shift:
-    """How far one die lies off its place against the golden die, (down, right) in pixels."""
+def registered(source: Read, cells: CellGrid, place: Place, golden: Golden) -> Shift | None:
+    """How far one die lies off its place against the golden die, (down, right) in pixels.
+
+    By its middle; by all of it where that was not scanned, for a die that is cut by the border lies off its place too.
+    None where too little of it is known.
+    """
     if place in golden.shifts:
         return golden.shifts[place]
-    rows, cols = _patch(cells.shape)
-    model = golden.z_um[rows, cols], golden.picture[rows, cols]
-    shift = (0.0, 0.0)
-    for _ in range(2):
-        cell = source.read(cells, place, rows, cols, shift)
-        if cell is None or not _enough(cell):
-            return shift
-        shift = _held(shift, _step(levelled_pair(cell), model))
-    return shift
+    whole = slice(0, cells.shape[0]), slice(0, cells.shape[1])
+    for rows, cols in (_patch(cells.shape), whole):
+        cell = source.read(cells, place, rows, cols, (0.0, 0.0))
+        if cell is not None and (_enough(cell) or np.isfinite(cell[0]).sum() >= LEAST_KNOWN_PX):
+            model = golden.z_um[rows, cols], golden.picture[rows, cols]
+            shift = _held((0.0, 0.0), _step(levelled_pair(cell), model))
+            again = source.read(cells, place, rows, cols, shift)
+            return shift if again is None else _held(shift, _step(levelled_pair(again), model))
+    return None
 
 
 def spaced(places: tuple[Place, ...], most: int) -> tuple[Place, ...]:
