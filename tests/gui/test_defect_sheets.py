@@ -95,6 +95,7 @@ def test_the_list_names_places_dies_and_the_one_that_is_chosen(repeating):
     assert "Picture: median of 9 dies" in text
     assert text.count('class="go sel"') == 1
     assert stacked.place_of(places[1].numbers, places) == 1
+    assert stacked.place_of((*places[2].numbers, 999), places) == 2
     assert stacked.place_of((), places) is None
 
 

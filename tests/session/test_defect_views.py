@@ -33,7 +33,7 @@ from wafer_viewer.session.defect_views import DefectViews, earlier_scan
 from wafer_viewer.session.inspection_state import InspectionState
 from wafer_viewer.session.like_place import Seen, SideBySide
 from wafer_viewer.session.paint_request import Source
-from wafer_viewer.session.painter import paint_from_store
+from wafer_viewer.session.painter import Painter, paint_from_store
 from wafer_viewer.session.state import DatasetEntry, Snapshot
 from wafer_viewer.store.golden import save_golden
 from wafer_viewer.store.mosaic import write_mosaic
@@ -211,6 +211,20 @@ def test_the_golden_die_that_it_was_inspected_against_is_shown_and_only_if_it_fi
     assert views(folder, **against).die().result(20).golden == "best version 1"
     seen = shown(views(folder, **against, product="other").beside(1).result(20))
     assert "is of product 'LX-7'" in seen["golden"].why_not
+
+
+@pytest.mark.slow
+def test_the_painter_makes_and_keeps_them_in_its_own_process(folder: Path):
+    painter, now = Painter(), views(folder)._snapshot()
+    try:
+        asking = DefectViews(painter.paint, lambda: now)
+        first = asking.beside(1).result(60)
+        assert shown(first)["before"].name == "second"
+        kept = asking.beside(1)
+        assert kept.result(60) == first
+        assert asking.die().result(60).dies == 6
+    finally:
+        painter.close()
 
 
 def test_a_die_as_all_are_is_pictured_and_repeats_are_counted(folder: Path):

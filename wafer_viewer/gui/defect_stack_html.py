@@ -64,8 +64,9 @@ def head(inspection: Inspection) -> str:
 
 
 def place_of(numbers: tuple[int, ...], places: Sequence[RepeatedPlace]) -> int | None:
-    """Which of the places is listed alone."""
-    return next((k for k, place in enumerate(places) if place.numbers == numbers), None)
+    """Which of the places is listed alone: that with most of the numbers, for what was rejected since has left it."""
+    common = [len(set(place.numbers) & set(numbers)) for place in places]
+    return common.index(max(common)) if any(common) else None
 
 
 def _list(inspection: Inspection, places: Sequence[RepeatedPlace], chosen: int | None) -> str:
