@@ -94,6 +94,7 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
         (("--recipe", "gone.toml"), "gone.toml cannot be read"),
         (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),
         (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
+        (("--other", "gone.klarf"), "gone.klarf does not exist"),
         (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
     ],
 )

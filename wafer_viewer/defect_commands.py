@@ -87,6 +87,7 @@ def measure_defects(
 
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
+    _require_readable(other)
     wafer = wafer_of(src, result)
     asked = _recipe(recipe, wafer, src, sensitivity, limits)
     stored = _golden(golden, against, asked, src)
@@ -140,6 +141,14 @@ def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) ->
 def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) -> dict[str, str]:
     """Write what was asked for; where each lies."""
     return {what: str(WRITERS[what](wafer, found, path)) for what, path in asked.items() if path is not None}
+
+
+def _require_readable(other: Path | None) -> None:
+    """A file that is refused is refused before the search, which takes its time."""
+    from wafer_viewer.store.klarf_reading import read_klarf
+
+    if other is not None:
+        read_klarf(other)
 
 
 def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any]:

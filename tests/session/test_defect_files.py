@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 from concurrent.futures import Future
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,17 +14,18 @@ from tests.store.inspections import GRID, defect, inspection
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
-from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.errors import DatasetError, HeldByAnother, MeasureError
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import DefectFilesKeeper
+from wafer_viewer.session.defect_files import DefectFiles, DefectFilesKeeper
 from wafer_viewer.session.defect_handover import hand_over, keep_golden
-from wafer_viewer.session.defects import DefectKeeper
+from wafer_viewer.session.defects import DefectKeeper, DefectVerbs
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.file_work import FileWork
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.other_tool import compared, lattice_for
+from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Snapshot
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.defects import read_inspection, write_inspection
@@ -223,3 +225,15 @@ def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
     grid, by = lattice_for(read, lies, None, path.name)
     assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
     assert by.startswith("its own dies")
+
+
+def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path):
+    files = DefectFiles(bench.desk.do, bench.keeper)
+    whole = SimpleNamespace(
+        snapshot=bench.desk.snapshot, defects=DefectVerbs(bench.desk.do, bench.defects, files, None)
+    )
+    watcher = seat(whole, lambda: "b").defects.files
+    assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
+    for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
+        with pytest.raises(HeldByAnother):
+            asked.result(20)

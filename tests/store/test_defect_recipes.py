@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -88,6 +89,16 @@ def test_names_that_come_to_one_file_do_not_write_over_each_other(tmp_path: Path
     save_defect_recipe(tmp_path, DefectRecipe(product="LX 7"))
     with pytest.raises(DatasetError, match="is the recipe 'standard' of LX 7: choose another name"):
         save_defect_recipe(tmp_path, DefectRecipe(product="LX/7"))
+
+
+def test_a_full_disk_is_told_and_nothing_is_left_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(DatasetError, match="the disk is full: free some space"):
+        save_defect_recipe(tmp_path, DefectRecipe(product="LX-7"))
+    assert list((tmp_path / "recipes").iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_told(tmp_path: Path):

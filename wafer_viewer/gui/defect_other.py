@@ -26,14 +26,17 @@ class OtherSection:
 
     def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
         self._page, self._fly = page, fly
+        self._of: tuple[object, object] = None, None
         self._cell = Cell(page.gui)
         page.on_pick("defect-other", self._go_to)
         page.on_pick("defect-other-away", lambda _: self._take_away())
 
     def show(self, snapshot: Snapshot) -> None:
         """Bring the section up to date."""
-        other = snapshot.shelf.other
-        self._cell.show(_told(other, snapshot.inspection.defects) if other is not None else "")
+        other, defects = snapshot.shelf.other, snapshot.inspection.defects
+        if self._of[0] is not other or self._of[1] is not defects:  # thousands of places take a tenth of a second
+            self._of = other, defects
+            self._cell.show(told(other, defects) if other is not None else "")
 
     def _go_to(self, number_there: str) -> None:
         now = self._page.session.snapshot
@@ -67,7 +70,7 @@ def other_marks(other: OtherTool | None) -> list[Mark]:
     ]
 
 
-def _told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
+def told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
     """Counts on both sides, and what was not found here, a click away."""
     found = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(found)
@@ -82,13 +85,8 @@ def _told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
     notes = "".join(_lab(note) for note in other.klarf.notes)
     more = _lab(f"{len(rest) - MOST_ROWS} more on the map.") if len(rest) > MOST_ROWS else ""
     rows = [_row(defect) for defect, _ in rest[:MOST_ROWS]]
-    return (
-        head
-        + _lab(said)
-        + notes
-        + (html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else "")
-        + more
-    )
+    table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
+    return f'{head}{_lab(said)}{notes}{table}{more}<div style="height:8px"></div>'
 
 
 def _row(defect: KlarfDefect) -> str:
