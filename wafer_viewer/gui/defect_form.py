@@ -54,7 +54,7 @@ class InspectionForm:
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
-            self._build_recipe(gui)
+            self._said = Cell(gui)
             self._build_search(gui)
             self._more = Cell(gui)
             self._rest = gui.add_folder(None, visible=False)
@@ -66,6 +66,7 @@ class InspectionForm:
             begin = guarded(page, FAILED)(lambda _: self.inspect())
             self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
             in_a_row(gui, [self._begin], 34)
+            self._build_recipe(gui)
         page.on_pick("defect-golden", self._choose_golden)
         page.on_pick("defect-more", lambda _: self._show_more())
 
@@ -102,11 +103,11 @@ class InspectionForm:
 
     def _build_recipe(self, gui: Any) -> None:
         page = self._page
-        listed = gui.add_dropdown("Recipe", (NOT_KEPT,), hint="Kept by product; the one saved last is taken by itself")
+        Cell(gui, html.head("Recipe"))
+        listed = gui.add_dropdown("Kept as", (NOT_KEPT,), hint="Kept by product; the one saved last is taken by itself")
         self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe stays")
         self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
         self._product.on_update(self._redrawing())
-        self._said = Cell(gui)
         save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
         kept = button(gui, "Recipes…", viser.Icon.LIST, self._on("The recipes stay", lambda: recipes_dialog(page)))
         in_a_row(gui, [save, kept], 30)

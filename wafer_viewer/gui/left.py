@@ -57,7 +57,7 @@ class LeftPanel:
         if not dies:
             self.map.show(snapshot, view)
         self._works.show(job_list(snapshot, view))
-        reviewing = view.step == "review" and bool(snapshot.inspection.defects)
+        reviewing = view.step == "review" and snapshot.surface is not None  # the form or the list needs the room
         self._views.show("" if checking or reviewing or dies else views_html(snapshot, view))
         self.defects.show(snapshot, view)
         self._review.show(review_list(snapshot, view))
