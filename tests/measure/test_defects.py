@@ -125,6 +125,27 @@ def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     assert sum(d.repeats for d in inspection.found) == 9
 
 
+def test_a_defect_in_a_street_shows_beside_a_stored_golden_die() -> None:
+    clean = made(1, ())
+    golden = golden_of_surface(clean.surface, clean.grid)
+    in_street = made(2, (Planted("bump", 70.0, 2 * 160.21, 12, 10),))
+    inspection = inspect(in_street.surface, in_street.grid, DULL, golden)
+    bump = at(inspection, in_street.planted[0])
+    assert bump.height.value_um == pytest.approx(10 * SIGMA_UM, rel=0.2)
+    assert len(inspection.found) == 1
+    assert "compared with those of the other dies" in inspection.notes[-1]
+    assert {die.word for die in inspection.dies if not die.defects} == {"clean"}
+
+
+def test_a_clean_die_says_that_its_street_was_not_looked_at() -> None:
+    golden = golden_of_surface(made(1, ()).surface, made(1, ()).grid)
+    few = made(2, ())
+    grid = replace(few.grid, rows=1)
+    inspection = inspect(few.surface, grid, DULL, golden)
+    assert "not inspected" in inspection.notes[-1]
+    assert {die.word for die in inspection.dies} == {"clean, street not inspected"}
+
+
 def test_the_dial_trades_misses_for_false_counts(found: Inspection) -> None:
     keen, dull = found.expected_false_at(0.9), found.expected_false_at(0.1)
     assert keen is not None

@@ -191,6 +191,8 @@ def test_only_a_whole_die_that_was_looked_at_is_clean():
     assert replace(die, defects=0).word == "clean"
     assert (replace(die, defects=1).word, replace(die, defects=7).word) == ("1 defect", "7 defects")
     assert replace(die, state="partly scanned", defects=0).word == "partly scanned"
+    assert replace(die, measured_fraction=0.6, defects=0).word == "clean, 40% of it unmeasured"
+    assert replace(die, street_inspected=False, defects=0).word == "clean, street not inspected"
 
 
 @pytest.mark.slow

@@ -67,7 +67,7 @@ def kind_of(die: DieStatus) -> str:
     """What became of a die: one of `DIE_LOOKS`."""
     if die.state != "whole":
         return die.state
-    return WITH_DEFECTS if die.defects else die.word
+    return WITH_DEFECTS if die.defects else die.word.split(",")[0]  # after it: what a clean die was not looked at for
 
 
 def kinds_of(dies: Sequence[DieStatus]) -> dict[str, int]:

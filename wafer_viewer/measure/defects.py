@@ -20,6 +20,7 @@ from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
 from wafer_viewer.measure.die_status import not_scanned_mm2, statuses
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
+from wafer_viewer.measure.golden_streets import streets_known, with_own_streets
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
 from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Reference
@@ -102,8 +103,8 @@ def _work(
     if golden is not None:
         sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
-        street = () if not sum(cells.street) else ("The streets are not in the golden die: not inspected.",)
-        return Work(source, cells, Golden.stored(golden, cells, source.dark), recipe, True), "golden", street
+        stored, notes = with_own_streets(Golden.stored(golden, cells, source.dark), source, cells, places)
+        return Work(source, cells, stored, recipe, True), "golden", notes
     if len(places) < LEAST_DIES:
         few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
         return _by_form(source, recipe), "form", (few,)
@@ -206,7 +207,7 @@ def _inspection(
         recipe=work.recipe if reference != "form" else replace(work.recipe, evidence="height"),
         reference=reference,
         grid=grid,
-        dies=_statuses(reading.surface, grid, defects),
+        dies=_statuses(reading.surface, grid, defects, not work.on_dies or streets_known(work.golden, work.cells)),
         defects=defects,
         inspected_mm2=inspected_mm2,
         unmeasured_mm2=sum(_missing_px(result, work.cells) for result in results) * mm2,
@@ -226,9 +227,10 @@ def _missing_px(result: CellResult, cells: CellGrid) -> int:
     return result.missing_px if result.compared_px else math.prod(cells.shape)
 
 
-def _statuses(surface: Mosaic, grid: DieGrid | None, defects: Sequence[Defect]) -> tuple[DieStatus, ...]:
-    """Of every die, with how many defects lie on it."""
+def _statuses(surface: Mosaic, grid: DieGrid | None, defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
+    """Of every die, with how many defects lie on it; streets: whether these were looked at."""
     if grid is None:
         return ()
     on = [defect.die for defect in defects if defect.kind != "unmeasured"]
-    return tuple(replace(status, defects=on.count(status.name)) for status in statuses(surface, grid))
+    each = statuses(surface, grid)
+    return tuple(replace(die, defects=on.count(die.name), street_inspected=streets) for die in each)

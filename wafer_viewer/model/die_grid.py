@@ -17,6 +17,8 @@ from wafer_viewer.model.spec import Fraction, NonNegative, Positive, Spec, Withi
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 DieState = Literal["whole", "cut", "partly scanned", "not scanned", "missing"]
+LEAST_KNOWN = 0.9
+"""Of a clean die: with less of it measured that is said."""
 STRAIGHT_UM = 1.0
 """A lattice whose far corners are nearer than this to one along the wafer's axes is written as such."""
 
@@ -164,7 +166,8 @@ class DieStatus(Spec, frozen=True, kw_only=True):
     """One place of the lattice: how much of its die was scanned and measured, and how many defects lie on it.
 
     cut: it reaches beyond the wafer's edge or the surface; partly scanned: fields are missing from it, or less than
-    half of it could be measured; missing: it was scanned and no die is there. defects: None before any were looked for.
+    half of it could be measured; missing: it was scanned and no die is there. defects: None before any were looked for;
+    street_inspected: False where only what lies between the streets was compared.
     """
 
     name: str
@@ -173,6 +176,7 @@ class DieStatus(Spec, frozen=True, kw_only=True):
     state: DieState
     measured_fraction: Fraction
     defects: Annotated[int, Within(0)] | None = None
+    street_inspected: bool = True
 
     @property
     def word(self) -> str:
@@ -181,4 +185,13 @@ class DieStatus(Spec, frozen=True, kw_only=True):
             return "1 defect" if self.defects == 1 else f"{self.defects} defects"
         if self.state != "whole":
             return self.state
-        return "not inspected" if self.defects is None else "clean"
+        if self.defects is None:
+            return "not inspected"
+        return "clean" + self._as_far_as
+
+    @property
+    def _as_far_as(self) -> str:
+        """What is not known of a clean die."""
+        lacks = f"{1 - self.measured_fraction:.0%} of it unmeasured" if self.measured_fraction < LEAST_KNOWN else ""
+        street = "" if self.street_inspected else "street not inspected"
+        return "".join(f", {word}" for word in (lacks, street) if word)
