@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -23,6 +24,8 @@ from wafer_viewer.measure.golden import Golden, registered, spaced
 from wafer_viewer.model.defects import DefectRecipe
 
 NOISE_CELLS = 24
+NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5
+"""Their quotients are in memory together: of large cells so many pixels are taken, and so many cells at least."""
 LEAST_MEASURED = 0.02
 LISTED_FROM = 0.3
 """Of a cell less measured, unmeasured areas are not listed one by one: the state of the die says it."""
@@ -61,7 +64,8 @@ def compared(work: Work, places: Sequence[Place], noise: Noise) -> list[CellResu
 
 def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
     """The usual noise at each scale, over a few of the cells."""
-    read = (_residual(work, work.source, place) for place in spaced(places, NOISE_CELLS))
+    most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
+    read = (_residual(work, work.source, place) for place in spaced(places, most))
     return noise_of([quotients(found[0], work.golden, work.recipe) for found in read if found is not None])
 
 

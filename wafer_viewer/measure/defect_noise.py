@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import Plane
 from wafer_viewer.measure.golden import robust_sigma
 from wafer_viewer.numerics.cells import typical
+from wafer_viewer.numerics.places import tops_over
 from wafer_viewer.numerics.smoothing import coarseness
 
 Key = tuple[str, float]
@@ -71,20 +71,6 @@ def as_normal(plane: Plane, fall: float) -> Plane:
     seldom = np.sqrt(START**2 + 2 * fall * (beyond - START))
     out[far] = np.copysign(beyond + np.float32(slow) * (np.minimum(seldom, beyond) - beyond), plane[far])
     return out
-
-
-def tops_over(plane: Plane, least: float, least_px: int = 1) -> NDArray[np.float32]:
-    """The highest value of each place over `least` that has so many pixels."""
-    from scipy.ndimage import label
-
-    labels = np.zeros(plane.shape, np.int32)
-    over = plane >= least
-    label(over, np.ones((3, 3), int), output=labels)
-    numbers = labels[over]
-    tops = np.zeros(int(numbers.max(initial=0)) + 1, np.float32)
-    np.maximum.at(tops, numbers, plane[over])
-    large = np.bincount(numbers, minlength=len(tops)) >= least_px
-    return tops[large & (tops > 0)]
 
 
 def _fall(planes: Sequence[Plane]) -> float:

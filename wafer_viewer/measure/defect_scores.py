@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defect_noise import Noise, Planes, tops_over
+from wafer_viewer.measure.defect_noise import Noise, Planes
 from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.golden import Cell, Golden
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
+from wafer_viewer.numerics.places import tops_over
 from wafer_viewer.numerics.smoothing import gaussian_sums
 
 LOUDEST = 15.0

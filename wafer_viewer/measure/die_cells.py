@@ -62,12 +62,12 @@ class CellGrid:
         """Stage (x_um, y_um) of pixels of a cell that lies `shift` pixels (down, right) off its place."""
         return self.grid.to_stage(*place, *self.in_die(rows + shift[0], cols + shift[1]))
 
-    def around(self, place: Place, rows: slice, cols: slice, shift: Shift) -> Region:
+    def around(self, place: Place, rows: slice, cols: slice, shift: Shift, spare_px: float = MARGIN_PX) -> Region:
         """What of the surface is read for a part of a cell."""
         r, c = np.array([rows.start, rows.stop]), np.array([cols.start, cols.stop])
         corner_rows, corner_cols = np.repeat(r, 2).astype(float), np.tile(c, 2).astype(float)
         x_um, y_um = self.to_stage(place, corner_rows, corner_cols, shift)
-        spare = MARGIN_PX * self.pixel_um
+        spare = spare_px * self.pixel_um
         return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
 
     def around_all(self, places: Sequence[Place]) -> Region:

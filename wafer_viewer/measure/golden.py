@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source
+from wafer_viewer.measure.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place, Plane, Read, Shift, Source
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
@@ -30,6 +30,8 @@ POOLED_PX, POOLED_AS = (5, 21), 20
 """The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
 LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
 """No spread is less: of heights that were written down too coarsely to differ, of the logarithm of a picture."""
+UNSURE_DIES = 2
+"""The more dies, the more the spread of a place alone is believed, for the ragged edge of dies is a pixel wide."""
 FLOOR = 0.7
 """Of the usual spread: no place is taken to be steadier."""
 EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
@@ -118,11 +120,13 @@ def golden_die(golden: Golden, cells: CellGrid, dark: float, **told: str | bool)
 def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> dict[Place, Pose]:
     """How each die lies against the others; dies whose middle is not measured are left out."""
     patch = _patch(cells.shape)
-    shifts: dict[Place, Shift] = dict.fromkeys(places, (0.0, 0.0))
+    strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
+    held = {place: strip for place, strip in strips.items() if strip is not None}
+    shifts: dict[Place, Shift] = dict.fromkeys(held, (0.0, 0.0))
     levels: dict[Place, tuple[float, float]] = {}
     for _ in range(ROUNDS):
-        read = {place: source.read(cells, place, *patch, shift) for place, shift in shifts.items()}
-        known = {place: cell for place, cell in read.items() if cell is not None and _enough(cell)}
+        read = {place: held[place].read(cells, place, *patch, shift) for place, shift in shifts.items()}
+        known = {place: cell for place, cell in read.items() if _enough(cell)}
         if not known:
             return {}
         flat = {place: levelled_pair(cell) for place, cell in known.items()}
@@ -175,7 +179,8 @@ def steadied(spread: Plane, n_dies: int, least: float) -> Plane:
     pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
     usual = float(np.median(spread[known])) if known.any() else 1.0
     held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, least))
-    return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
+    own = n_dies / (n_dies + UNSURE_DIES)
+    return np.where(known, np.maximum(held, own * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
 def _with_edges(spread: Plane, middle: Plane) -> Plane:
