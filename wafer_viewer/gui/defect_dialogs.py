@@ -22,6 +22,7 @@ from wafer_viewer.session.defect_handover import Handover
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
 from wafer_viewer.session.other_tool import KlarfUnit
 
+NEAR = "A place so near a defect found here is the same"
 WAIT_S = 20.0
 """A verb of the session is waited for, so that what it says can be mended in the dialog."""
 FORMATS: dict[str, tuple[Handover, str]] = {
@@ -80,7 +81,7 @@ def klarf_dialog(page: Page) -> None:
         outlined(gui, upload, 32)
         sent = Cell(gui)
         unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
-        within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0)
+        within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR)
 
     @upload.on_upload
     def _(event: Any) -> None:
