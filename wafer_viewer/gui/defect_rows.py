@@ -69,13 +69,13 @@ def _more(items: Sequence[ReviewItem], word: str) -> str:
 
 def _row(item: ReviewItem, chosen: bool, thumbs: str) -> str:
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
-    judged = JUDGED[item.judgement.verdict]
+    where = item.below.split(" · ")[0].lower()
+    told = html.safe(f"{item.sign}, {item.title}, {where}, {JUDGED[item.judgement.verdict]}")
     name = (
         f'<span class="wv-cut wv-short">{symbol_svg(item.shape, item.colour)} {html.safe(item.title)}</span>'
-        f'<small title="{judged}"><span style="color:var(--{colour})">{html.icon(sign, 13)}</span> '
-        f"{html.safe(item.sign)} · {html.safe(item.below.split(' · ')[0].lower())}</small>"
+        f'<small title="{told}"><span style="color:var(--{colour})">{html.icon(sign, 13)}</span> '
+        f"{html.safe(item.sign)} · {html.safe(where.removeprefix('die '))}</small>"
     )
-    told = html.safe(f"{item.sign}, {item.title}, {judged}")
     attributes = f'{html.pick("review", item.key)} aria-label="{told}"'
     return html.row(
         [f'<div class="wv-pair">{thumbs}</div>', name, item.value], "  n", attributes, "sel" if chosen else ""
