@@ -11,7 +11,7 @@ from tests.store.inspections import defect, inspection
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_work import inspect_dataset, surface_mark
+from wafer_viewer.session.defect_work import inspect_dataset, mosaic_mark
 from wafer_viewer.session.defects import DefectKeeper
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library
@@ -75,7 +75,7 @@ def pair(tmp_path_factory):
 @pytest.fixture
 def result(pair):
     kept = Dataset.open(pair[0]).result("default")
-    write_inspection(kept.path, replace(FOUND, mark=surface_mark(kept)))
+    write_inspection(kept.path, replace(FOUND, mark=mosaic_mark(kept)))
     return kept
 
 
@@ -125,7 +125,7 @@ def test_what_people_said_outlives_a_new_inspection(bench, result):
     assert bench.hired.asked[0][2:5] == (bench.library.dataset.path, "default", DefectRecipe(sensitivity=0.7))
     with pytest.raises(DatasetError, match="searched for already"):
         bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
-    bench.hired.done.set_result(replace(FOUND, threshold_sigma=3.0, mark=surface_mark(result)))
+    bench.hired.done.set_result(replace(FOUND, threshold_sigma=3.0, mark=mosaic_mark(result)))
     found.result(20)
     assert (bench.state.work, bench.state.inspection.threshold_sigma) == ("", 3.0)
     assert bench.state.defect(first).judgement == "real"
@@ -168,7 +168,7 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
 def test_a_bump_on_a_surface_is_found_by_the_work_and_belongs_to_its_surface(pair):
     told: list[float] = []
     found = inspect_dataset(pair[1], "default", DefectRecipe(), None, "form", progress=told.append)
-    assert found.mark == surface_mark(Dataset.open(pair[1]).result("default"))
+    assert found.mark == mosaic_mark(Dataset.open(pair[1]).result("default"))
     assert found.inspected_mm2 > 0.2
     assert found.simulated
     assert told == sorted(told)

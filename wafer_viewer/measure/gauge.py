@@ -48,7 +48,7 @@ def gauge_repeat(
     return GaugeRepeat(
         dataset=dataset,
         taken=taken,
-        surface=surface_mark(surface),
+        surface=frames_mark(surface),
         show=show,
         upper=upper,
         lower=lower,
@@ -60,7 +60,7 @@ def gauge_repeat(
     )
 
 
-def surface_mark(surface: Mosaic) -> str:
+def frames_mark(surface: Mosaic) -> str:
     """What frames a surface was made of; where that is not known, what is known of it."""
     about = surface.provenance
     return (about.input_checksum or hashlib.sha256(encode(about, "json").encode()).hexdigest())[:16]

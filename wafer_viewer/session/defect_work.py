@@ -53,7 +53,7 @@ def inspect_dataset(
 
     data = Dataset.open(dataset)
     kept = data.result(result)
-    surface, mark, job = kept.mosaic(), surface_mark(kept), data.scan.job
+    surface, mark, job = kept.mosaic(), mosaic_mark(kept), data.scan.job
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
     grid = _laid(dies, data, surface) if against == "dies" else None
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
@@ -93,7 +93,7 @@ def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
     return find_dies(surface) if dies == "found" else GivenDies().on(surface, data.scan.job).grid
 
 
-def surface_mark(kept: Result) -> str:
+def mosaic_mark(kept: Result) -> str:
     """A word that changes when the surface is made by another recipe, of other frames or fields; a copy keeps it."""
     header = kept.mosaic_path / "zarr.json"
     return hashlib.sha256(header.read_bytes()).hexdigest()[:MARK_DIGITS] if header.exists() else ""

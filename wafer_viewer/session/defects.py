@@ -12,7 +12,7 @@ from wafer_viewer.model.defects import Defect, DefectClass, DefectRecipe, Inspec
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_shelf import product_of
-from wafer_viewer.session.defect_work import Against, Dies, inspect_dataset, surface_mark
+from wafer_viewer.session.defect_work import Against, Dies, inspect_dataset, mosaic_mark
 from wafer_viewer.session.history import History
 from wafer_viewer.session.inspection_state import InspectionState
 
@@ -143,7 +143,7 @@ class DefectKeeper:
     def _show(self) -> None:
         history, inspection = self._history, self._history.value
         self._stamp = _stamp(self._desk.now)
-        stale = inspection is not None and inspection.mark not in ("", surface_mark(self._library.result))
+        stale = inspection is not None and inspection.mark not in ("", mosaic_mark(self._library.result))
         self._desk.change(
             inspection=InspectionState(inspection, stale, self._problem, self._work, history.can_undo, history.can_redo)
         )

@@ -77,7 +77,7 @@ class Sheets:
             raise DatasetError(
                 " ".join(faults) or f"Result {result!r} has no surfaces to stitch: reconstruct it first."
             )
-        marks = np.array([kept.surface_mark(f) for f in readable], np.int64)
+        marks = np.array([kept.field_stamp(f) for f in readable], np.int64)
         return cls(data, kept, stitching, tuple(readable), marks, tuple(faults))
 
     @classmethod
@@ -168,7 +168,7 @@ def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
     data = Dataset.open(dataset)
     kept = data.result(result)
     fields = [data.field(number) for number in numbers]
-    return Surfaces(kept, fields, [kept.surface_mark(f) for f in fields])
+    return Surfaces(kept, fields, [kept.field_stamp(f) for f in fields])
 
 
 @lru_cache(maxsize=OPEN_SURFACES)
@@ -183,7 +183,7 @@ def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
     done = kept.surfaces_done(data.fields)
     for field in (f for f in data.fields if f.number in done):
         try:
-            _require_own(_opened(kept, field, kept.surface_mark(field)), FieldOutline.of(data, field))
+            _require_own(_opened(kept, field, kept.field_stamp(field)), FieldOutline.of(data, field))
         except DatasetError as fault:
             faults.append(f"Field {field.number} is left out: {fault}")
         else:

@@ -48,7 +48,7 @@ def made_at(name: SurfaceName) -> float:
         data = Dataset.open(path)
         kept = data.result(name.result)
         if name.field:
-            return kept.surface_mark(data.field(name.field)) * 1e-9
+            return kept.field_stamp(data.field(name.field)) * 1e-9
         path = kept.mosaic_path / "zarr.json"
     return path.stat().st_mtime if path.exists() else 0.0
 

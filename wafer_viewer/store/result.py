@@ -133,7 +133,7 @@ class Result:
         """Whether a drawing of the mosaic was begun and not ended: all of it is to be made anew."""
         return (self.path / DRAWING).exists()
 
-    def surface_mark(self, field: Field) -> int:
+    def field_stamp(self, field: Field) -> int:
         """A number that changes when the surface of a field is made again. Raises DatasetError when there is none."""
         try:
             return self._surface_file(field).stat().st_mtime_ns
