@@ -159,6 +159,16 @@ def test_what_was_not_inspected_is_not_handed_over(tmp_path):
         hand_over(path, "default", "klarf", tmp_path / "w.klarf")
 
 
+def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspected, tmp_path):
+    kept = Dataset.open(inspected).result("default").path
+    write_inspection(kept, replace(FOUND, mark="of an older surface"))
+    for asked in ((hand_over, "training", tmp_path / "set"), (keep_golden, "lx7")):
+        with pytest.raises(DatasetError, match="made again since it was inspected: inspect it again"):
+            asked[0](inspected, "default", *asked[1:])
+    assert hand_over(inspected, "default", "csv", tmp_path / "w.csv").exists()
+    write_inspection(kept, FOUND)
+
+
 def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
     more = replace(FOUND, defects=(FOUND.defects[0], defect(7, "2,1", 50.0, 60.0)))
     other = bench.do(bench.keeper.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)

@@ -57,9 +57,10 @@ def hand_over(
 ) -> Path:
     """Write the defects that are kept of a dataset to a file or a folder, as they are judged now.
 
-    Raises DatasetError where there are none, the format cannot hold them, or the place cannot be written to.
+    Raises DatasetError where there are none, the format cannot hold them, or the place cannot be written to; for
+    cut-outs also where the surface is another one by now.
     """
-    wafer, found = _inspected(dataset, result)
+    wafer, found = _inspected(dataset, result, same_surface=what == "training")
     return WRITERS[what](wafer, found, path)
 
 
@@ -73,23 +74,28 @@ def keep_golden(
 ) -> Path:
     """Keep the typical die of an inspected surface as the next version of a name, beside the dataset.
 
-    Raises DatasetError where nothing was inspected, the name is none or another product's, or the folder cannot be
-    written to; MeasureError where there are no dies, or too few of them.
+    Raises DatasetError where this surface was not inspected, the name is none or another product's, or the folder
+    cannot be written to; MeasureError where there are no dies, or too few of them.
     """
     from wafer_viewer.measure.defects import golden_of_surface
     from wafer_viewer.store.golden import FOLDER, save_golden
 
-    wafer, found = _inspected(dataset, result)
+    wafer, found = _inspected(dataset, result, same_surface=True)
     if found.grid is None:
         raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
     golden = golden_of_surface(wafer.surface, found.grid, found.recipe, product=found.product, made_of=dataset.stem)
     return save_golden(golden, dataset.parent / FOLDER / name)
 
 
-def _inspected(dataset: Path, result: str) -> tuple[Wafer, Inspection]:
+def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer, Inspection]:
+    """The surface and what was found on it; same_surface: it must be the one that was inspected."""
     from wafer_viewer.session.defect_offline import wafer_of
+    from wafer_viewer.session.defect_work import mosaic_mark
+    from wafer_viewer.store.dataset import Dataset
 
     wafer = wafer_of(dataset, result)
-    if wafer.before is None:
+    if (found := wafer.before) is None:
         raise DatasetError(f"{dataset.stem} was not inspected for defects yet: inspect it first.")
-    return wafer, wafer.before
+    if same_surface and found.mark not in ("", mosaic_mark(Dataset.open(dataset).result(result))):
+        raise DatasetError(f"The surface of {dataset.stem} was made again since it was inspected: inspect it again.")
+    return wafer, found
