@@ -64,7 +64,7 @@ class ReportOrder(Spec, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Heads and rows of plain text; `right` has an 'n' for every column that holds numbers."""
+    """Heads and rows of plain text; `right` has an 'n' for a column of numbers, a 'w' for one that breaks no word."""
 
     heads: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]

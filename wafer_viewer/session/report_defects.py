@@ -30,7 +30,7 @@ def defects(material: Material) -> Section:
     return Section(
         title,
         pairs=_inspected(found),
-        table=Table(HEADS, tuple(_row(defect) for defect in largest[:MOST_ROWS]), "n  nn"),
+        table=Table(HEADS, tuple(_row(defect) for defect in largest[:MOST_ROWS]), "nwwnnw"),
         figures=tuple(_figures(material, found, largest)),
         sentences=tuple(_sentences(found)),
     )
