@@ -30,8 +30,6 @@ POOLED_PX, POOLED_AS = (5, 21), 20
 """The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
 LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
 """No spread is less: of heights that were written down too coarsely to differ, of the logarithm of a picture."""
-UNSURE_DIES = 2
-"""The more dies, the more the spread of a place alone is believed, for the ragged edge of dies is a pixel wide."""
 FLOOR = 0.7
 """Of the usual spread: no place is taken to be steadier."""
 EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
@@ -179,8 +177,7 @@ def steadied(spread: Plane, n_dies: int, least: float) -> Plane:
     pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
     usual = float(np.median(spread[known])) if known.any() else 1.0
     held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, least))
-    own = n_dies / (n_dies + UNSURE_DIES)
-    return np.where(known, np.maximum(held, own * np.where(known, spread, 0)), np.nan).astype(np.float32)
+    return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
 def _with_edges(spread: Plane, middle: Plane) -> Plane:
