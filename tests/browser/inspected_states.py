@@ -74,6 +74,7 @@ def _defect(like: Defect, grid: DieGrid, number: int, rng: np.random.Generator) 
         kind=kind,
         die=grid.name(col, row),
         center=Point(x_um=x, y_um=y),
+        in_die=Point(x_um=u, y_um=v),
         outline=Region.rectangle(x - half, y - half, x + half, y + half),
         major=replace(like.major, value_um=2 * half),
         judgement=("open", "open", "real", "nuisance")[number % 4],

@@ -17,7 +17,7 @@ from wafer_viewer.draw.defect_map import die_frame
 from wafer_viewer.gui.defect_listing import DefectListing, next_die, next_kind
 from wafer_viewer.gui.defect_map import DefectMap, die_at
 from wafer_viewer.gui.defect_map_html import MOST_SIGNS, counts_of, fills_by_class, map_html
-from wafer_viewer.gui.defect_pareto import pareto_html
+from wafer_viewer.gui.defect_pareto import chart_of, pareto_html
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection_state import InspectionState
@@ -210,6 +210,14 @@ def test_the_chart_goes_by_the_operators_word():
     told = (replace(INSPECTION.defects[0], judged_kind="residue"), *INSPECTION.defects[1:])
     assert re.search(r"Residue</span>.*?<b>2</b>", pareto_html(told, ""))
     assert pareto_html((), "") == ""
+
+
+def test_the_chart_is_of_what_is_listed_of_every_class():
+    state = InspectionState(replace(INSPECTION, defects=judged(1, 3)))
+    real = chart_of(state, DefectListing(kind="pit"), "accepted")
+    assert re.findall(r'data-k="([a-z ]+)"', real) == ["particle", "pit"]
+    assert chart_of(state, DefectListing(die="0,0"), "accepted") == ""
+    assert chart_of(state, DefectListing(sort="height"), "all") is chart_of(state, ALL, "all")
 
 
 def chart(kind: str = "") -> str:

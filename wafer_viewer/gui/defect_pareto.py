@@ -6,13 +6,29 @@ In a low window the style sheet folds the bars into words, so that the list stay
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
 
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.pareto import Bar, pareto
 from wafer_viewer.gui import html
+from wafer_viewer.gui.defect_items import on_show
+from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.defect_words import sign_of
+from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.defects import Defect, DefectClass
+from wafer_viewer.session.inspection_state import InspectionState
+
+
+def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:
+    """The chart of what is listed, of all classes; it is made again only when that has changed."""
+    return _chart(state, replace(listing, sort="size", map_by="class"), only)
+
+
+@lru_cache(maxsize=8)
+def _chart(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:
+    return pareto_html(on_show(state.defects, replace(listing, kind=""), only), listing.kind)
 
 
 def pareto_html(defects: Iterable[Defect], chosen: str) -> str:

@@ -14,11 +14,10 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_dialogs import ERRANDS, recipes_dialog
 from wafer_viewer.gui.defect_form import InspectionForm
-from wafer_viewer.gui.defect_items import on_show
 from wafer_viewer.gui.defect_limits_text import verdict
 from wafer_viewer.gui.defect_listing import SORTS
 from wafer_viewer.gui.defect_other import OtherSection
-from wafer_viewer.gui.defect_pareto import pareto_html
+from wafer_viewer.gui.defect_pareto import chart_of
 from wafer_viewer.gui.defect_rows import rows, rows_of, sorting
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kept_places import Box
@@ -138,8 +137,7 @@ class DefectSection:
             return words.nothing_found(inspection) + words.facts(inspection)
         items = [i for i in review_items(snapshot, view.review_filter, view.defects) if i.defect is not None]
         now = chosen_item(snapshot, view.review, view.defects)
-        of_any_kind = on_show(inspection.defects, replace(view.defects, kind=""), view.review_filter)
-        chart = pareto_html(of_any_kind, view.defects.kind)
+        chart = chart_of(snapshot.inspection, view.defects, view.review_filter)
         shown = rows_of(items, now)
         there = rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
         choices = filters(view) + sorting(view.defects, inspection)
