@@ -113,6 +113,25 @@ def test_without_dies_it_is_compared_with_the_form() -> None:
     assert bump.die == ""
 
 
+def test_a_stain_on_a_plain_surface_shows_in_its_picture() -> None:
+    rng = np.random.default_rng(3)
+    surface = flat_surface(rng.normal(0, SIGMA_UM, (300, 400)))
+    grey = 120 + 20 * np.arange(400) / 400 + rng.normal(0, 3, (300, 400))
+    grey[150:162, 220:234] -= 30
+    stained = dataclasses.replace(surface, all_in_focus=grey.clip(0, 255).astype(np.uint8))
+    inspection = inspect(stained, recipe=DULL)
+    (stain,) = inspection.found
+    assert stain.evidence == "picture"
+    assert math.hypot(stain.center.x_um - 226.5 * PIXEL_UM, stain.center.y_um + 155.5 * PIXEL_UM) < 2 * PIXEL_UM
+    assert "compared with what is around" in inspection.notes[1]
+
+
+def test_the_picture_of_a_pattern_without_dies_is_left_out_and_that_is_said() -> None:
+    inspection = inspect(made(1, ()).surface, recipe=DULL)
+    assert inspection.recipe.evidence == "height"
+    assert "shows a pattern, or nothing, and was not looked at" in inspection.notes[1]
+
+
 def test_what_every_die_has_shows_against_a_stored_golden_die_only() -> None:
     golden = golden_of_surface(made(1, ()).surface, made(1, ()).grid)
     everywhere = tuple(

@@ -20,7 +20,8 @@ from wafer_viewer.measure.defect_scores import (
     scores_of,
 )
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
-from wafer_viewer.measure.golden import Golden, registered, spaced
+from wafer_viewer.measure.golden import LEAST_CONTRAST, Golden, registered, robust_sigma, spaced
+from wafer_viewer.measure.plain_picture import against_around, contrast_of, is_plain
 from wafer_viewer.model.defects import DefectRecipe
 
 NOISE_CELLS = 24
@@ -69,15 +70,27 @@ def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
     return noise_of([quotients(found[0], work.golden, work.recipe) for found in read if found is not None])
 
 
-def spread_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> tuple[float, float]:
-    """Of heights over the form and of grey values, over a few cells: what a form is compared by."""
-    from wafer_viewer.measure.golden import robust_sigma
+@dataclass(frozen=True, slots=True)
+class Plainness:
+    """What a surface without dies is compared by: deviations over its form and of its picture, and if that is plain."""
 
+    z_um: float
+    grey: float
+    plain: bool
+
+
+def plainness_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
+    """Over a few cells: heights over the form, the picture against what is around each place."""
     sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
-    many = [(robust_sigma(cell[0]), robust_sigma(cell[1])) for cell in read if cell is not None]
-    z, grey = (np.array(each)[np.isfinite(each)] for each in zip(*many, strict=True)) if many else (np.ones(1),) * 2
-    return max(1e-6, float(np.median(z)) if z.size else 1.0), max(1e-6, float(np.median(grey)) if grey.size else 1.0)
+    many = [(robust_sigma(cell[0]), *contrast_of(cell[1])) for cell in read if cell is not None]
+    z, grey, patterned = np.array(many).reshape(-1, 3).T
+    return Plainness(max(1e-6, _usual(z)), max(LEAST_CONTRAST, _usual(grey)), is_plain(patterned))
+
+
+def _usual(each: NDArray[np.float64]) -> float:
+    known = each[np.isfinite(each)]
+    return float(np.median(known)) if known.size else 1.0
 
 
 def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] | None:
@@ -88,6 +101,8 @@ def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] 
     cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
     if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
         return None
+    if not work.on_dies and work.recipe.evidence != "height":
+        cell = cell[0], against_around(cell[1])
     return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies), shift
 
 

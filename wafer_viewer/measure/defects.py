@@ -12,7 +12,7 @@ from contextlib import closing
 
 import numpy as np
 
-from wafer_viewer.measure.defect_cells import CellResult, Work, compared, noise_over, spread_over
+from wafer_viewer.measure.defect_cells import CellResult, Work, compared, noise_over, plainness_over
 from wafer_viewer.measure.defect_merge import merged
 from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defect_scores import false_counts
@@ -21,6 +21,7 @@ from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
 from wafer_viewer.measure.die_status import not_scanned_mm2, statuses
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
 from wafer_viewer.measure.golden_streets import streets_known, with_own_streets
+from wafer_viewer.measure.plain_picture import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
 from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Reference
@@ -97,7 +98,7 @@ def _work(
     if grid is None:
         if golden is not None:
             raise MeasureError("A golden die is compared die by die: say where the dies lie, or find them.")
-        return _by_form(source, recipe), "form", ("No grid of dies: compared with the fitted form.",)
+        return _by_form(source, recipe, "No grid of dies: compared with the fitted form.")
     cells = CellGrid.of(grid, source.surface.pixel_um)
     places = _on_surface(source, cells)
     if golden is not None:
@@ -107,12 +108,12 @@ def _work(
         return Work(source, cells, stored, recipe, True), "golden", notes
     if len(places) < LEAST_DIES:
         few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
-        return _by_form(source, recipe), "form", (few,)
+        return _by_form(source, recipe, few)
     return Work(source, cells, golden_of(source, cells, places), recipe, True), "dies", ()
 
 
-def _by_form(source: Source, recipe: DefectRecipe) -> Work:
-    """In squares, against what lies on the form everywhere."""
+def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Reference, tuple[str, ...]]:
+    """In squares, against what lies on the form everywhere; the picture, where it is plain, against what is around."""
     surface = source.surface
     rows, cols = surface.shape
     n_rows, n_cols = math.ceil(rows / TILE_PX), math.ceil(cols / TILE_PX)
@@ -129,9 +130,10 @@ def _by_form(source: Source, recipe: DefectRecipe) -> Work:
         cols=n_cols,
     )
     cells = CellGrid.of(tiles, surface.pixel_um)
-    spread_um, grey = spread_over(source, cells, tiles.places)
-    heights_only = replace(recipe, evidence="height")
-    return Work(source, cells, Golden.nothing(cells.shape, spread_um, grey), heights_only, False)
+    by = plainness_over(source, cells, tiles.places)
+    notes = (why, LOOKED_AT if by.plain else LEFT_OUT) if recipe.evidence != "height" else (why,)
+    seen = recipe if by.plain else replace(recipe, evidence="height")
+    return Work(source, cells, Golden.nothing(cells.shape, by.z_um, by.grey), seen, False), "form", notes
 
 
 def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
@@ -204,7 +206,7 @@ def _inspection(
     counted = false_counts(np.sum([result.peaks for result in results], axis=0), inspected_mm2)
     most = (f"Only the strongest {MOST_DEFECTS} places are listed.",) if len(defects) >= MOST_DEFECTS else ()
     return Inspection(
-        recipe=work.recipe if reference != "form" else replace(work.recipe, evidence="height"),
+        recipe=work.recipe,
         reference=reference,
         grid=grid,
         dies=_statuses(reading.surface, grid, defects, not work.on_dies or streets_known(work.golden, work.cells)),
