@@ -287,7 +287,7 @@ SCREENS: dict[str, Screen] = {
     "review-open": Screen(noted, "review", seen=True, then=(click("[data-pick=review-filter][data-k=open]"),)),
     "review-features": Screen(reviewed_session, "review", seen=True, then=(press("n", "PageDown"),)),
     "review-defects": Screen(inspected_session, "review", seen=True, then=(press("PageDown", "y", "PageDown"),)),
-    "review-die": Screen(inspected_session, "review", seen=True, then=(click(COUNT), press("End", "End"))),
+    "review-die": Screen(inspected_session, "review", seen=True, then=(click(COUNT), press(*["Alt+PageDown"] * 2))),
     "review-wafer": Screen(whole_wafer, "review", seen=True, then=(press("PageDown"),)),
     "review-wafer-count": Screen(whole_wafer, "review", seen=True, then=(click(COUNT), press("0"))),
     "review-inspecting": Screen(lambda: inspected_as(work="1"), "review", seen=True),

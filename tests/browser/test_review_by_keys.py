@@ -49,7 +49,7 @@ def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_i
     title_is(page, "D1 · Particle")
     expect(page.get_by_text(f"0 of {N_DEFECTS} judged")).to_be_visible()
 
-    page.keyboard.press("End")
+    page.keyboard.press("Alt+PageDown")
     expect(page.locator(".wv-alone")).to_contain_text("Die 0,3")
     expect(page.locator(".wv-defects tr")).to_have_count(A_DIE)
     press(session, page, "y", 1, judgement="real")
@@ -64,10 +64,10 @@ def test_a_hundred_defects_are_reviewed_without_the_mouse_and_what_was_thought_i
     press(session, page, "n", 4, judgement="nuisance")
     press(session, page, "Control+z", 4, judgement="open")
 
-    page.keyboard.press("End")
+    page.keyboard.press("Alt+PageDown")
     expect(page.locator(".wv-alone")).to_contain_text("Die 1,3")
     title_is(page, "D6 · Particle")
-    page.keyboard.press("Shift+End")
+    page.keyboard.press("Alt+PageUp")
     expect(page.locator(".wv-alone")).to_contain_text("Die 0,3")
     title_is(page, "D4 · Particle")
     page.keyboard.press("Escape")

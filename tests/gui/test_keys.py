@@ -32,6 +32,8 @@ from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.state import Snapshot
 
 CAMERA = set("WASDQE")
+OF_SLIDERS = {"end", "arrowup", "arrowdown", "arrowleft", "arrowright", "space", "tab"}
+"""And of buttons and panels: a command would take them away wherever the page has the focus."""
 LINE = Region.line(0, 0, 10, 0, 1.0)
 EMPTY, PLANNED, MEASURED = fake.empty(), fake.planned(), fake.measured()
 
@@ -61,6 +63,10 @@ def test_no_key_does_two_things():
 
 def test_the_keys_of_the_camera_stay_its_own():
     assert not {c.key for c in all_commands() if c.modifier is None} & CAMERA
+
+
+def test_sliders_and_buttons_keep_their_keys():
+    assert not {c.key for c in all_commands() if c.modifier in (None, "shift")} & OF_SLIDERS
 
 
 def test_names_in_the_palette_are_unlike():

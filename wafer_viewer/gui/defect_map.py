@@ -28,6 +28,8 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.session.state import Snapshot
 
+TO_DIES = (("Next die with open defects", "pagedown", 1), ("Previous die with open defects", "pageup", -1))
+
 
 class DefectMap:
     """In sight in Review where an inspection has dies; there it stands in for the map of the fields.
@@ -77,9 +79,9 @@ class DefectMap:
         icon = viser.Icon
         return unless(
             elsewhere("review"),
-            Command("Next die with open defects", "end", lambda: self._step_die(1), icon.GRID_DOTS, group="Review"),
-            Command(
-                "Previous die with open defects", "end", lambda: self._step_die(-1), icon.GRID_DOTS, "shift", "Review"
+            *(
+                Command(name, key, lambda b=by: self._step_die(b), icon.GRID_DOTS, "alt", "Review")
+                for name, key, by in TO_DIES
             ),
             Command("List the next class alone", "0", self._step_kind, icon.FILTER, group="Review"),
             *(
