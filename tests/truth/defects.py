@@ -92,19 +92,19 @@ def _laid(plan: Plan, scene: Scene) -> tuple[HeightMap, Floats]:
     truth = np.empty(plan.shape, np.float32)
     one = None
     for n, (rows, cols) in enumerate(_parts(plan.shape)):
-        stack, true = _field(plan, scene, rows, cols, n)
+        stack, true = field_of(plan, scene, rows, cols, n)
         one = reconstruct(stack, Recipe(), threads=1)
         inner = slice(CROP_PX, -CROP_PX), slice(CROP_PX, -CROP_PX)
         truth[rows, cols] = true[inner]
         for name in _LAYERS:
             layer = getattr(one, name)
             whole.setdefault(name, np.empty(plan.shape, layer.dtype))[rows, cols] = layer[inner]
-    x0_um, y0_um = _first_um(plan)
+    x0_um, y0_um = first_um(plan)
     assert one is not None
     return dataclasses.replace(one, **whole, x0_um=x0_um, y0_um=y0_um), truth
 
 
-def _first_um(plan: Plan) -> tuple[float, float]:
+def first_um(plan: Plan) -> tuple[float, float]:
     """Stage um of pixel (0, 0)."""
     return (0.5 - plan.margin_px) * PIXEL_UM, plan.size_um[1] + (plan.margin_px - 0.5) * PIXEL_UM
 
@@ -117,10 +117,10 @@ def _parts(shape: tuple[int, int]) -> Iterator[tuple[slice, slice]]:
             yield slice(top, bottom), slice(left, right)
 
 
-def _field(plan: Plan, scene: Scene, rows: slice, cols: slice, n: int) -> tuple[FieldStack, Floats]:
+def field_of(plan: Plan, scene: Scene, rows: slice, cols: slice, n: int) -> tuple[FieldStack, Floats]:
     """The focus stack of a part with its border, and the true heights."""
     shape = rows.stop - rows.start + 2 * CROP_PX, cols.stop - cols.start + 2 * CROP_PX
-    x0_um, y0_um = _first_um(plan)
+    x0_um, y0_um = first_um(plan)
     x_um = x0_um + ((cols.start + cols.stop - 1) / 2) * PIXEL_UM
     y_um = y0_um - ((rows.start + rows.stop - 1) / 2) * PIXEL_UM
     z_um = scene.tour_z_start_um + scene.tour_z_step_um * np.arange(scene.tour_frames)
