@@ -76,5 +76,5 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     residue_aspect: Positive = 0.25
     residue_roughness: Positive = 2.5
     residue_steepness: Positive = 2.0
-    residue_picture: Positive = 0.85
+    residue_picture: Positive = 1.1
     pattern_height_score: Positive = 2.0
