@@ -57,11 +57,11 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     of its die is the die's own: tilted beyond tilt_mrad, else missing where it lies lower by more than
     missing_height_um.
     edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
-    than so many widths and than scratch_length_um. residue_*: smooth and wide is wider than residue_width_um, lower
-    than residue_aspect of its width, no rougher than residue_roughness, no steeper at its outline than
-    residue_steepness, and shows in the picture at most residue_picture times as clearly as in the heights: it lets
-    through what is under it. What shows in the picture only, and in the heights by less than pattern_height_score, has
-    no height to go by.
+    than so many widths, and than scratch_length_um; 0 is any length. residue_*: smooth and wide is wider than
+    residue_width_um, lower than residue_aspect of its width, no rougher than residue_roughness, no steeper at its
+    outline than residue_steepness, and shows in the picture at most residue_picture times as clearly as in the heights:
+    it lets through what is under it. What shows in the picture only, and in the heights by less than
+    pattern_height_score, has no height to go by.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
