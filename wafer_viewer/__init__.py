@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.circle import circle_size
     from wafer_viewer.measure.coplanarity import coplanarity
     from wafer_viewer.measure.defects import golden_of_surface, inspect
+    from wafer_viewer.measure.die_fit import fitted_dies
     from wafer_viewer.measure.die_grid import find_dies
     from wafer_viewer.measure.die_size import die_size
     from wafer_viewer.measure.die_stack import repeated_places
@@ -153,6 +154,7 @@ __all__ = [
     "face_angle",
     "find_dies",
     "find_faces",
+    "fitted_dies",
     "flatness",
     "focus_curve",
     "gauge_check",

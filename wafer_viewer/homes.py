@@ -63,6 +63,7 @@ HOMES = {
     "export": "store.exporters",
     "face_angle": "measure.angle",
     "find_dies": "measure.die_grid",
+    "fitted_dies": "measure.die_fit",
     "find_faces": "measure.find_faces",
     "flatness": "measure.flatness",
     "focus_curve": "reconstruct.why",
