@@ -52,6 +52,23 @@ def test_defects_are_gone_through_judged_and_classed_without_the_mouse(serve: Ca
     assert notes(page).count() == 0
 
 
+def test_a_die_of_the_map_and_a_class_of_the_chart_are_listed_alone_by_a_click(serve: Callable[..., Page]):
+    page = serve(inspected_session())
+    page.keyboard.press("Shift+R")
+    title_is(page, "D5 · Scratch")
+    page.locator(".wv-map [data-die='2,0']").click()
+    expect(page.locator(".wv-alone")).to_contain_text("Die 2,0 (clean) alone")
+    page.locator(".wv-map [data-die='1,-1']").click(position={"x": 4, "y": 4})
+    title_is(page, "D6 · Edge chip")
+    expect(page.locator(".wv-defects tr")).to_have_count(1)
+    page.locator(".wv-alone [data-pick=defect-all]").click()
+    expect(page.locator(".wv-alone")).to_have_count(0)
+    page.locator("[data-pick=defect-kind][data-k=pit]").click()
+    title_is(page, "D3 · Pit")
+    page.locator(".wv-map [data-d='defect 3']").click()
+    expect(page.locator(".wv-alone")).to_contain_text("Pit alone")
+
+
 def test_a_surface_that_was_not_inspected_says_what_to_do(serve: Callable[..., Page]):
     session = inspected_session(0)
     session.change(inspection=type(session.snapshot.inspection)())
