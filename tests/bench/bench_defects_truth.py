@@ -1,13 +1,14 @@
 """How many planted defects are found on patterned wafers, how many that are none, and whether class and size are right.
 
-    python tests/bench/bench_defects_truth.py [--quick] [--wafers N] [--seed N] [--keep FILE]
+    python tests/bench/bench_defects_truth.py [--quick] [--wafers N] [--seed N] [--keep FILE] [--sensitivity N]
     python tests/bench/bench_defects_truth.py --paper        the virtual rig's own wafer, 36 mm2
     python tests/bench/bench_defects_truth.py --speed        9 and 165 Mpx: seconds and memory
 
 Focus stacks rendered through the virtual optics, reconstructed with the default recipe, laid side by side, inspected
-with the default recipe of defects. Dies lie 0.5 px off their places, the wafer bows by 10 um, the gates leave some per
-cent unmeasured. Every run has other seeds unless one is given; --keep FILE keeps what each wafer gave, so that a run
-that was stopped goes on. Words of SEMI M50: capture rate, false count rate; limits of 95 %.
+with the default recipe of defects, or another setting of its dial. Dies lie 0.5 px off their places, the wafer bows by
+10 um, the gates leave some per cent unmeasured. Every run has other seeds unless one is given; --keep FILE keeps what
+each wafer gave, so that a run that was stopped goes on. Words of SEMI M50: capture rate, false count rate; limits of 95
+%.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from tests.truth.matching import Rate, false_limit_per_mm2
 from tests.truth.planted import DIAMETERS_PX, GEOMETRIC, HEIGHTS_SIGMA
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.defects import Inspection
+from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
 
 CAPTURE, FALSE_PER_MM2, CLASS_RIGHT = 0.95, 0.1, 0.9
@@ -53,7 +54,8 @@ def main() -> None:
         first = given.seed if given.seed is not None else secrets.randbelow(100_000)
         plans = [Plan(seed=first + n) for n in range(given.wafers)]
         quick = [Plan(cols=QUICK.cols, rows=QUICK.rows, seed=first)]
-        show_all(inspected(quick if given.quick else plans, given.keep), first)
+        recipe = DefectRecipe(sensitivity=given.sensitivity)
+        show_all(inspected(quick if given.quick else plans, given.keep, recipe), first)
 
 
 def options() -> argparse.Namespace:
@@ -62,12 +64,13 @@ def options() -> argparse.Namespace:
     parser.add_argument("--wafers", type=int, default=20, help="wafers of 9 x 8 dies, 1.25 mm2 each")
     parser.add_argument("--seed", type=int, help="of the first wafer")
     parser.add_argument("--keep", type=Path, help="where results of wafers are kept")
+    parser.add_argument("--sensitivity", type=float, default=DefectRecipe().sensitivity, help="the dial, 0 to 1")
     parser.add_argument("--paper", action="store_true", help="the virtual rig's wafer")
     parser.add_argument("--speed", action="store_true", help="large mosaics")
     return parser.parse_args()
 
 
-def inspected(plans: Sequence[Plan], keep: Path | None) -> list[Wafer]:
+def inspected(plans: Sequence[Plan], keep: Path | None, recipe: DefectRecipe) -> list[Wafer]:
     """What every wafer gave; those that a file holds are not made again."""
     lines = keep.read_text().splitlines() if keep and keep.exists() else []
     known = [Wafer.read(json.loads(line)) for line in lines]
@@ -75,19 +78,19 @@ def inspected(plans: Sequence[Plan], keep: Path | None) -> list[Wafer]:
         if len(known) >= len(plans):
             break
         if plan.seed not in {wafer.seed for wafer in known}:
-            known.append(one_wafer(plan))
+            known.append(one_wafer(plan, recipe))
             if keep:
                 with keep.open("a") as file:
                     file.write(json.dumps(asdict(known[-1])) + "\n")
     return known
 
 
-def one_wafer(plan: Plan) -> Wafer:
+def one_wafer(plan: Plan, recipe: DefectRecipe) -> Wafer:
     """Make a wafer and inspect it."""
     made = make(plan)
     begin = time.perf_counter()
     try:
-        found = inspect(made.surface, find_dies(made.surface))
+        found = inspect(made.surface, find_dies(made.surface), recipe)
     except MeasureError as refused:
         print(f"Wafer {plan.seed} was refused, all of it counts as missed: {refused}", flush=True)
         found = Inspection()
