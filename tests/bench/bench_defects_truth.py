@@ -6,9 +6,8 @@
 
 Focus stacks rendered through the virtual optics, reconstructed with the default recipe, laid side by side, inspected
 with the default recipe of defects, or another setting of its dial. Dies lie 0.5 px off their places, the wafer bows by
-10 um, the gates leave some per cent unmeasured. Every run has other seeds unless one is given; --keep FILE keeps what
-each wafer gave, so that a run that was stopped goes on. Words of SEMI M50: capture rate, false count rate; limits of 95
-%.
+10 um, the gates leave some per cent unmeasured. Seeds change from run to run unless one is given; --keep FILE keeps
+what each wafer gave, and a stopped run goes on. Words of SEMI M50: capture rate, false count rate; limits of 95 %.
 """
 
 from __future__ import annotations
