@@ -18,6 +18,8 @@ WIDEST = 0.3
 NARROWEST_PX = 2
 STANDS_OUT = 6.0
 """Robust deviations of the profile of edges: a street's two edges both have more."""
+SURE = 18.0
+"""In the first layer, heights, edges that stand out so far count before those of the other."""
 MOST_DIFFERING_PX = 8
 """Edges of two layers that lie further apart are not of the same street."""
 ON_TOP = 1e-3
@@ -37,7 +39,8 @@ class Street:
 
 
 def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
-    """The street that runs down a cell (upright) or across it, in the layer that shows it best; None without one.
+    """The street that runs down a cell (upright) or across it, in the first layer that shows it well, else in that
+    which shows it best; None without one. Heights go first: a picture is blurred at the walls of a street.
 
     The cell repeats: a street may lie over its border.
     """
@@ -45,7 +48,7 @@ def street_of(layers: Sequence[Float32s], upright: bool) -> Street | None:
     found = [street for plane in planes if (street := _street(plane)) is not None]
     if not found:
         return None
-    best = max(found, key=lambda street: street.clear)
+    best = found[0] if found[0].clear >= SURE else max(found, key=lambda street: street.clear)
     return dataclasses.replace(best, u_px=math.hypot(best.u_px, _differing(best, found)))
 
 
