@@ -19,7 +19,7 @@ PATIENCE_MS = 60_000
 """A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
 WINDOW = {"width": 1366, "height": 768}
 LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
-"""Only the scene is drawn as on a graphics card: the page too would take three times the processor time of opening it."""
+"""Only the scene is drawn as on a graphics card: the page too would make opening it three times as dear."""
 CHROMIUM = next((p for p in ("chromium", "chromium-browser", "google-chrome") if shutil.which(p)), None)
 
 
