@@ -36,11 +36,11 @@ def test_each_class_has_its_shape_and_says_why(kind: str):
     assert kind == "particle" or kind in RULES
 
 
-def test_a_gel_with_a_steep_rim_or_rough_is_a_particle():
+def test_a_gel_with_a_steep_rim_or_rough_or_sharp_in_the_picture_is_a_particle():
     gel = replace(PARTICLE, **SHAPES["residue"])
     assert classify(replace(gel, steepness=5.0)).kind == "particle"
     assert classify(replace(gel, roughness_ratio=6.0)).kind == "particle"
-    assert classify(replace(gel, height_score=8.0, picture_score=9.0)).kind == "particle"
+    assert classify(replace(gel, height_score=8.0, detail_score=9.0)).kind == "particle"
 
 
 def test_what_the_heights_show_a_little_has_a_shape():
@@ -48,6 +48,19 @@ def test_what_the_heights_show_a_little_has_a_shape():
     assert classify(faint).kind == "pit"
     assert classify(replace(faint, height_score=1.5)).kind == "pattern"
     assert classify(replace(faint, height_score=1.5, major_um=60.0, minor_um=3.0)).kind == "scratch"
+
+
+def test_without_heights_it_is_a_chip_on_an_edge_only():
+    dark = replace(PARTICLE, evidence="picture", height_um=0.0, height_score=1.5, picture_score=7.0)
+    assert classify(replace(dark, on_edge_fraction=0.3)).kind == "edge chip"
+    assert classify(dark).kind == "pattern"
+    assert classify(replace(dark, height_um=0.4, on_edge_fraction=0.3)).kind == "pattern"
+
+
+def test_the_picture_tells_a_short_scratch_that_the_heights_show_blurred():
+    short = replace(PARTICLE, height_um=-0.5, height_score=4.0, picture_score=7.0, picture_ratio=5.0)
+    assert classify(short).kind == "scratch"
+    assert classify(replace(short, height_score=9.0)).kind == "pit"
 
 
 def test_a_raised_scratch_is_one_too():

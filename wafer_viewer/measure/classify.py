@@ -108,7 +108,7 @@ def _pattern(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
 
 def _edge_chip(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     share = shape.on_edge_fraction
-    return _lacks(shape), Condition(f"{share:.0%} of its border on the edge of a die", share, rules.edge_fraction)
+    return _gone(shape), Condition(f"{share:.0%} of its border on the edge of a die", share, rules.edge_fraction)
 
 
 def _scratch(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
@@ -125,7 +125,7 @@ def _pit(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
 def _residue(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
     width_um, aspect = shape.minor_um, shape.aspect
     smooth = f"smooth: {shape.roughness_ratio:.2g} times the noise"
-    faint = shape.picture_score / shape.height_score if shape.height_score else 0.0
+    sharp = shape.detail_score / shape.height_score if shape.height_score else 0.0
     gentle = f"no steep rim: {shape.steepness:.2g} times its mean slope" if shape.steepness else "no rim known"
     return (
         Condition(f"{shape.height_um:.3g} um high", shape.height_um, 0.0),
@@ -133,12 +133,17 @@ def _residue(shape: DefectShape, rules: ClassRules) -> tuple[Condition, ...]:
         Condition(f"low: {aspect:.2g} of its width high", aspect, rules.residue_aspect, over=False),
         Condition(smooth, shape.roughness_ratio, rules.residue_roughness, over=False),
         Condition(gentle, shape.steepness, rules.residue_steepness, over=False),
-        Condition(f"shows in the picture {faint:.2g} times as clearly", faint, rules.residue_picture, over=False),
+        Condition(f"not sharp in the picture: {sharp:.2g} times the heights", sharp, rules.residue_picture, over=False),
     )
 
 
 def _lacks(shape: DefectShape) -> Condition:
     return Condition(f"{-shape.height_um:.3g} um deep", -shape.height_um, 0.0)
+
+
+def _gone(shape: DefectShape) -> Condition:
+    """Lower, or without any height: a wall that is not where it should be has none."""
+    return _lacks(shape) if shape.height_um else Condition("no height was measured here", 1.0, 0.0)
 
 
 def _bump(shape: DefectShape) -> Iterator[str]:

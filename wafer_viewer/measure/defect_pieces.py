@@ -23,6 +23,8 @@ SPARE_PX = 8
 BRIDGE_PX = 4
 """Gaps so wide do not part a defect."""
 BORDER_PX = 4
+CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
+"""In deviations: from there on a pixel of the picture shows a shape, and no pixel counts for more than so many."""
 UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
 """An unmeasured area has at least so many squares of so many pixels."""
 
@@ -32,7 +34,8 @@ class Piece:
     """One place of one cell that differs: its pixels in stage um, float64 [n], and what they show.
 
     z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the piece's size; slope: how steep that is;
-    border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    clear: how many deviations more than CLEAR_FROM it stands out in the picture, 0 where it does not; border: whether a
+    pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
     """
 
     place: Place
@@ -43,6 +46,7 @@ class Piece:
     z_um: Floats
     smooth_um: Floats
     slope: Floats
+    clear: Floats
     border: Mask
     peaks: dict[str, float]
     scale_px: float
@@ -100,11 +104,10 @@ def unmeasured_of(residual: Residual, where: Where) -> list[Piece]:
 def _unmeasured(residual: Residual, at: tuple[Floats, Floats], where: Where) -> Piece:
     x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
     u_um, v_um = where.cells.in_die(*at)
-    nothing = np.full(len(x_um), np.nan)
+    nothing, unclear = np.full(len(x_um), np.nan), np.zeros(len(x_um))
     border = _at_border(at[0], at[1], residual.z_um.shape)
-    return Piece(
-        residual.place, x_um, y_um, u_um, v_um, nothing, nothing, nothing, border, {}, UNMEASURED_BIN, unmeasured=True
-    )
+    planes = nothing, nothing, nothing, unclear
+    return Piece(residual.place, x_um, y_um, u_um, v_um, *planes, border, {}, UNMEASURED_BIN, unmeasured=True)
 
 
 def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
@@ -160,9 +163,22 @@ def _piece(
     smoothed = smoothed_known(z_um, sigma)
     down, right = np.gradient(smoothed)
     slope = np.hypot(down, right) / where.cells.pixel_um
-    values, smooth_um, steep = (plane[r, c].astype(float) for plane in (z_um, smoothed, slope))
+    planes = z_um, smoothed, slope, _clear(scores, rows, cols)
+    values, smooth_um, steep, clear = (plane[r, c].astype(float) for plane in planes)
     border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
-    return Piece(residual.place, x_um, y_um, u_um, v_um, values, smooth_um, steep, border, peaks, scale, noise_um)
+    return Piece(
+        residual.place, x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, border, peaks, scale, noise_um
+    )
+
+
+def _clear(scores: Scores, rows: slice, cols: slice) -> Plane:
+    """How far a part stands out of the picture at the finest scale; nowhere if the picture is not looked at."""
+    shape = rows.stop - rows.start, cols.stop - cols.start
+    scales = [scale for layer, scale in scores.planes if layer == "picture" and coarseness(scale) == 1]
+    if not scales:
+        return np.zeros(shape, np.float32)
+    score = np.nan_to_num(scores.planes["picture", min(scales)][rows, cols])
+    return np.clip(np.abs(score) - np.float32(CLEAR_FROM), 0, np.float32(CLEAR_MOST))
 
 
 def _median(values: Float32s) -> float:

@@ -19,7 +19,8 @@ class DefectShape:
     smooth. steepness: the median slope across its outline over |height_um| / (minor_um / 2), 1 for a cone, large for a
     wall; 0 where it is not known. on_edge_fraction: share of its border on a die's edge. die_fraction: share of the
     die's area that it covers. die_tilt_mrad: tilt of the die's residual plane. unmeasured_fraction: share of its area
-    without a height. height_score, picture_score: how far it stands out of the noise in each, 0 where not known.
+    without a height. height_score, picture_score: how far it stands out of the noise in each, detail_score: in what is
+    fine of the picture; 0 where not known. picture_ratio: length over width of what shows in the picture, 0 of nothing.
     """
 
     height_um: float
@@ -37,11 +38,17 @@ class DefectShape:
     evidence: Literal["height", "picture", "both"] = "height"
     height_score: float = 0.0
     picture_score: float = 0.0
+    detail_score: float = 0.0
+    picture_ratio: float = 0.0
     pixel_um: float = 1.0
 
     @property
     def ratio(self) -> float:
-        """Length over width, 1 for what is round; what is narrower than a pixel counts as a pixel wide."""
+        """Length over width, 1 for what is round, in the evidence that shows it more clearly: the focus window blurs
+        heights. What is narrower than a pixel counts as a pixel wide.
+        """
+        if self.picture_ratio and self.picture_score >= self.height_score:
+            return self.picture_ratio
         return max(self.major_um, self.pixel_um) / max(self.minor_um, self.pixel_um)
 
     @property
@@ -59,8 +66,8 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     edge_fraction: with more of its border on a die's edge and material lacking, an edge chip. scratch_ratio: longer
     than so many widths, and than scratch_length_um; 0 is any length. residue_*: smooth and wide is wider than
     residue_width_um, lower than residue_aspect of its width, no rougher than residue_roughness, no steeper at its
-    outline than residue_steepness, and shows in the picture at most residue_picture times as clearly as in the heights:
-    it lets through what is under it. What shows in the picture only, and in the heights by less than
+    outline than residue_steepness, and what is fine in the picture shows it at most residue_picture times as clearly as
+    the heights do: it has no sharp outline. What shows in the picture only, and in the heights by less than
     pattern_height_score, has no height to go by.
     """
 
@@ -76,5 +83,5 @@ class ClassRules(Spec, frozen=True, kw_only=True):
     residue_aspect: Positive = 0.25
     residue_roughness: Positive = 2.5
     residue_steepness: Positive = 2.0
-    residue_picture: Positive = 1.1
+    residue_picture: Positive = 0.85
     pattern_height_score: Positive = 2.0

@@ -1,0 +1,127 @@
+"""The pixels of a defect: how high it is, which of them are over half of that, and the ellipse they make. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.defect_pieces import Piece
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+HALF = 0.5
+THIN = 3.0
+HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
+"""Of the score, and in deviations: where heights show less than both, and stand out of the noise of their place by less
+than so much too, all pixels that differ are the outline."""
+CLEAR_PX = 4
+"""Fewer pixels that stand out in the picture show no shape."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """The pieces of one defect as one list of pixels, float64 [n] each."""
+
+    x_um: Floats
+    y_um: Floats
+    u_um: Floats
+    v_um: Floats
+    z_um: Floats
+    smooth_um: Floats
+    slope: Floats
+    clear: Floats
+    first: Piece
+    peaks: dict[str, float]
+
+    @classmethod
+    def of(cls, pieces: Sequence[Piece]) -> Gathered:
+        """All pixels; what cannot be added up is that of the piece with the highest score."""
+        names = ("x_um", "y_um", "u_um", "v_um", "z_um", "smooth_um", "slope", "clear")
+        joined = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in names)
+        layers = {layer for piece in pieces for layer in piece.peaks}
+        peaks = {layer: max(piece.peaks.get(layer, 0.0) for piece in pieces) for layer in layers}
+        return cls(*joined, first=max(pieces, key=lambda piece: piece.score), peaks=peaks)
+
+    @property
+    def pictured(self) -> Mask | None:
+        """The pixels that stand out in the picture; None where these are too few to show a shape."""
+        clear = self.clear > 0
+        return clear if np.count_nonzero(clear) >= CLEAR_PX else None
+
+    @property
+    def pixels_wide(self) -> float:
+        """How many pixels wide a pixel of the list is: squares stand for unmeasured areas."""
+        return self.first.scale_px if self.first.unmeasured else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """The ellipse that has the moments of some pixels, and how far they reach along its major axis."""
+
+    x_um: float
+    y_um: float
+    major_um: float
+    minor_um: float
+    angle_deg: float
+    area_um2: float
+
+    @property
+    def around_um(self) -> float:
+        """Its circumference, by Ramanujan's formula."""
+        a, b = self.major_um / 2, self.minor_um / 2
+        return math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
+
+
+def height_of(whole: Gathered) -> tuple[float, Mask]:
+    """The signed peak over the reference, and which pixels are over half of it; all where nothing was measured."""
+    known = np.isfinite(whole.smooth_um)
+    if not known.any():
+        return 0.0, np.ones(len(whole.x_um), bool)
+    height_um = _peak(whole, whole.smooth_um[known])
+    faint = whole.peaks.get("height", 0.0) < min(HEIGHT_SURE, HEIGHT_SHARE * whole.first.score)
+    if faint and abs(height_um) < HEIGHT_SURE * whole.first.noise_um:
+        return height_um, np.ones(len(whole.x_um), bool)
+    with np.errstate(invalid="ignore"):
+        return height_um, known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))
+
+
+def _peak(whole: Gathered, values: Floats) -> float:
+    """The larger extreme; where both are about as large, the one to whose side most of what the picture shows lies.
+
+    Focus errs both ways round the rim of what is dark or bright.
+    """
+    upper, lower = float(values.max()), float(values.min())
+    high, low = max(upper, 0.0), max(-lower, 0.0)
+    lying = whole.z_um if whole.pictured is None else whole.z_um[whole.pictured]
+    lying = lying[np.isfinite(lying)]
+    if min(high, low) <= HALF * max(high, low) or not lying.size:
+        return upper if upper >= -lower else lower
+    return upper if float(np.median(lying)) >= 0 else lower
+
+
+def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> Outline:
+    """By moments; an own pixel has a moment too. Thin things are as long as they reach."""
+    one = ellipse_of(x_um, y_um, np.ones(len(x_um)), pixel_um)
+    if one.major_um <= THIN * one.minor_um:
+        return one
+    angle = math.radians(one.angle_deg)
+    along = (x_um - one.x_um) * math.cos(angle) + (y_um - one.y_um) * math.sin(angle)
+    major = float(np.ptp(along)) + pixel_um
+    return Outline(one.x_um, one.y_um, major, min(one.minor_um, one.area_um2 / major), one.angle_deg, one.area_um2)
+
+
+def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> Outline:
+    """The ellipse with the second moments of weighted pixels."""
+    x, y = float(np.average(x_um, weights=weight)), float(np.average(y_um, weights=weight))
+    own = pixel_um**2 / 12
+    xx = float(np.average((x_um - x) ** 2, weights=weight)) + own
+    yy = float(np.average((y_um - y) ** 2, weights=weight)) + own
+    xy = float(np.average((x_um - x) * (y_um - y), weights=weight))
+    middle, half = (xx + yy) / 2, math.hypot((xx - yy) / 2, xy)
+    angle = 0.5 * math.atan2(2 * xy, xx - yy)
+    major, minor = 4 * math.sqrt(middle + half), 4 * math.sqrt(max(own, middle - half))
+    return Outline(x, y, major, minor, math.degrees(angle), len(x_um) * pixel_um**2)
