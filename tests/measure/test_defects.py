@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from tests.measure.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
+from tests.measure.surfaces import calibration
 from wafer_viewer.measure.defects import golden_of_surface, inspect
 from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie
+from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Origin
 
@@ -182,6 +184,16 @@ def test_progress_is_told_and_the_work_can_be_stopped() -> None:
 
 def test_uncalibrated_sizes_have_no_u(found: Inspection) -> None:
     assert at(found, BUMP).height.status == "uncalibrated"
+
+
+def test_what_is_narrow_against_the_focus_window_says_that_it_is_higher_or_deeper() -> None:
+    of = made()
+    told = replace(of.surface.provenance, recipe=Recipe(window=9), calibration=calibration())
+    inspection = inspect(dataclasses.replace(of.surface, provenance=told), of.grid, DULL)
+    narrow = [any("focus windows (18 px)" in note for note in at(inspection, what).notes) for what in PLANTED]
+    assert narrow == [what is not BUMP for what in PLANTED]
+    assert at(inspection, SCRATCH).height.status == "not evaluated"
+    assert at(inspection, SCRATCH).major.status == at(inspection, BUMP).height.status == "evaluated"
 
 
 def test_a_surface_without_heights_is_refused() -> None:

@@ -24,6 +24,8 @@ from wafer_viewer.model.region import Point, Region
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."
 SIZE_NOTE = "Lengths and area are those over half of the peak."
 UNSEEN = "It shows in the picture; most of its heights could not be measured."
+NARROW_WINDOWS = 2
+"""Narrower than so many focus windows heights come out too small: half as deep as they are in scratches of a window."""
 U_EDGE_PX = 0.5
 """Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
 
@@ -41,15 +43,16 @@ def defect_of(
     if unseen:
         found = classify(replace(shape, unmeasured_fraction=0.0), recipe.rules)
     resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um or whole.first.unmeasured
+    narrow = _narrow(reading, outline) if height_um else ()
     return Defect(
-        **reading.told("", 0, *_notes(reading, resolved), *((UNSEEN,) if unseen else ())),
+        **reading.told("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
         center=Point(x_um=outline.x_um, y_um=outline.y_um),
         outline=_region(outline, cells.pixel_um),
         kind="unmeasured" if whole.first.unmeasured else found.kind,
         reasons=("no height was measured here",) if whole.first.unmeasured else found.reasons,
         confidence=1.0 if whole.first.unmeasured else confidence(whole.first.score, recipe, found.confidence),
         **_place(outline, cells, on_dies),
-        **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved),
+        **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
         mean_height_um=shape.mean_height_um,
         angle_deg=outline.angle_deg,
         score=whole.first.score,
@@ -97,8 +100,9 @@ def _sizes(
     pixel_um: float,
     reading: Reading,
     resolved: bool,
+    wide: bool,
 ) -> dict[str, Any]:
-    """Lengths, area and volume with U where there is an honest one."""
+    """Lengths, area and volume with U where there is an honest one; wide: heights are not averaged away."""
     volume_um3 = float(np.nansum(whole.z_um)) * pixel_um**2
     area = 0.0 if not resolved else outline.area_um2
     edge_um = U_EDGE_PX * pixel_um
@@ -116,7 +120,7 @@ def _sizes(
     return {
         "major": reading.length(outline.major_um, _of_length(reading, outline.major_um, edge_um) if resolved else None),
         "minor": reading.length(outline.minor_um, _of_length(reading, outline.minor_um, edge_um) if resolved else None),
-        "height": reading.length(height_um, of_height if measured and resolved else None),
+        "height": reading.length(height_um, of_height if measured and resolved and wide else None),
         "area": reading.quantity(outline.area_um2, "um2", of_area if resolved else None),
         "volume": reading.quantity(volume_um3, "um3", None),
     }
@@ -124,6 +128,21 @@ def _sizes(
 
 def _of_length(reading: Reading, length_um: float, edge_um: float) -> Lines:
     return {"pixel scale": reading.u_pixel_scale * length_um, "place of the outline": math.sqrt(2) * edge_um}
+
+
+def _narrow(reading: Reading, outline: Outline) -> tuple[str, ...]:
+    """That its height is a lower bound, where it is narrow against the focus window and that is known."""
+    provenance = reading.surface.provenance
+    calibration, window = provenance.calibration, provenance.recipe.window
+    if not isinstance(window, int):
+        return ()
+    least_px = NARROW_WINDOWS * window
+    if outline.minor_um >= least_px * (calibration.pixel_um if calibration else reading.surface.pixel_um):
+        return ()
+    return (
+        f"Narrower than {NARROW_WINDOWS} focus windows ({least_px} px), over which heights are averaged: it is about so "
+        "high or deep at least, and that has no U.",
+    )
 
 
 def _notes(reading: Reading, resolved: bool) -> tuple[str, ...]:
