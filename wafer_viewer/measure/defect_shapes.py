@@ -140,8 +140,8 @@ def _narrow(reading: Reading, outline: Outline) -> tuple[str, ...]:
     if outline.minor_um >= least_px * (calibration.pixel_um if calibration else reading.surface.pixel_um):
         return ()
     return (
-        f"Narrower than {NARROW_WINDOWS} focus windows ({least_px} px), over which heights are averaged: it is about so "
-        "high or deep at least, and that has no U.",
+        f"Narrower than {NARROW_WINDOWS} focus windows ({least_px} px), over which heights are averaged: it is about "
+        "so high or deep at least, and that has no U.",
     )
 
 
