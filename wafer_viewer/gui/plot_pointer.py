@@ -13,13 +13,15 @@ ZOOM, CURSOR = "plot", "cursor"
 """What is told: two shares of the plot's width where the pointer went down and up; a cursor and its distance."""
 WHOLE = "whole"
 _ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
-_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);this.from={_ALONG}}}"
+_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
+"""Kept by the window: a plot that is drawn anew while one drags over it goes on where the old one was."""
 _MOVE = (
-    f"if(this.from!==undefined){{const a=this.from,b={_ALONG},s=this.firstElementChild.style;s.display='block';"
-    "s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
+    "if(!(event.buttons&1))window.plotFrom=undefined;"
+    f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
+    "s.display='block';s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
 )
 _UP = (
-    f"if(this.from!==undefined){{this.dataset.k=this.from+':'+{_ALONG};this.from=undefined;"
+    f"if(window.plotFrom!==undefined){{this.dataset.k=window.plotFrom+':'+{_ALONG};window.plotFrom=undefined;"
     f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
 )
 _WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
