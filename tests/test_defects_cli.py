@@ -133,6 +133,7 @@ def dataset(folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

@@ -44,6 +44,7 @@ def test_an_even_sheet_is_equally_bright_at_every_height():
     np.testing.assert_allclose(light, 0.4, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_light_is_neither_lost_nor_made_by_defocus():
     scene = plane(3, (200, 200), tilt=0.0)
     light = light_of(scene, Optics(views=60), LEVEL_UM + np.array([-20.0, 0.0, 20.0]))[:, 40:-40, 40:-40]
