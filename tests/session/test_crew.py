@@ -70,6 +70,11 @@ def test_a_crew_that_nobody_listens_to_any_more_stops(crew, tmp_path):
     assert len(list(tmp_path.iterdir())) == left
 
 
+def test_a_worker_keeps_freed_memory_for_the_next_array(cluster):
+    (done,) = cluster.each(crew_tasks.said_to_the_process, [("MALLOC_TRIM_THRESHOLD_",)])
+    assert int(done.value) > 2**20
+
+
 def test_a_bug_ends_its_task_on_a_worker_and_everything_here(cluster):
     assert "TypeError: seven" in str(next(cluster.each(crew_tasks.square_or_fault, [(7,)])).fault)
     with pytest.raises(TypeError):

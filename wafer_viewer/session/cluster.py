@@ -28,6 +28,14 @@ SETTINGS: dict[str, Any] = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
+    "distributed.nanny.pre-spawn-environ": {
+        "OMP_NUM_THREADS": 1,
+        "MKL_NUM_THREADS": 1,
+        "OPENBLAS_NUM_THREADS": 1,
+        # dask has every freed array given back to the system at once: to get it anew costs more than most work on it.
+        "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
+        "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
+    },
     "distributed.nanny.preload": ["wafer_viewer.session.worker"],
     "distributed.worker.preload": ["wafer_viewer.session.worker"],
     "distributed.comm.timeouts.connect": PATIENCE_S,
