@@ -2,7 +2,7 @@
 
 All of it is 6 x 6 mm: fields of 1080 x 1440 pixels, 60 frames each, with the rig's optics and sensor and the default
 recipe, laid side by side where they belong (no stage errors). Fields are kept, so that a run that was stopped goes on.
-The true places come from the scene's own functions.
+The true places come from the scene's own functions (tests/truth/virtual_wafer.py).
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import dataclasses
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tests.bench.tables import met, show
+from tests.truth.virtual_wafer import PIXEL_UM, ROOM_UM, Known, chipped_share, ground, known, own_to_the_die
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
 from wafer_viewer.model.defects import Defect, Inspection
@@ -27,16 +28,13 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Provenance, pixel_window
 from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.rigs.virtual.noise import chance
 from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
-from wafer_viewer.rigs.virtual.scenes import wafer
 from wafer_viewer.rigs.virtual.sensor import Sensor
 from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic
 from wafer_viewer.store.npz import read_npz, write_npz
 
-PIXEL_UM, LEAST_PX, MOST_FALSE = 0.46729, 8, 2
-ROOM_UM = 3.0
+LEAST_PX, MOST_FALSE = 8, 2
 CROP_PX = 16
 _LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 
@@ -63,6 +61,12 @@ class Part:
     def shape(self) -> tuple[int, int]:
         """(rows, cols) of pixels."""
         return self.rows * self.field_px[0], self.cols * self.field_px[1]
+
+    @property
+    def corners_um(self) -> tuple[float, float, float, float]:
+        """x low, y low, x high, y high on the stage."""
+        rows, cols = self.shape
+        return self.x_um, self.y_um - rows * PIXEL_UM, self.x_um + cols * PIXEL_UM, self.y_um
 
     @property
     def area_mm2(self) -> float:
@@ -166,62 +170,6 @@ def _cropped(surface: HeightMap) -> HeightMap:
     return dataclasses.replace(small, **{name: np.ascontiguousarray(getattr(small, name)) for name in _LAYERS})
 
 
-@dataclass(frozen=True)
-class Known:
-    """Something that is on the wafer: where, how far it reaches, what it lies on."""
-
-    kind: str
-    x_um: float
-    y_um: float
-    radius_um: float
-    on: str
-
-
-def known(part: Part) -> list[Known]:
-    """Gel drop, pieces of the scratch and particles in a part."""
-    gel_x = wafer.GEL_COLUMN * wafer.PITCH_X_UM + wafer.TRENCH_UM / 2 + wafer.GEL_U_UM
-    gel_y = wafer.GEL_ROW * wafer.PITCH_Y_UM + wafer.TRENCH_UM / 2 + wafer.GEL_V_UM
-    everything = [Known("gel", gel_x, gel_y, wafer.GEL_RADIUS_UM, "die"), *scratch(), *particles()]
-    right = part.x_um + part.shape[1] * PIXEL_UM
-    low = part.y_um - part.shape[0] * PIXEL_UM
-    inside = (one for one in everything if part.x_um < one.x_um < right and low < one.y_um < part.y_um)
-    return list(inside)
-
-
-def particles() -> Iterator[Known]:
-    """Every grain of dust that the scene's dice have put on the wafer or beside it."""
-    most = math.ceil(wafer.RADIUS_UM * 1.1 / wafer.PARTICLE_CELL_UM)
-    for i in range(-most, most):
-        for j in range(-most, most):
-            if chance(i, j, wafer.PARTICLE) < wafer.PARTICLE_SHARE:
-                x_um = (i + 0.1 + 0.8 * chance(i, j, wafer.PARTICLE_X)) * wafer.PARTICLE_CELL_UM
-                y_um = (j + 0.1 + 0.8 * chance(i, j, wafer.PARTICLE_Y)) * wafer.PARTICLE_CELL_UM
-                radius_um = 1.6 + 4.6 * chance(i, j, wafer.PARTICLE_SIZE) ** 2
-                yield Known("particle", x_um, y_um, radius_um, ground(x_um, y_um))
-
-
-def scratch() -> Iterator[Known]:
-    """The scratch where it touches a die, a piece every 4 um."""
-    for x_um in np.arange(wafer.SCRATCH_LEFT_UM, wafer.SCRATCH_RIGHT_UM, 4.0):
-        along = x_um - wafer.SCRATCH_LEFT_UM
-        y_um = 214.0 + 0.31 * along + 13.0 * math.sin(x_um / 190.0)
-        groove, _ = wafer.scratch(float(x_um), y_um, PIXEL_UM)
-        if groove > 0.5 and ground(float(x_um), y_um) == "die":
-            yield Known("scratch", float(x_um), y_um, 4.0, "die")
-
-
-def ground(x_um: float, y_um: float) -> str:
-    """What lies at a place: a die, its edge (within 8 um), a trench, or the tape beyond the wafer."""
-    column, row = math.floor(x_um / wafer.PITCH_X_UM), math.floor(y_um / wafer.PITCH_Y_UM)
-    if math.hypot(x_um, y_um) > wafer.RADIUS_UM or y_um < wafer.FLAT_UM:
-        return "tape"
-    if not wafer.is_whole_die(column, row):
-        return "no die"
-    half = wafer.TRENCH_UM / 2
-    inset = wafer.die_inset(x_um - column * wafer.PITCH_X_UM - half, y_um - row * wafer.PITCH_Y_UM - half)
-    return "die" if inset > 8 else "die's edge" if inset > -8 else "trench"
-
-
 def show_paper(quick: bool) -> None:
     """The goals, and where what is missed and false lies."""
     part = QUICK if quick else WHOLE
@@ -231,9 +179,11 @@ def show_paper(quick: bool) -> None:
 
 def told(part: Part, found: Inspection) -> None:
     """What an inspection of a part made of what is known to be there."""
-    there = known(part)
+    there = known(*part.corners_um)
     caught = [one for one in there if any(_touch(one, defect) for defect in found.found)]
-    false = [defect for defect in found.found if not any(_touch(one, defect) for one in there)]
+    others = [defect for defect in found.found if not any(_touch(one, defect) for one in there)]
+    why = Counter(own_to_the_die(defect.center.x_um, defect.center.y_um) for defect in others)
+    false = [defect for defect in others if not own_to_the_die(defect.center.x_um, defect.center.y_um)]
     large = [one for one in there if one.kind == "particle" and 2 * one.radius_um >= LEAST_PX * PIXEL_UM]
     rows = [(f"particles of {LEAST_PX} px and more, {on}", *_count(caught, [p for p in large if p.on == on])) for on in
             ("die", "die's edge", "trench", "no die", "tape")]  # fmt: skip
@@ -245,11 +195,15 @@ def told(part: Part, found: Inspection) -> None:
     ]
     show(f"The virtual rig's wafer, {part.area_mm2:.1f} mm2", ("", "found", "of"), rows)
     where = Counter(ground(defect.center.x_um, defect.center.y_um) for defect in false)
-    classes = Counter(defect.kind for defect in false)
+    kinds = Counter(defect.kind for defect in false)
+    differ = ", ".join(f"{n} at a {reason}" for reason, n in why.items() if reason)
+    goal = f"goal {MOST_FALSE} on 36 mm2 {met(len(false), MOST_FALSE)}"
+    near = f"{chipped_share(1, 1):.0%} of a die's outline lies within {ROOM_UM:.0f} um of a chip of a pixel or more"
     print(
-        f"  inspected {found.inspected_mm2:.1f} mm2, against {found.reference}; {len(found.found)} defects, "
-        f"{len(false)} false (goal {MOST_FALSE} on 36 mm2 {met(len(false), MOST_FALSE)}): {dict(where)}, "
-        f"{dict(classes)}\n  every particle of {LEAST_PX} px: {met(sum(p in caught for p in large), len(large), True)}",
+        f"  inspected {found.inspected_mm2:.1f} mm2, against {found.reference}: {len(found.found)} defects\n"
+        f"  {len(false)} false ({goal}): {dict(where)}, {dict(kinds)}\n"
+        f"  where dies truly differ: {differ}; {near}\n"
+        f"  every particle of {LEAST_PX} px: {met(sum(p in caught for p in large), len(large), True)}",
         flush=True,
     )
 
