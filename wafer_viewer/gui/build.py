@@ -130,8 +130,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     curves = Curves(page)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
-    gauge = GaugePanel(page)
-    review, report = ReviewPanel(page, scene), ReportPanel(page)
+    gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
     beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
     ear.left = left.panel
