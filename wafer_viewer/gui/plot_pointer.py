@@ -16,7 +16,7 @@ _ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
 _DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
 """Kept by the window: a plot that is drawn anew while one drags over it goes on where the old one was."""
 _MOVE = (
-    "if(!(event.buttons&1))window.plotFrom=undefined;"
+    "if(!(event.buttons&1)){window.plotFrom=undefined;this.firstElementChild.style.display='none'}"
     f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
     "s.display='block';s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
 )
