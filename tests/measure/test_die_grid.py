@@ -13,8 +13,9 @@ import pytest
 from tests.measure.patterned import Wafer
 from tests.measure.patterned import made as freshly_made
 from tests.measure.surfaces import calibration
+from wafer_viewer.measure import die_registration
 from wafer_viewer.measure.die_grid import find_dies, on_surface, pitches
-from wafer_viewer.measure.die_status import statuses
+from wafer_viewer.measure.die_status import statuses, without_bare_rim
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.errors import MeasureError, PlanError
@@ -72,6 +73,46 @@ def test_a_missing_field_leaves_the_lattice_and_names_its_dies():
     assert states["partly scanned"] == 8
     assert {die.state for die in by_name.values() if die.col == 0} == {"cut"}
     assert states["whole"] == len(by_name) - 8 - 8 - 2
+
+
+def places(wafer):
+    """(col, row) of every place of the wafer's lattice that touches its surface."""
+    grid = on_surface(wafer.grid, made(wafer))
+    col, row, _, _ = wafer.grid.to_die(*grid.to_stage(0, 0, grid.width_um / 2, grid.height_um / 2))
+    return {(int(col) + c, int(row) + r) for c, r in grid.places}, (int(col), int(row))
+
+
+def corners(wafer):
+    """Those in the four corners, three to a side, one in the middle, and the lowest, leftmost place of the surface."""
+    every, (left, low) = places(wafer)
+    right, high = max(c for c, _ in every), max(r for _, r in every)
+    out = {(c, r) for c, r in every if min(c - left, right - c) + min(r - low, high - r) < 3}
+    return out, ((left + right) // 2, (low + high) // 2), (left, low)
+
+
+def test_the_corners_of_a_round_wafer_hold_no_dies_and_one_in_the_middle_is_missing():
+    out, middle, (left, low) = corners(Wafer())
+    surface = made(no_die=(*sorted(out), middle))
+    grid = on_surface(Wafer().grid, surface)
+    dies = statuses(surface, grid)
+    slivers = {(die.col + left, die.row + low) for die in dies if die.measured_fraction < 0.1}
+    assert {(die.col + left, die.row + low) for die in dies if die.state == "missing"} == {*out, middle} - slivers
+    left_out = {(c + left, r + low) for c, r in set(grid.places) - set(without_bare_rim(grid, dies).places)}
+    assert out - slivers <= left_out <= out
+    named = replace(grid, named=True)
+    assert without_bare_rim(named, dies) is named
+
+
+def test_dies_missing_beside_a_gap_within_the_wafer_are_no_rim():
+    surface = made(gap=Region.rectangle(600, 500, 900, 800), no_die=((3, 3),))
+    grid = on_surface(Wafer().grid, surface)
+    assert without_bare_rim(grid, statuses(surface, grid)) == grid
+
+
+def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
+    monkeypatch.setattr(die_registration, "CELLS_PIXELS", 1)
+    out, _, _ = corners(Wafer())
+    require_found(find_dies(made(no_die=tuple(sorted(out)))), Wafer())
 
 
 def test_a_turned_surface_has_only_the_dies_that_lie_on_it():

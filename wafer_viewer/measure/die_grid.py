@@ -117,7 +117,8 @@ def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
     cols, rows = touching(grid, surface)
     first_col, first_row = int(cols.min()), int(rows.min())
     n_cols, n_rows = int(np.ptp(cols)) + 1, int(np.ptp(rows)) + 1
-    whole = replace(grid, first_col=first_col, first_row=first_row, cols=n_cols, rows=n_rows, left_out=())
+    extent = {"first_col": first_col, "first_row": first_row, "cols": n_cols, "rows": n_rows}
+    whole = replace(grid, **extent, left_out=(), named=False)
     on = {grid.name(*at) for at in zip(cols.tolist(), rows.tolist(), strict=True)}
     return replace(whole, left_out=tuple(name for at in whole.places if (name := grid.name(*at)) not in on))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,8 @@ from wafer_viewer.numerics.arrays import Bools, Float32s
 from wafer_viewer.numerics.likeness import contrast, likeness
 
 MOST_DIES, LEAST_DIES = 100, 25
+ENOUGH_INNER = 0.5
+"""Of the cells that are alike: where so many lie beside none that is not, the others can be left alone."""
 CELLS_PIXELS = 2_000_000
 """So many dies, spread over the surface, are registered at most; fewer where their cells have more pixels together."""
 CELL_PX = 420
@@ -57,11 +59,14 @@ def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float
     """
     grid = rough
     *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
+    unlike: set[tuple[int, int]] = set()
     for source in (*coarse, *[finest] * ROUNDS):
         lattice = source.lattice(grid)
-        grid = moved(grid, registered_shifts(cells_of(source, grid, lattice), lattice))
+        cells = cells_of(source, grid, lattice, unlike)
+        shifts = registered_shifts(cells, lattice)
+        grid, unlike = moved(grid, shifts), unlike | (cells.keys() - shifts.keys())
     lattice = finest.lattice(grid)
-    cells = cells_of(finest, grid, lattice)
+    cells = cells_of(finest, grid, lattice, unlike)
     shifts = registered_shifts(cells, lattice)
     if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
         raise not_alike("Too few of the", lattice)
@@ -76,10 +81,15 @@ def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ..
     return (*range(coarsest, finest, -2), finest)
 
 
-def cells_of(source: Cells, grid: DieGrid, lattice: CellLattice) -> dict[tuple[int, int], Cell]:
-    """Cells all over the surface that are known well enough. Raises MeasureError where there are fewer than two."""
+def cells_of(
+    source: Cells, grid: DieGrid, lattice: CellLattice, unlike: Set[tuple[int, int]] = frozenset()
+) -> dict[tuple[int, int], Cell]:
+    """Cells all over the surface that are known well enough, but those that are no dies, as was seen more coarsely.
+
+    Raises MeasureError where there are fewer than two.
+    """
     most = max(LEAST_DIES, min(MOST_DIES, CELLS_PIXELS // (lattice.rows * lattice.cols)))
-    places = spread(whole_cells(source.surface, grid), most)
+    places = spread(_best_of(whole_cells(source.surface, grid), unlike, most), most)
     read = {at: source.read(grid, at, lattice) for at in places}
     cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
     if len(cells) < 2:
@@ -89,6 +99,17 @@ def cells_of(source: Cells, grid: DieGrid, lattice: CellLattice) -> dict[tuple[i
             "the dies instead."
         )
     return cells
+
+
+def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], most: int) -> Sequence[tuple[int, int]]:
+    """Those that are not unlike; of more than can be taken those that lie beside none that is, if these are enough.
+
+    Where a die begins is open, so that a cell holds parts of those beside it.
+    """
+    like = [at for at in places if at not in unlike]
+    beside = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    inner = [at for at in like if at not in beside]
+    return inner if len(like) > most and len(inner) >= ENOUGH_INNER * len(like) else like
 
 
 def _known(layer: Float32s) -> float:

@@ -16,6 +16,7 @@ from wafer_viewer.measure.level import least_squares
 from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic, Origin
 from wafer_viewer.numerics.arrays import Float32s
 
@@ -31,9 +32,12 @@ MEDIAN_OF = 200
 ALL = 0.998
 """Of a die's places: with so many scanned all of it was."""
 LEAST_MEASURED = 0.5
-LEAST_ALIKE = 0.4
-"""Of what dies are usually like their median: a place with less holds no die."""
-LEAST_JUDGED = 0.3
+LEAST_ALIKE, AS_CLEAR = 0.6, 0.7
+"""Of what dies are usually like their median: a place with less holds no die. A layer in which dies are less alike than
+so much of the other says nothing of that."""
+HALF_ALIKE = 0.4
+"""Of that: a place that is less like the median die as a whole is no whole die."""
+LEAST_JUDGED = 0.1
 """Of a cell: with less of it known it is not said whether a die is there."""
 CUT_OFF = 0.1
 """More of its places that are unlike the median die than on other dies: at the rim of the lattice a die is cut."""
@@ -72,6 +76,33 @@ def statuses(surface: Mosaic, grid: DieGrid) -> tuple[DieStatus, ...]:
         DieStatus(name=grid.name(*at), col=at[0], row=at[1], state=state, measured_fraction=float(share))
         for at, state, share in zip(places, states, measured, strict=True)
     )
+
+
+def without_bare_rim(grid: DieGrid, dies: Sequence[DieStatus]) -> DieGrid:
+    """The lattice less its places that hold no die and hang together with its rim: beyond the dies of a round wafer.
+
+    A die that is missing among others stays in, and so does every place of a lattice that names its dies. Of slivers at
+    the border of the surface nobody can say what they hold: beside a bare place it is nothing.
+    """
+    if grid.named:
+        return grid
+    places = {(die.col, die.row): die.state for die in dies}
+    empty = {at for at, state in places.items() if state in ("missing", "not scanned")}
+    waiting = [at for at in empty if not places.keys() >= set(_beside(at))]
+    rim = set(waiting)
+    while waiting:
+        met = (empty - rim).intersection(_beside(waiting.pop()))
+        rim |= met
+        waiting.extend(met)
+    bare = {at for at in rim if places[at] == "missing"}
+    slivers = {(die.col, die.row) for die in dies if die.state == "cut" and die.measured_fraction < LEAST_JUDGED}
+    bare |= {at for at in slivers if bare.intersection(_beside(at))}
+    return replace(grid, left_out=(*grid.left_out, *sorted(grid.name(*at) for at in bare)))
+
+
+def _beside(at: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+    col, row = at
+    return (col - 1, row), (col + 1, row), (col, row - 1), (col, row + 1)
 
 
 def not_scanned_mm2(surface: Mosaic) -> float:
@@ -128,16 +159,18 @@ def _on_die(grid: DieGrid, lattice: CellLattice) -> Bools:
 def _looked_at(seen: Seen, on_die: Bools) -> tuple[Bools, Floats]:
     """Which places hold a die, and how much more of each is unlike the median die than is usual.
 
-    By the layer that shows the dies best. Without a pattern every place is taken to hold one.
+    A die is there where the layers that show dies well are like the median one, taken together; what is unlike
+    is that of the best of them. Without a pattern every place is taken to hold one.
     """
     levelled = _without_form(seen)
     compared = [_compared(layer, on_die) for layer in (levelled, seen.layers[1])]
-    alike, unlike, usual = max(compared, key=lambda one: one[2])
+    best = max(compared, key=lambda one: one[2])
+    if best[2] < LEAST_ALIKE / 2:
+        return np.ones(len(best[0]), bool), np.zeros(len(best[0]))
+    clear = [one[0] / one[2] for one in compared if one[2] >= AS_CLEAR * best[2]]
     known = np.maximum(*(np.isfinite(layer).mean(axis=(1, 2)) for layer in seen.layers))
-    if usual < LEAST_ALIKE / 2:
-        return np.ones(len(alike), bool), np.zeros(len(alike))
-    there = (alike >= LEAST_ALIKE * usual) | (known < LEAST_JUDGED)
-    return there, unlike - np.median(unlike[there] if there.any() else unlike)
+    there = (np.mean(clear, axis=0) >= LEAST_ALIKE) | (known < LEAST_JUDGED)
+    return there, best[1] - np.median(best[1][there] if there.any() else best[1])
 
 
 def _without_form(seen: Seen) -> Float32s:
@@ -164,7 +197,7 @@ def _compared(layer: Float32s, on_die: Bools) -> tuple[Floats, Floats, float]:
     each = np.array([_alike(cells[:, rows, cols], median[rows, cols]) for rows, cols in _parts(median.shape)])
     usual = _usual(each[0], n_known)
     # A place that is like the median die in one half only is no whole die, whatever its levels are.
-    unlike = np.where(each[0] < LEAST_ALIKE * usual, 1.0, _unlike(cells, median, on_die))
+    unlike = np.where(each[0] < HALF_ALIKE * usual, 1.0, _unlike(cells, median, on_die))
     return each.max(axis=0), unlike, usual
 
 

@@ -28,6 +28,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
 
     (x0_um, y0_um): the lower left corner of the die in column 0, row 0, stage um; columns go right, rows upwards.
     width_um, height_um: of a die without its street; left_out: names of places of the lattice that hold no die.
+    named: its places are known to hold dies; False: it goes over all of a surface, and its rim may hold none.
     u_pitch_um, u_origin_um: standard uncertainties of a pitch and of that corner; 0 where the lattice was given.
     """
 
@@ -44,6 +45,7 @@ class DieGrid(Spec, frozen=True, kw_only=True):
     cols: Annotated[int, Within(1)] = 1
     rows: Annotated[int, Within(1)] = 1
     left_out: tuple[str, ...] = ()
+    named: bool = True
     u_pitch_um: NonNegative = 0.0
     u_origin_um: NonNegative = 0.0
     by: Literal["found", "given"] = "given"
