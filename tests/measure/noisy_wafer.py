@@ -55,8 +55,12 @@ def wafer(
     unmeasured: float = 0.02,
     street_px: int = 20,
     angle_rad: float = 0.0,
+    no_die: tuple[tuple[int, int], ...] = (),
 ) -> Wafer:
-    """rows x cols of dies of die_px (height, width), streets between them, noise of SIGMA_UM; pixel (0, 0) at 0, 0."""
+    """rows x cols of dies of die_px (height, width), streets between them, noise of SIGMA_UM; pixel (0, 0) at 0, 0.
+
+    no_die: places (row, col) from the top left where the street goes on.
+    """
     rng = np.random.default_rng(seed)
     pitch = die_px[0] + street_px + 0.37, die_px[1] + street_px + 0.21
     shape = round(dies[0] * pitch[0]), round(dies[1] * pitch[1])
@@ -74,7 +78,7 @@ def wafer(
     z = np.zeros(shape, np.float32)
     grey = np.zeros(shape, np.float32)
     off = rng.uniform(-off_px, off_px, (dies[0], dies[1], 2))
-    _lay_dies(z, grey, pitch, off, die_px, street_px, np.random.default_rng(7))
+    _lay_dies(z, grey, pitch, off, die_px, street_px, no_die)
     rows, cols = np.arange(shape[0])[:, None], np.arange(shape[1])[None, :]
     z += (bow_um * (((rows / shape[0]) - 0.5) ** 2 + ((cols / shape[1]) - 0.5) ** 2) * 2).astype(np.float32)
     for each in planted:
@@ -130,9 +134,10 @@ def _lay_dies(
     off: NDArray[np.float64],
     die_px: tuple[int, int],
     street_px: int,
-    rng: np.random.Generator,
+    no_die: tuple[tuple[int, int], ...],
 ) -> None:
     """Every die the same: a mesa 5 um over the street with blocks of 1 um, soft over a pixel or two."""
+    rng = np.random.default_rng(7)
     blocks = rng.uniform(0.1, 0.9, (12, 2)) * die_px
     sizes = rng.uniform(0.03, 0.15, (12, 2)) * die_px
     rows, cols = off.shape[:2]
@@ -147,8 +152,9 @@ def _lay_dies(
             raised = np.zeros_like(mesa)
             for (bv, bu), (sv, su) in zip(blocks, sizes, strict=True):
                 raised = np.maximum(raised, _box(v, bv - sv, bv + sv)[:, None] * _box(u, bu - su, bu + su)[None, :])
-            z[r0:r1, c0:c1] = 5 * mesa + raised
-            grey[r0:r1, c0:c1] = 60 + 60 * mesa + 50 * raised
+            there = (r, c) not in no_die
+            z[r0:r1, c0:c1] = there * (5 * mesa + raised)
+            grey[r0:r1, c0:c1] = 60 + there * (60 * mesa + 50 * raised)
 
 
 def _box(at: NDArray[np.float64], low: float, high: float) -> NDArray[np.float64]:

@@ -30,7 +30,7 @@ def gathered(u: Floats, v: Floats, z_um: Floats, clear: Floats, peaks: dict[str,
     x_um, y_um = (np.asarray(a, float) for a in GRID.to_stage(1, 1, u, v))
     flat = np.zeros(len(u))
     piece = Piece(
-        (1, 1), x_um, y_um, u, v, z_um, z_um, flat, clear, np.zeros(len(u), bool), peaks, 0.0, noise_um=NOISE_UM
+        x_um, y_um, u, v, z_um, z_um, flat, clear, (1, 1), np.zeros(len(u), bool), peaks, 0.0, noise_um=NOISE_UM
     )  # fmt: skip
     return Gathered.of([piece])
 

@@ -203,7 +203,7 @@ def test_a_surface_without_heights_is_refused() -> None:
 
 def test_a_grid_beside_the_surface_is_refused() -> None:
     clean = made(5, ())
-    with pytest.raises(MeasureError, match="No die of the grid lies on the surface"):
+    with pytest.raises(MeasureError, match="No die of the lattice lies on the surface"):
         inspect(clean.surface, replace(clean.grid, x0_um=1e6))
 
 
@@ -233,3 +233,19 @@ def flat_surface(z: np.ndarray) -> HeightMap:
 def with_heights(surface: HeightMap, z: np.ndarray) -> HeightMap:
     origin = np.where(np.isfinite(z), Origin.MEASURED, Origin.NO_TEXTURE).astype(np.uint8)
     return dataclasses.replace(surface, z_um=z, z_raw_um=z, origin=origin)
+
+
+def test_places_round_the_dies_that_hold_none_are_no_defects_and_that_is_said() -> None:
+    of = wafer(6, (5, 5), (120, 140), no_die=((0, 0), (0, 4), (4, 0), (4, 4)))
+    found = inspect(of.surface, replace(of.grid, named=False), DULL)
+    assert not found.found
+    assert "No die is seen at 4 places round the others: nothing was inspected there." in found.notes
+    assert {die.name for die in found.dies if die.state == "missing"} == {"0,0", "4,0", "0,4", "4,4"}
+    full = wafer(6, (5, 5), (120, 140))
+    assert found.inspected_mm2 < 0.9 * inspect(full.surface, full.grid, DULL).inspected_mm2
+
+
+def test_a_die_that_a_job_names_is_a_defect_where_it_is_missing_at_the_rim() -> None:
+    of = wafer(6, (5, 5), (120, 140), no_die=((0, 0),))
+    found = inspect(of.surface, of.grid, DULL)
+    assert [d.die for d in found.found] == ["0,4"]

@@ -6,11 +6,13 @@ import os
 from dataclasses import replace as with_fields
 
 import msgspec
+import numpy as np
 import psutil
 import pytest
 
 from tests.session.patterned_dataset import PLANTED, patterned_dataset
 from wafer_viewer.measure import die_cells
+from wafer_viewer.measure.defect_filters import BINS
 from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.golden import Golden
@@ -85,7 +87,8 @@ def test_what_rows_are_compared_with_goes_by_a_file_that_is_gone_afterwards(made
 def test_what_a_killed_inspection_left_behind_is_swept_away(tmp_path):
     left = tmp_path / ".inspection-1f.npz"
     left.touch()
-    with defect_rows.kept(tmp_path, golden := Golden.nothing((2, 2), 1.0, 1.0), quiet := Noise({}, {})):
+    quiet = Noise({}, {}, {}, np.zeros((2, 2), np.uint8), np.ones(BINS, np.float32))
+    with defect_rows.kept(tmp_path, golden := Golden.nothing((2, 2), 1.0, 1.0), quiet):
         assert left.exists()  # another one is at work
     os.utime(left, (0, 0))
     with defect_rows.kept(tmp_path, golden, quiet) as own:

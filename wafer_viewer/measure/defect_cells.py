@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defect_filters import spectrum_of
 from wafer_viewer.measure.defect_noise import Noise, noise_of
 from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of, unmeasured_of
 from wafer_viewer.measure.defect_scores import (
     Residual,
     count,
     new_counts,
+    picture_quotient,
     quotients,
     residual_of,
     scores_of,
@@ -22,6 +24,7 @@ from wafer_viewer.measure.defect_scores import (
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
 from wafer_viewer.measure.golden import LEAST_CONTRAST, Golden, registered, robust_sigma, spaced
 from wafer_viewer.measure.plain_picture import against_around, contrast_of, is_plain
+from wafer_viewer.measure.unevenness import kinds_of
 from wafer_viewer.model.defects import DefectRecipe
 
 NOISE_CELLS = 24
@@ -67,7 +70,10 @@ def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
     """The usual noise at each scale, over a few of the cells."""
     most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
     read = (_residual(work, work.source, place) for place in spaced(places, most))
-    return noise_of([quotients(found[0], work.golden, work.recipe) for found in read if found is not None])
+    some = [found[0] for found in read if found is not None]
+    spectrum = spectrum_of(picture_quotient(residual, work.golden) for residual in some)
+    found = [quotients(residual, work.golden, work.recipe, spectrum) for residual in some]
+    return noise_of(found, kinds_of(work.golden), spectrum)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +117,9 @@ def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
     if found is None:
         return CellResult(place)
     residual, shift = found
-    scores = scores_of(quotients(residual, work.golden, work.recipe), noise)
+    scores = scores_of(quotients(residual, work.golden, work.recipe, noise.spectrum), noise)
     where, counts = Where(work.cells, shift), new_counts()
-    count(scores, work.recipe, counts)
+    count(scores, work.recipe, work.cells.shape, counts)
     pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
     n_compared = int(np.count_nonzero(np.isfinite(residual.z_um)))
     if n_compared >= LISTED_FROM * residual.z_um.size:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wafer_viewer.measure.defect_pieces import Piece
+from wafer_viewer.measure.defect_pieces import Floats, Mask, Piece, Pixels
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 HALF = 0.5
 THIN = 3.0
 HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
@@ -23,25 +20,16 @@ CLEAR_PX = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gathered:
-    """The pieces of one defect as one list of pixels, float64 [n] each."""
+class Gathered(Pixels):
+    """The pieces of one defect as one list of pixels; first: the one with the highest score."""
 
-    x_um: Floats
-    y_um: Floats
-    u_um: Floats
-    v_um: Floats
-    z_um: Floats
-    smooth_um: Floats
-    slope: Floats
-    clear: Floats
     first: Piece
     peaks: dict[str, float]
 
     @classmethod
     def of(cls, pieces: Sequence[Piece]) -> Gathered:
         """All pixels; what cannot be added up is that of the piece with the highest score."""
-        names = ("x_um", "y_um", "u_um", "v_um", "z_um", "smooth_um", "slope", "clear")
-        joined = (np.concatenate([getattr(piece, name) for piece in pieces]) for name in names)
+        joined = (np.concatenate([getattr(piece, one.name) for piece in pieces]) for one in fields(Pixels))
         layers = {layer for piece in pieces for layer in piece.peaks}
         peaks = {layer: max(piece.peaks.get(layer, 0.0) for piece in pieces) for layer in layers}
         return cls(*joined, first=max(pieces, key=lambda piece: piece.score), peaks=peaks)

@@ -11,7 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.defect_scores import Mask, Residual, Scores, enlarged, limit_of, low_of
+from wafer_viewer.measure.defect_filters import side_of
+from wafer_viewer.measure.defect_scores import (
+    PICTURED,
+    SEEKING,
+    SHOWING,
+    Mask,
+    Residual,
+    Scores,
+    enlarged,
+    limit_of,
+    low_of,
+)
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.defects import DefectRecipe, Evidence
 from wafer_viewer.numerics.arrays import Float32s
@@ -23,6 +34,8 @@ SPARE_PX = 8
 BRIDGE_PX = 4
 """Gaps so wide do not part a defect."""
 BORDER_PX = 4
+SHOWN_FROM = 3.5
+"""In deviations: what stands out so far and hangs together with a place that was found belongs to it."""
 CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
 """In deviations: from there on a pixel of the picture shows a shape, and no pixel counts for more than so many."""
 UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
@@ -30,15 +43,13 @@ UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
-    """One place of one cell that differs: its pixels in stage um, float64 [n], and what they show.
+class Pixels:
+    """Pixels that differ, float64 [n] each: where on the stage and on the die, and what they show.
 
-    z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the piece's size; slope: how steep that is;
-    clear: how many deviations more than CLEAR_FROM it stands out in the picture, 0 where it does not; border: whether a
-    pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the size of what is there; slope: how steep
+    that is; clear: how many deviations more than CLEAR_FROM it stands out in the picture, 0 where it does not.
     """
 
-    place: Place
     x_um: Floats
     y_um: Floats
     u_um: Floats
@@ -47,6 +58,16 @@ class Piece:
     smooth_um: Floats
     slope: Floats
     clear: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece(Pixels):
+    """One place of one cell that differs.
+
+    border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    """
+
+    place: Place
     border: Mask
     peaks: dict[str, float]
     scale_px: float
@@ -55,8 +76,8 @@ class Piece:
 
     @property
     def score(self) -> float:
-        """The highest quotient."""
-        return max(self.peaks.values(), default=0.0)
+        """The highest quotient of those that it was sought by."""
+        return max((self.peaks.get(layer, 0.0) for layer in SEEKING), default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +93,13 @@ def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: Defe
     from scipy.ndimage import find_objects, label
 
     shape = residual.z_um.shape
-    low = _over(scores, recipe, (shape[0], shape[1]))
-    if not low.any():
+    sought, shown = _over(scores, recipe, (shape[0], shape[1]))
+    if not sought.any():
         return []
     labels = np.zeros(shape, np.int32)
-    label(widened(low, BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    label(widened(sought | shown, BRIDGE_PX), np.ones((3, 3), int), output=labels)
     boxes = enumerate(find_objects(labels), 1)
-    found = (_piece(residual, scores, spread_um, labels, n, box, low, where) for n, box in boxes)
+    found = (_piece(residual, scores, spread_um, labels, n, box, (shown, sought), where, recipe) for n, box in boxes)
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
 
 
@@ -107,31 +128,43 @@ def _unmeasured(residual: Residual, at: tuple[Floats, Floats], where: Where) -> 
     nothing, unclear = np.full(len(x_um), np.nan), np.zeros(len(x_um))
     border = _at_border(at[0], at[1], residual.z_um.shape)
     planes = nothing, nothing, nothing, unclear
-    return Piece(residual.place, x_um, y_um, u_um, v_um, *planes, border, {}, UNMEASURED_BIN, unmeasured=True)
+    return Piece(x_um, y_um, u_um, v_um, *planes, residual.place, border, {}, UNMEASURED_BIN, unmeasured=True)
 
 
-def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> Mask:
-    """Pixels over the low threshold that hang together with one over the high one, at the same scale with its sign.
+def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:
+    """Pixels where something was sought and found, and pixels that show what hangs together with that.
 
+    Found: over the low threshold, hanging together with one over the high one, in the same layer with its sign.
     Unfiltered pixels count in a crowd of their like only.
     """
-    mask = np.zeros(shape, bool)
+    found, peaks = np.zeros(shape, bool), np.zeros(shape, bool)
     for (layer, scale), plane in scores.planes.items():
-        high = limit_of(layer, recipe.evidence, recipe.threshold_sigma)
-        low = low_of(high)
-        for signed in (plane,) if layer == "joint" else (plane, -plane):
-            peaks = signed >= high
-            if peaks.any():
-                mask |= enlarged(_hanging_together(signed >= low, peaks, recipe, scale), coarseness(scale), shape)
-    return mask
+        if layer in SEEKING:
+            high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
+            for signed in (plane,) if layer == "joint" else (plane, -plane):
+                tops, low, side = signed >= high, signed >= low_of(high), side_of(layer, scale)
+                if tops.any():
+                    tops = _crowded(tops, low, recipe) if scale == 0 else tops
+                    peaks |= enlarged(tops, side, shape)
+                    found |= enlarged(hanging_together(low, tops), side, shape)
+    return found, _showing(scores, peaks) if peaks.any() else peaks
 
 
-def _hanging_together(low: Mask, peaks: Mask, recipe: DefectRecipe, scale: float) -> Mask:
+def _crowded(tops: Mask, low: Mask, recipe: DefectRecipe) -> Mask:
     from scipy.ndimage import uniform_filter
 
-    if scale == 0:
-        peaks = peaks & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
-    return hanging_together(low, peaks)
+    return tops & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
+
+
+def _showing(scores: Scores, peaks: Mask) -> Mask:
+    """What stands out and hangs together with peaks, in whichever layer these were found: as large at any setting."""
+    shown = np.zeros(peaks.shape, bool)
+    for (layer, scale), plane in scores.planes.items():
+        if layer in SHOWING:
+            for signed in (plane,) if layer == "joint" else (plane, -plane):
+                over = enlarged(signed >= SHOWN_FROM, coarseness(scale), peaks.shape)
+                shown |= hanging_together(over, peaks & over)
+    return shown
 
 
 def _piece(
@@ -141,17 +174,20 @@ def _piece(
     labels: NDArray[np.int32],
     number: int,
     box: tuple[slice, slice],
-    low: Mask,
+    masks: tuple[Mask, Mask],
     where: Where,
+    recipe: DefectRecipe,
 ) -> Piece | None:
     rows, cols = (
         slice(max(0, side.start - SPARE_PX), min(n, side.stop + SPARE_PX))
         for side, n in zip(box, labels.shape, strict=True)
     )
-    inside = (labels[rows, cols] == number) & low[rows, cols]
+    inside, sought = ((labels[rows, cols] == number) & mask[rows, cols] for mask in masks)
+    if np.count_nonzero(inside) < recipe.min_area_px:
+        inside = sought
     if not inside.any():
         return None
-    peaks, scale = _best(scores, inside, rows, cols)
+    peaks, scale = _best(scores, inside | sought, rows, cols)
     own = (labels[rows, cols] == number) | (labels[rows, cols] == 0)
     z_um = np.where(own, residual.z_um[rows, cols], np.float32(np.nan))
     width = np.count_nonzero(inside) / math.hypot(*inside.shape)
@@ -167,7 +203,7 @@ def _piece(
     values, smooth_um, steep, clear = (plane[r, c].astype(float) for plane in planes)
     border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
     return Piece(
-        residual.place, x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, border, peaks, scale, noise_um
+        x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, residual.place, border, peaks, scale, noise_um
     )
 
 
@@ -187,10 +223,10 @@ def _median(values: Float32s) -> float:
 
 
 def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
-    """The highest quotient of each layer within a piece, and the scale of the highest."""
+    """The highest quotient of each layer within a piece, and the scale of the highest of those it was sought by."""
     best: dict[str, tuple[float, float]] = {}
     for (layer, scale), plane in scores.planes.items():
-        side = coarseness(scale)
+        side = side_of(layer, scale)
         part = plane[rows.start // side : -(-rows.stop // side), cols.start // side : -(-cols.stop // side)]
         if side == 1:
             part = part[inside]
@@ -198,7 +234,7 @@ def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[
         if top > best.get(layer, (0.0, 0.0))[0]:
             best[layer] = top, scale
     peaks = {layer: top for layer, (top, _) in best.items()}
-    return peaks, max(best.values(), default=(0.0, 0.0))[1]
+    return peaks, max((best[layer] for layer in SEEKING if layer in best), default=(0.0, 0.0))[1]
 
 
 def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
@@ -212,7 +248,7 @@ def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
 def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
     """Which layers show it, each for itself."""
     limit = low_of(threshold_sigma)
-    height, picture = peaks.get("height", 0.0), max(peaks.get("picture", 0.0), peaks.get("detail", 0.0))
+    height, picture = peaks.get("height", 0.0), max(peaks.get(layer, 0.0) for layer in PICTURED)
     if min(height, picture) >= limit:
         return "both"
     return "picture" if picture > height else "height"

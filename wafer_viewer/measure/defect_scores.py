@@ -1,20 +1,25 @@
 """How far each place of a cell lies from its reference, in deviations of its own noise, at several scales. Pure.
 
 A residual is divided by the spread of its position, held at LOUDEST so that one tall thing does not shine over all that
-is near it, smoothed, and divided by the noise that is left at that scale.
+is near it, filtered, and divided by the noise that is left. Heights are smoothed at several scales. In the picture
+defects are sought with matched filters; the picture smoothed, and its detail, show which pixels belong to them and what
+they look like.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.measure.defect_filters import SHARP, SOFT, Spectrum, matched, side_of
 from wafer_viewer.measure.defect_noise import Noise, Planes
 from wafer_viewer.measure.die_cells import Place, Plane
+from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.measure.golden import Cell, Golden
-from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
 from wafer_viewer.numerics.places import tops_over
 from wafer_viewer.numerics.smoothing import gaussian_sums
@@ -26,7 +31,6 @@ HISTOGRAM_STEP, HISTOGRAM_END = 0.125, 12.0
 COUNTED_FROM, FITTED_FROM, ANCHORED_TO, FITTED_TO, LEAST_COUNTED = 2.25, 2.75, 3.75, 4.5, 8
 NORMAL_FALL, SLOWEST_FALL = 0.5, 0.15
 """Of the logarithm of how many places reach a deviation, by its square: of normal noise, and the slowest believed."""
-TILT_POINTS = 6_000
 DETAIL_PX = 0.7, 1.5
 """What the picture shows at the first scale over the second: a layer of its own, for the glint in the middle of a dark
 particle. Unfiltered it would show how dies lie between pixels.
@@ -34,9 +38,15 @@ particle. Unfiltered it would show how dies lie between pixels.
 Mask = NDArray[np.bool_]
 NEAR_HOLES_PX, UNSURE = 15, 4.0
 """Heights near unmeasured pixels are so much less sure: by the share that is unmeasured of so many pixels."""
+SEEKING = "height", SHARP, SOFT, "joint"
+SHOWING = "height", "picture", "joint"
+PICTURED = "picture", "detail", SHARP, SOFT
+"""Layers that say that there is something, that say which pixels belong to it, and that are of the picture."""
 ALONE = 1.16
 """What shows in one layer alone must lie so many times further out, where both are looked at."""
-JOINT, LEAST_JOINT = 0.86, 2.0
+RARE_AT = 5.5
+"""The deviation that unfiltered noise reaches about once in ten mm2."""
+JOINT, LEAST_JOINT = 0.83, 2.0
 """The root sum of squares of both is over a limit more often than either: so much of it is as rare."""
 
 
@@ -65,35 +75,40 @@ def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatt
     missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
     if not flatten:
         return Residual(place, z_um, picture, (0.0, 0.0), 0.0, missing)
-    a, b, c = _plane(z_um)
+    tilted = DiePlane.of(z_um)
     rows, cols = z_um.shape
-    plane = (a * np.arange(rows)[:, None] + b * np.arange(cols)[None, :] + c).astype(np.float32)
     grey = picture[::4, ::4]
     grey = grey[np.isfinite(grey)]
     level = np.float32(np.median(grey)) if grey.size else np.float32(0)
-    middle = a * rows / 2 + b * cols / 2 + c
-    return Residual(place, z_um - plane, picture - level, (-a / pixel_um, b / pixel_um), middle, missing)
+    tilt = -tilted.down / pixel_um, tilted.right / pixel_um
+    return Residual(place, tilted.off(z_um), picture - level, tilt, tilted.at(rows / 2, cols / 2), missing)
 
 
-def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe) -> Planes:
-    """Residuals over their spread, smoothed at each scale, by layer and scale."""
+def picture_quotient(residual: Residual, golden: Golden) -> Plane:
+    """The picture's residual over its spread."""
+    return np.clip(residual.picture / golden.picture_spread, -LOUDEST, LOUDEST)
+
+
+def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe, spectrum: Spectrum) -> Planes:
+    """Residuals over their spread, filtered, by layer and scale; spectrum: of the noise of the picture's."""
     planes: Planes = {}
     if recipe.evidence in ("height", "both"):
         part = residual.z_um / golden.z_spread_um * _sureness(residual.z_um)
         planes |= {("height", scale): plane for scale, plane in _at_scales(part, recipe.scales_px).items()}
     if recipe.evidence in ("picture", "both"):
         fine, wide = DETAIL_PX
-        of_picture = _at_scales(residual.picture / golden.picture_spread, (*recipe.scales_px, fine, wide))
+        quotient = picture_quotient(residual, golden)
+        of_picture = _at_scales(quotient, (*recipe.scales_px, fine, wide))
         planes |= {("picture", scale): of_picture[scale] for scale in recipe.scales_px}
         planes["detail", fine] = of_picture[fine] - of_picture[wide]
+        planes |= matched(quotient, spectrum, recipe.scales_px)
     return planes
 
 
 def _at_scales(quotient: Plane, scales_px: tuple[float, ...]) -> dict[float, Plane]:
-    part = np.clip(quotient, -LOUDEST, LOUDEST)
-    known = np.isfinite(part)
-    filled, weight = np.where(known, part, np.float32(0)), known.astype(np.float32)
-    return {scale: gaussian_sums(filled, weight, scale) for scale in dict.fromkeys(scales_px)}
+    known = np.isfinite(quotient)
+    filled, weight = np.where(known, np.clip(quotient, -LOUDEST, LOUDEST), np.float32(0)), known.astype(np.float32)
+    return {s: gaussian_sums(filled, weight, s) if s > 0 else quotient for s in dict.fromkeys(scales_px)}
 
 
 def _sureness(left: Plane) -> Plane:
@@ -108,7 +123,7 @@ def scores_of(planes: Planes, noise: Noise) -> Scores:
     """Quotients in deviations of normal noise."""
     scores = noise.scores(planes)
     for scale in {scale for _, scale in planes}:
-        both = [scores[layer, scale] for layer in ("height", "picture") if (layer, scale) in scores]
+        both = [scores[layer, scale] for layer in ("height", SOFT) if (layer, scale) in scores]
         if len(both) == 2:
             scores["joint", scale] = _joint(np.abs(np.nan_to_num(both[0])), np.abs(np.nan_to_num(both[1])))
     return Scores(scores)
@@ -120,9 +135,14 @@ def _joint(first: Plane, second: Plane) -> Plane:
     return np.where(np.minimum(first, second) >= LEAST_JOINT, together, np.float32(0))
 
 
-def limit_of(layer: str, evidence: Evidence, limit: float) -> float:
-    """The limit for a layer: a single one must lie further out where both are looked at."""
-    return limit if evidence != "both" or layer == "joint" else ALONE * limit
+def limit_of(layer: str, scale_px: float, evidence: Evidence, limit: float) -> float:
+    """The limit for a layer at a scale: a single one must lie further out where both are looked at.
+
+    Wide places are fewer, so that noise reaches a deviation at fewer of them: they are as rare at a lower one.
+    """
+    fewer = 1.0 if layer == SHARP else 1 + scale_px**2
+    alone = ALONE if evidence == "both" and layer != "joint" else 1.0
+    return limit * alone * math.sqrt(1 - 2 * math.log(fewer) / RARE_AT**2)
 
 
 def low_of(threshold_sigma: float) -> float:
@@ -135,13 +155,15 @@ def new_counts() -> NDArray[np.int64]:
     return np.zeros(round(HISTOGRAM_END / HISTOGRAM_STEP), np.int64)
 
 
-def count(scores: Scores, recipe: DefectRecipe, counts: NDArray[np.int64]) -> None:
-    """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layer's limit."""
+def count(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int], counts: NDArray[np.int64]) -> None:
+    """Add the places of a cell over COUNTED_FROM to a histogram of how far over each reaches, by its layers' limits."""
+    highest = np.zeros(shape, np.float32)
     for (layer, scale), plane in scores.planes.items():
-        by = (np.abs(plane) / limit_of(layer, recipe.evidence, 1.0)).astype(np.float32)
-        least = recipe.min_area_px if scale == 0 else 1
-        tops = tops_over(by, COUNTED_FROM, least)
-        counts += np.bincount(np.minimum(tops / HISTOGRAM_STEP, len(counts) - 1).astype(int), minlength=len(counts))
+        if layer in SEEKING:
+            by = np.abs(plane) * np.float32(1 / limit_of(layer, scale, recipe.evidence, 1.0))
+            np.fmax(highest, enlarged(by, side_of(layer, scale), shape), out=highest)
+    tops = tops_over(highest, COUNTED_FROM)
+    counts += np.bincount(np.minimum(tops / HISTOGRAM_STEP, len(counts) - 1).astype(int), minlength=len(counts))
 
 
 def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts:
@@ -165,23 +187,11 @@ def false_counts(counts: NDArray[np.int64], inspected_mm2: float) -> FalseCounts
     return FalseCounts(threshold_sigma=tuple(wanted.tolist()), per_mm2=tuple(rates))
 
 
-def enlarged(mask: Mask, side: int, shape: tuple[int, int]) -> Mask:
+def enlarged(mask: NDArray[Any], side: int, shape: tuple[int, int]) -> NDArray[Any]:
     """Each square as its pixels; what is left over at the end holds nothing."""
     if side == 1:
         return mask
-    out = np.zeros(shape, bool)
+    out = np.zeros(shape, mask.dtype)
     big = mask.repeat(side, axis=0).repeat(side, axis=1)[: shape[0], : shape[1]]
     out[: big.shape[0], : big.shape[1]] = big
     return out
-
-
-def _plane(z_um: Plane) -> tuple[float, float, float]:
-    """Slopes down and right and the height at pixel (0, 0) of a plane through what is left of a cell."""
-    step = max(1, round((z_um.size / TILT_POINTS) ** 0.5))
-    some = z_um[::step, ::step]
-    rows, cols = np.nonzero(np.isfinite(some))
-    if len(rows) < 50:
-        return 0.0, 0.0, 0.0
-    design = np.stack([rows * float(step), cols * float(step), np.ones(len(rows))], axis=1).astype(np.float64)
-    a, b, c = robust_fit(design, some[rows, cols].astype(np.float64)).coefficients.tolist()
-    return a, b, c

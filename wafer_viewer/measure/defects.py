@@ -7,6 +7,7 @@ how many false defects are to be expected.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 
@@ -18,7 +19,7 @@ from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defect_scores import false_counts
 from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
-from wafer_viewer.measure.die_status import not_scanned_mm2, statuses
+from wafer_viewer.measure.die_status import not_scanned_mm2, statuses, without_bare_rim
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
 from wafer_viewer.measure.golden_streets import streets_known, with_own_streets
 from wafer_viewer.measure.plain_picture import LEFT_OUT, LOOKED_AT
@@ -63,7 +64,9 @@ def inspect(
     """
     reading = Reading.of(surface, None, calibration_valid)
     source = source_of(surface, reading.layer, recipe.form_order)
-    work, reference, notes = _work(source, grid, recipe, golden)
+    dies = statuses(surface, grid) if grid is not None else ()
+    on_dies = without_bare_rim(grid, dies) if grid is not None else None
+    work, reference, notes = _work(source, on_dies, recipe, golden)
     places = work.cells.grid.places
     noise = noise_over(work, places)
     rows = work.cells.side_by_side(places)
@@ -74,7 +77,8 @@ def inspect(
     defects = _defects(results, whole, work, reading)
     if reference == "golden":
         defects = marked_repeats(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
-    return _inspection(work, results, defects, reference, notes, reading, grid)
+    notes = (*notes, *_of_the_rim(grid, on_dies))
+    return _inspection(work, results, defects, reference, notes, reading, grid, dies)
 
 
 def golden_of_surface(
@@ -86,7 +90,7 @@ def golden_of_surface(
     """
     reading = Reading.of(surface, None, True)
     source = source_of(surface, reading.layer, recipe.form_order)
-    cells = CellGrid.of(grid, surface.pixel_um)
+    cells = CellGrid.of(without_bare_rim(grid, statuses(surface, grid)), surface.pixel_um)
     told = {"product": recipe.product, "simulated": surface.provenance.simulated, **told}
     return golden_die(golden_of(source, cells, _on_surface(source, cells)), cells, source.dark, **told)
 
@@ -134,6 +138,12 @@ def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Refe
     notes = (why, LOOKED_AT if by.plain else LEFT_OUT) if recipe.evidence != "height" else (why,)
     seen = recipe if by.plain else replace(recipe, evidence="height")
     return Work(source, cells, Golden.nothing(cells.shape, by.z_um, by.grey), seen, False), "form", notes
+
+
+def _of_the_rim(grid: DieGrid | None, on_dies: DieGrid | None) -> tuple[str, ...]:
+    bare = len(on_dies.left_out) - len(grid.left_out) if grid is not None and on_dies is not None else 0
+    places = "1 place" if bare == 1 else f"{bare} places"
+    return (f"No die is seen at {places} round the others: nothing was inspected there.",) if bare else ()
 
 
 def _on_surface(source: Source, cells: CellGrid) -> tuple[Place, ...]:
@@ -199,6 +209,7 @@ def _inspection(
     notes: tuple[str, ...],
     reading: Reading,
     grid: DieGrid | None,
+    dies: Sequence[DieStatus],
 ) -> Inspection:
     """What was compared with what, and what came of it."""
     mm2 = work.cells.pixel_um**2 / 1e6
@@ -209,7 +220,7 @@ def _inspection(
         recipe=work.recipe,
         reference=reference,
         grid=grid,
-        dies=_statuses(reading.surface, grid, defects, not work.on_dies or streets_known(work.golden, work.cells)),
+        dies=_with_defects(dies, defects, not work.on_dies or streets_known(work.golden, work.cells)),
         defects=defects,
         inspected_mm2=inspected_mm2,
         unmeasured_mm2=sum(_missing_px(result, work.cells) for result in results) * mm2,
@@ -229,10 +240,7 @@ def _missing_px(result: CellResult, cells: CellGrid) -> int:
     return result.missing_px if result.compared_px else math.prod(cells.shape)
 
 
-def _statuses(surface: Mosaic, grid: DieGrid | None, defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
-    """Of every die, with how many defects lie on it; streets: whether these were looked at."""
-    if grid is None:
-        return ()
-    on = [defect.die for defect in defects if defect.kind != "unmeasured"]
-    each = statuses(surface, grid)
-    return tuple(replace(die, defects=on.count(die.name), street_inspected=streets) for die in each)
+def _with_defects(dies: Sequence[DieStatus], defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
+    """How many defects lie on every die; streets: whether these were looked at."""
+    on = Counter(defect.die for defect in defects if defect.kind != "unmeasured")
+    return tuple(replace(die, defects=on[die.name], street_inspected=streets) for die in dies)

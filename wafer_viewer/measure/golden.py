@@ -5,18 +5,22 @@ Dies are read block by block of their rows, all dies of one block at a time, so 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place, Plane, Read, Shift, Source
+from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
 
 LEAST_DIES = 5
 """Fewer dies have no typical one."""
+KNOWN_SHARE = 0.5
+"""Of the dies that know a place: at a polished rim the few that see anything there are those that are chipped."""
 MOST_DIES = 32
 """The golden die is found from so many dies at most, taken evenly from all."""
 BLOCK_PIXELS = 24_000_000
@@ -28,6 +32,8 @@ LEAST_KNOWN_PX = 3_000
 ROUNDS = 3
 POOLED_PX, POOLED_AS = (5, 21), 20
 """The spread of a place is that of its neighbourhood; the wider one counts as much as so many dies."""
+POWERS = 2.0, 1.0
+"""Of the mean of spreads: heights err in patches, so that few neighbours tell how far; a picture errs more evenly."""
 LEAST_HEIGHT_UM, LEAST_CONTRAST = 1e-6, 2e-3
 """No spread is less: of heights that were written down too coarsely to differ, of the logarithm of a picture."""
 FLOOR = 0.7
@@ -68,14 +74,15 @@ class Golden:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """How far a die lies off its place, (down, right) in pixels, and over the typical one in um and in brightness."""
+    """How far a die lies off its place, (down, right) in pixels, its plane over the typical one, and its brightness."""
 
     shift: Shift
-    level: tuple[float, float]
+    plane: DiePlane
+    brighter: float
 
-    def levelled(self, cell: Cell) -> Cell:
-        """A part of the die as if it lay where the typical one does."""
-        return cell[0] - np.float32(self.level[0]), cell[1] - np.float32(self.level[1])
+    def levelled(self, cell: Cell, first_row: int) -> Cell:
+        """A part of the die, whole rows from the first on, as if it lay where the typical one does."""
+        return self.plane.seen_from(first_row, 0).off(cell[0]), cell[1] - np.float32(self.brighter)
 
 
 def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Golden:
@@ -91,12 +98,14 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
     layers = [np.full((rows, cols), np.nan, np.float32) for _ in range(4)]
     for block in _blocks(rows, cols, len(poses)):
         read = ((pose, source.read(cells, place, block, slice(0, cols), pose.shift)) for place, pose in poses.items())
-        known = [pose.levelled(cell) for pose, cell in read if cell is not None]
+        known = [pose.levelled(cell, block.start) for pose, cell in read if cell is not None]
         for k in range(2 if known else 0):
             stack = np.stack([cell[k] for cell in known])
-            typical(stack, min(LEAST_DIES, len(known)), layers[2 * k][block], layers[2 * k + 1][block])
-    leasts = LEAST_HEIGHT_UM, LEAST_CONTRAST
-    spreads = (_with_edges(steadied(layers[k + 1], len(poses), leasts[k // 2]), layers[k]) for k in (0, 2))
+            least = max(min(LEAST_DIES, len(known)), math.ceil(KNOWN_SHARE * len(known)))
+            typical(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
+    as_pooled = ((LEAST_HEIGHT_UM, POWERS[0]), (LEAST_CONTRAST, POWERS[1]))
+    steady = (steadied(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
+    spreads = (_with_edges(spread, layers[2 * k]) for k, spread in enumerate(steady))
     shifts = {place: pose.shift for place, pose in poses.items()}
     return Golden(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
@@ -121,7 +130,8 @@ def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> d
     strips = {place: source.strip(cells.around(place, *patch, (0.0, 0.0), MARGIN_PX + REACH_PX)) for place in places}
     held = {place: strip for place, strip in strips.items() if strip is not None}
     shifts: dict[Place, Shift] = dict.fromkeys(held, (0.0, 0.0))
-    levels: dict[Place, tuple[float, float]] = {}
+    known: dict[Place, Cell] = {}
+    model: Cell | None = None
     for _ in range(ROUNDS):
         read = {place: held[place].read(cells, place, *patch, shift) for place, shift in shifts.items()}
         known = {place: cell for place, cell in read.items() if _enough(cell)}
@@ -129,11 +139,15 @@ def found_poses(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> d
             return {}
         flat = {place: levelled_pair(cell) for place, cell in known.items()}
         model = _middle([cell[0] for cell in flat.values()]), _middle([cell[1] for cell in flat.values()])
-        levels = {place: (_over(cell[0], model[0]), _over(cell[1], model[1])) for place, cell in known.items()}
         moved = {place: _step(cell, model) for place, cell in flat.items()}
         center = np.median(list(moved.values()), axis=0)
         shifts = {place: _held(shifts[place], moved[place] - center) for place in known}
-    return {place: Pose(shifts[place], level) for place, level in levels.items()}
+    return {place: _pose(shifts[place], cell, model, patch) for place, cell in known.items()} if model else {}
+
+
+def _pose(shift: Shift, cell: Cell, model: Cell, patch: tuple[slice, slice]) -> Pose:
+    plane = DiePlane.of(cell[0] - model[0]).seen_from(-patch[0].start, -patch[1].start)
+    return Pose(shift, plane, _median(cell[1] - model[1]))
 
 
 def registered(source: Read, cells: CellGrid, place: Place, golden: Golden) -> Shift | None:
@@ -167,16 +181,19 @@ def levelled_pair(cell: Cell) -> Cell:
     return _less_median(cell[0]), _less_median(cell[1])
 
 
-def steadied(spread: Plane, n_dies: int, least: float) -> Plane:
-    """The spread of a place and its neighbours together, for that of few dies is unsure; never far under the usual."""
+def steadied(spread: Plane, n_dies: int, least: float, power: float) -> Plane:
+    """The spread of a place and its neighbours together, for that of few dies is unsure; never far under the usual.
+
+    power: of the mean; the higher, the more the widest spreads nearby count.
+    """
     from scipy.ndimage import uniform_filter
 
     known = np.isfinite(spread)
-    share, squared = known.astype(np.float32), np.where(known, spread, np.float32(0)) ** 2
-    near, wide = (uniform_filter(squared, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in POOLED_PX)
+    share, powers = known.astype(np.float32), np.where(known, spread, np.float32(0)) ** power
+    near, wide = (uniform_filter(powers, n) / np.maximum(uniform_filter(share, n), 1e-3) for n in POOLED_PX)
     pooled = np.maximum(near, (n_dies * near + POOLED_AS * wide) / (n_dies + POOLED_AS))
     usual = float(np.median(spread[known])) if known.any() else 1.0
-    held = np.maximum(np.sqrt(pooled), max(FLOOR * usual, least))
+    held = np.maximum(pooled ** (1 / power), max(FLOOR * usual, least))
     return np.where(known, np.maximum(held, 0.7 * np.where(known, spread, 0)), np.nan).astype(np.float32)
 
 
@@ -202,10 +219,6 @@ def _middle(planes: list[Plane]) -> Plane:
     middle, spread = (np.empty(stack.shape[1:], np.float32) for _ in range(2))
     typical(stack, 1, middle, spread)
     return middle
-
-
-def _over(plane: Plane, model: Plane) -> float:
-    return _median(plane - model)
 
 
 def _median(plane: Plane) -> float:

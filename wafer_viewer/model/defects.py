@@ -30,15 +30,16 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     """How defects are looked for; recipes are saved by product.
 
     sensitivity: the one dial, 0 finds only what is plain, 1 all that might be something; scales_px: standard deviations
-    of the Gaussian filters at which is looked, 0 is unfiltered; golden: name of the stored golden die to compare with,
-    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first;
-    limits: how many of them a die and a wafer may have.
+    of the Gaussian filters through which heights are looked at, 0 is unfiltered, and of what is wide and faint in the
+    picture, in which discs of 4 to 14 px are sought besides; golden: name of the stored golden die to compare with,
+    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first; limits: how
+    many of them a die and a wafer may have.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str = "standard"
     product: str = ""
-    sensitivity: Fraction = 0.5
+    sensitivity: Fraction = 0.4
     scales_px: tuple[NonNegative, ...] = (0.0, 1.5, 4.0, 10.0)
     min_area_px: Count = 4
     evidence: Evidence = "both"
@@ -73,8 +74,9 @@ class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
 
     center and outline in stage um; die: "col,row", empty outside of dies; in_die: um from the die's lower left corner;
     height: the peak over (pits: under, negative) the reference, mean_height_um over its area; score: peak signal over
-    the local noise; scale_px: of the filter that showed it best; size_resolved: False under 20 px, "detected, size not
-    resolved". judged_kind: the operator's word, which overrides `kind`, judged_at its time (ISO 8601).
+    the local noise; scale_px: of the filter that showed it best, of a disc its diameter; size_resolved: False under
+    20 px, "detected, size not resolved". judged_kind: the operator's word, which overrides `kind`, judged_at its time
+    (ISO 8601).
     """
 
     center: Point

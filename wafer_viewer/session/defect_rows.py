@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.golden import Golden
 
 PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
+BY_KEY, OF_ALL = ("spread", "fall", "places"), ("kinds", "spectrum")
 BEGINS, ENDS = ".inspection-", ".npz"
 LEFT_FOR_S = 86_400.0
 """A reference that is older was left behind by a process that was killed."""
@@ -115,16 +116,18 @@ def _reference(path: Path) -> tuple[dict[str, NDArray[Any]], Noise]:
 
 
 def _planes_of(noise: Noise) -> dict[str, NDArray[Any]]:
-    """By layer, scale and what they are: numbers too."""
-    facts = {"spread": noise.spread, "fall": noise.fall}
-    return {f"{what}/{k[0]}/{k[1]!r}": np.asarray(value) for what, by in facts.items() for k, value in by.items()}
+    """By what they are, and of which layer and scale where it is of one."""
+    facts = {name: getattr(noise, name) for name in BY_KEY}
+    named = {f"{name}/{k[0]}/{k[1]!r}": value for name, by in facts.items() for k, value in by.items()}
+    return named | {name: getattr(noise, name) for name in OF_ALL}
 
 
 def _noise_of(planes: dict[str, NDArray[Any]]) -> Noise:
     from wafer_viewer.measure.defect_noise import Noise
 
-    facts: dict[str, dict[tuple[str, float], Any]] = {"spread": {}, "fall": {}}
-    for name, value in planes.items():
-        what, layer, scale = name.split("/")
-        facts[what][layer, float(scale)] = value if value.ndim else float(value)
-    return Noise(**facts)
+    whole: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
+    facts: dict[str, dict[tuple[str, float], Any]] = {name: {} for name in BY_KEY}
+    for title, value in planes.items():
+        name, layer, scale = title.split("/")
+        facts[name][layer, float(scale)] = value
+    return Noise(**facts, **whole)
