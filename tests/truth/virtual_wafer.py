@@ -99,7 +99,8 @@ def _chipped_um(x_um: float, y_um: float) -> float:
     column, row = math.floor(x_um / wafer.PITCH_X_UM), math.floor(y_um / wafer.PITCH_Y_UM)
     half = wafer.TRENCH_UM / 2
     inset = wafer.die_inset(x_um - column * wafer.PITCH_X_UM - half, y_um - row * wafer.PITCH_Y_UM - half)
-    depth_um = 5.0 * max(0.0, grain(x_um / 9.0, y_um / 9.0, wafer.CHIPS) - 0.9)
+    chip_um = 5.0 * max(0.0, grain(x_um / 9.0, y_um / 9.0, wafer.CHIPS) - 0.9)
+    depth_um = chip_um + 0.45 * grain(x_um / 2.6, y_um / 2.6, wafer.WANDER) if chip_um else 0.0
     return depth_um if 0 <= inset <= min(depth_um, EDGE_UM) else 0.0
 
 
