@@ -181,6 +181,18 @@ def test_it_moves_from_the_first_of_several_moves_to_the_end_of_the_last(instrum
     assert (stood.state, stood.x_um, stood.homed) == ("ready", 1.5, False)
 
 
+def test_a_move_that_waited_when_a_stop_came_is_not_begun(instrument):
+    rig, desk, link = instrument
+    asked_before = rig.n_stops
+    rig.stop_at_once()
+    with pytest.raises(MotionStopped, match=r"stopped at X \+0\.0000"):
+        desk.do(rig.move_to, Move(x_um=1.0), asked_before).result(60.0)
+    assert desk.snapshot.rig.state == "ready"
+    desk.do(rig.move_to, Move(x_um=2.0), rig.n_stops)
+    desk.wait_until(lambda s: s.rig.state == "moving", 60.0)
+    assert [verb for verb, _ in link.asked] == [Stop(), Move(x_um=2.0)]
+
+
 def test_without_a_process_nothing_moves(instrument, monkeypatch):
     rig, _, link = instrument
     monkeypatch.setattr(StandingLink, "alive", False)

@@ -127,10 +127,10 @@ class Conductor:
             self._open_books()
             self._make_what_is_missing()
 
-    def move_to(self, move: Move) -> Future[None]:
+    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
         """Move the stage, where it is known what lies on it."""
         self.drafting.require_confirmed()
-        return self.rig.move_to(move)
+        return self.rig.move_to(move, n_stops)
 
     def close_dataset(self) -> None:
         """Close the dataset."""

@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.errors import DatasetError, RigError
+from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.link import Link
@@ -53,6 +53,8 @@ class Instrument:
         self._link: Link | None = None
         self._moves = 0
         """How many were asked for and are not over."""
+        self.n_stops = 0
+        """How many were asked for from another thread, ahead of what waits for this one."""
         self.latest_frame: LatestFrame | None = None
         self._on = {
             RigReady: self._ready,
@@ -73,9 +75,12 @@ class Instrument:
             self._link = Link("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
         return self._link
 
-    def move_to(self, move: Move) -> Future[None]:
-        """Move the stage; done on arrival, or with MotionStopped."""
+    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
+        """Move the stage; done on arrival, or with MotionStopped, also where more than `n_stops` have come since."""
         self.require_idle("move the stage")
+        if n_stops is not None and n_stops < self.n_stops:
+            stood = self._desk.now.rig
+            raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
         link = self.start()
         self._moves += 1
         self._show_moves()
@@ -100,6 +105,11 @@ class Instrument:
         self._require_scan("go on with")
         self._show(message="")
         return self.start().ask(Resume())
+
+    def stop_at_once(self) -> Future[bool]:
+        """Break off, from any thread, ahead of what waits for this one: moves among it are not begun any more."""
+        self.n_stops += 1
+        return self.break_off()
 
     def break_off(self) -> Future[bool]:
         """Stop whatever moves, from any thread; done at rest, with whether there was anything to stop."""

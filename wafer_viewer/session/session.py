@@ -132,7 +132,7 @@ class Session(Asking):
 
     def move_to(self, x_um: float | None = None, y_um: float | None = None, z_um: float | None = None) -> Future[None]:
         """Move the stage; done on arrival, or with MotionStopped."""
-        return self._do(self._rooms.move_to, Move(x_um, y_um, z_um))
+        return self._do(self._rooms.move_to, Move(x_um, y_um, z_um), self._rooms.rig.n_stops)
 
     def start_scan(self, name: str | None = None) -> Future[Path]:
         """Take the plan into a new dataset, which is then the open one; done once it has begun."""
@@ -152,7 +152,7 @@ class Session(Asking):
 
     def stop(self) -> Future[bool]:
         """Stop every motion now, a scan's too; done at rest: False if nothing moved. This is no emergency stop."""
-        return self._do(self._rooms.stop, self._rooms.rig.break_off())
+        return self._do(self._rooms.stop, self._rooms.rig.stop_at_once())
 
     def stop_scan(self) -> Future[None]:
         """End the scan; done when the rig is at rest. This is no emergency stop."""
