@@ -84,8 +84,14 @@ def middle_on_screen(page: Page, region: dict) -> tuple[float, float]:
 
 
 def drag_lower(page: Page) -> None:
-    """Drag the lower region by its middle as soon as it is drawn, until the browser remembers it somewhere else."""
-    eventually(lambda: bool(stored(page, "camera")) and len(stored(page, "view").get("faces", ())) == 2, "faces laid")
+    """Drag the lower region by its middle once the camera rests, until the browser remembers it somewhere else."""
+
+    def at_rest() -> bool:
+        camera = stored(page, "camera")
+        page.wait_for_timeout(1000)
+        return camera == stored(page, "camera") != {} and len(stored(page, "view").get("faces", ())) == 2
+
+    eventually(at_rest, "faces laid, and the camera at rest", PATIENCE_MS / 1000)
     before = stored(page, "view")["faces"]
 
     def followed() -> bool:

@@ -172,6 +172,33 @@ def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_
     eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
 
 
+QUICK_HAND = """
+([option, list]) => {
+  option.dispatchEvent(new MouseEvent('click', { bubbles: true, detail: 1 }));
+  list.focus();
+  list.click();
+}
+"""
+"""Chooses from one list and opens another before the first has let the keys go."""
+
+
+def test_a_list_opened_right_after_another_was_chosen_from_keeps_the_keys(serve: Callable[..., Page]):
+    planned = dataclasses.replace(fake.measured(), draft=day.tried().draft, operating=day.tried().operating)
+    page = serve(day.OperatorSession(planned))
+    page.get_by_text("For operators").click()
+    press(page, "Feature…")
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Measured as").click()
+    option, quantity = page.get_by_role("option").nth(1), dialog.get_by_label("Quantity").first
+    page.evaluate(QUICK_HAND, [option.element_handle(), quantity.element_handle()])
+    expect(page.get_by_role("option", name="the main one")).to_be_visible()
+    page.wait_for_timeout(200)
+    page.keyboard.press("Escape")
+    page.wait_for_timeout(500)
+    expect(dialog).to_be_visible()
+    expect(page.get_by_role("option", name="the main one")).not_to_be_visible()
+
+
 def test_everything_of_a_released_job_can_be_seen_and_nothing_changed(serve: Callable[..., Page]):
     page = serve(day.OperatorSession(day.aligned()))
     page.get_by_role("button", name="Show everything").click()

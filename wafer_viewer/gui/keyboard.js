@@ -55,9 +55,10 @@ if (!window.wvKeyboard) {
     }
   }, true);
 
-  /* A list that was chosen from with the mouse would keep all keys to itself. */
+  /* A list that was chosen from with the mouse would keep all keys to itself; another that was opened since keeps them. */
+  const leave = field => { if (document.activeElement === field) field?.blur(); };
   document.addEventListener('click', event => {
-    if (event.detail && event.target.closest?.('[role=option]')) setTimeout(() => document.activeElement?.blur(), 60);
+    if (event.detail && event.target.closest?.('[role=option]')) setTimeout(leave, 60, document.activeElement);
     /* And a button that was pressed with the mouse would keep Enter. */
     else if (event.detail && event.target.closest?.('button')) document.activeElement?.blur?.();
   }, true);
