@@ -1,4 +1,4 @@
-"""Plain and uneven ground of a reference."""
+"""Plain, uneven and unknown ground of a reference."""
 
 from __future__ import annotations
 
@@ -31,9 +31,19 @@ def test_a_gentle_slope_is_plain() -> None:
     assert not kinds_of(golden(slope, np.zeros(SHAPE))).any()
 
 
-def test_what_is_not_known_is_plain() -> None:
+def test_plain_ground_without_heights_is_a_kind_of_its_own_and_its_lines_are_lines() -> None:
+    z_um, picture = np.zeros(SHAPE), np.zeros(SHAPE)
+    z_um[:, 40:] = np.nan
+    picture[20, 60:] = 1.0
+    kinds = kinds_of(golden(z_um, picture))
+    assert np.unique(kinds[30:, 45:]).tolist() == [1]
+    assert kinds[20, 70] == 2
+    assert not kinds[:, :35].any()
+
+
+def test_nothing_known_at_all_is_even() -> None:
     unknown = np.full(SHAPE, np.nan)
-    assert not kinds_of(golden(unknown, unknown)).any()
+    assert np.unique(kinds_of(golden(unknown, unknown))).tolist() == [1]
 
 
 def test_a_square_is_uneven_where_one_of_its_pixels_is() -> None:

@@ -1,4 +1,4 @@
-"""Where the reference is uneven: on edges and walls everything errs further than on plain ground. Pure."""
+"""Where the reference is uneven or unknown: on edges, walls and what has no grain everything errs further. Pure."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from wafer_viewer.measure.golden import Golden
 PLAIN_TO = 4.0
 """In usual spreads: plain ground rises and falls by so much at most."""
 AROUND_PX = 5
-KINDS = 3
-"""Of ground: plain is 0, where the picture is uneven 1, where the heights are 2: patterns and walls."""
+KINDS = 4
+"""Of ground: plain is 0, without heights 1, where the picture is uneven 2, where the heights are 3: patterns and walls.
+Where no height is known of plain ground nothing was in focus: the picture shows one blurred frame or another."""
 Kinds = NDArray[np.uint8]
 
 
@@ -20,7 +21,7 @@ def kinds_of(golden: Golden) -> Kinds:
     """The kind of ground of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
     patterned, walled = (_relief(layer) > PLAIN_TO * _usual(spread) for layer, spread in layers)
-    return np.where(walled, 2, patterned).astype(np.uint8)
+    return np.select([walled, patterned, np.isnan(golden.z_um)], [3, 2, 1], 0).astype(np.uint8)
 
 
 def coarser(kinds: Kinds, side: int) -> Kinds:
