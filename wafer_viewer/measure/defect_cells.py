@@ -13,6 +13,7 @@ from wafer_viewer.measure.defect_filters import spectrum_of
 from wafer_viewer.measure.defect_noise import Noise, noise_of
 from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of, unmeasured_of
 from wafer_viewer.measure.defect_scores import (
+    Mask,
     Residual,
     count,
     new_counts,
@@ -37,13 +38,15 @@ LISTED_FROM = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
-    """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened."""
+    """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened; excluded:
+    of the pixels of every cell those that are left out."""
 
     source: Source
     cells: CellGrid
     golden: Golden
     recipe: DefectRecipe
     on_dies: bool
+    excluded: Mask | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +112,7 @@ def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] 
         return None
     if not work.on_dies and work.recipe.evidence != "height":
         cell = cell[0], against_around(cell[1])
-    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies), shift
+    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, work.excluded), shift
 
 
 def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:

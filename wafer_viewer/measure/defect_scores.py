@@ -52,10 +52,12 @@ JOINT, LEAST_JOINT = 0.83, 2.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residual:
-    """A cell less its reference: heights with their plane taken off, grey values; the slopes of that plane."""
+    """A cell less its reference: heights with their plane taken off, how sure they are, grey values; the slopes of that
+    plane. What is excluded is NaN in both, and not missing."""
 
     place: Place
     z_um: Plane
+    sure: Plane
     picture: Plane
     tilt: tuple[float, float]
     offset_um: float
@@ -69,19 +71,26 @@ class Scores:
     planes: Planes
 
 
-def residual_of(place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool) -> Residual:
+def residual_of(
+    place: Place, cell: Cell, golden: Golden, pixel_um: float, flatten: bool, excluded: Mask | None = None
+) -> Residual:
     """A cell less its reference. flatten: the plane of what is left is taken off, and the grey offset."""
     z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
     missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
+    sure = _sureness(z_um)
     if not flatten:
-        return Residual(place, z_um, picture, (0.0, 0.0), 0.0, missing)
+        return Residual(place, z_um, sure, picture, (0.0, 0.0), 0.0, missing)
     tilted = DiePlane.of(z_um)
     rows, cols = z_um.shape
     grey = picture[::4, ::4]
     grey = grey[np.isfinite(grey)]
     level = np.float32(np.median(grey)) if grey.size else np.float32(0)
     tilt = -tilted.down / pixel_um, tilted.right / pixel_um
-    return Residual(place, tilted.off(z_um), picture - level, tilt, tilted.at(rows / 2, cols / 2), missing)
+    z_um, picture = tilted.off(z_um), picture - level
+    if excluded is not None:
+        z_um[excluded] = picture[excluded] = np.nan
+        missing &= ~excluded
+    return Residual(place, z_um, sure, picture, tilt, tilted.at(rows / 2, cols / 2), missing)
 
 
 def picture_quotient(residual: Residual, golden: Golden) -> Plane:
@@ -93,7 +102,7 @@ def quotients(residual: Residual, golden: Golden, recipe: DefectRecipe, spectrum
     """Residuals over their spread, filtered, by layer and scale; spectrum: of the noise of the picture's."""
     planes: Planes = {}
     if recipe.evidence in ("height", "both"):
-        part = residual.z_um / golden.z_spread_um * _sureness(residual.z_um)
+        part = residual.z_um / golden.z_spread_um * residual.sure
         planes |= {("height", scale): plane for scale, plane in _at_scales(part, recipe.scales_px).items()}
     if recipe.evidence in ("picture", "both"):
         fine, wide = DETAIL_PX

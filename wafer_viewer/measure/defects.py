@@ -20,6 +20,7 @@ from wafer_viewer.measure.defect_scores import false_counts
 from wafer_viewer.measure.defect_shapes import defect_of
 from wafer_viewer.measure.die_cells import CellGrid, Place, Source, source_of
 from wafer_viewer.measure.die_status import not_scanned_mm2, statuses, without_bare_rim
+from wafer_viewer.measure.excluded import excluded_of, notes_on
 from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_of
 from wafer_viewer.measure.golden_streets import streets_known, with_own_streets
 from wafer_viewer.measure.plain_picture import LEFT_OUT, LOOKED_AT
@@ -77,7 +78,7 @@ def inspect(
     defects = _defects(results, whole, work, reading)
     if reference == "golden":
         defects = marked_repeats(defects, sum(result.compared_px > 0 for result in results), surface.pixel_um)
-    notes = (*notes, *_of_the_rim(grid, on_dies))
+    notes = (*notes, *_of_the_rim(grid, on_dies), *notes_on(recipe.excluded, work.excluded, work.on_dies))
     return _inspection(work, results, defects, reference, notes, reading, grid, dies)
 
 
@@ -104,16 +105,16 @@ def _work(
             raise MeasureError("A golden die is compared die by die: say where the dies lie, or find them.")
         return _by_form(source, recipe, "No grid of dies: compared with the fitted form.")
     cells = CellGrid.of(grid, source.surface.pixel_um)
-    places = _on_surface(source, cells)
+    places, excluded = _on_surface(source, cells), excluded_of(recipe.excluded, cells)
     if golden is not None:
         sizes = {"width_um": grid.width_um, "height_um": grid.height_um}
         golden.require_fit(product=recipe.product, pixel_um=source.surface.pixel_um, **sizes)
         stored, notes = with_own_streets(Golden.stored(golden, cells, source.dark), source, cells, places)
-        return Work(source, cells, stored, recipe, True), "golden", notes
+        return Work(source, cells, stored, recipe, True, excluded), "golden", notes
     if len(places) < LEAST_DIES:
         few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
         return _by_form(source, recipe, few)
-    return Work(source, cells, golden_of(source, cells, places), recipe, True), "dies", ()
+    return Work(source, cells, golden_of(source, cells, places), recipe, True, excluded), "dies", ()
 
 
 def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Reference, tuple[str, ...]]:

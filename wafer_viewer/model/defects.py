@@ -32,8 +32,9 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     sensitivity: the one dial, 0 finds only what is plain, 1 all that might be something; scales_px: standard deviations
     of the Gaussian filters through which heights are looked at, 0 is unfiltered, and of what is wide and faint in the
     picture, in which discs of 4 to 14 px are sought besides; golden: name of the stored golden die to compare with,
-    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first; limits: how
-    many of them a die and a wafer may have.
+    none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first; excluded:
+    areas of every die where nothing is sought, um from its lower left corner; limits: how many of them a die and a
+    wafer may have.
     """
 
     error: ClassVar[type[WaferViewerError]] = MeasureError
@@ -45,6 +46,7 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     evidence: Evidence = "both"
     golden: str = ""
     form_order: Literal[1, 2] = 2
+    excluded: tuple[Region, ...] = ()
     rules: ClassRules = ClassRules()
     limits: DefectLimits = DefectLimits()
 
@@ -52,6 +54,10 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
         super().__post_init__()
         if not self.scales_px or max(self.scales_px) > 40:
             self.refuse("scales_px", "at least one scale, each at most 40 px")
+        if not all(region.area_um2 > 0 for region in self.excluded):
+            self.refuse(
+                "excluded", "rectangles, circles or polygons: lines, points and what has no area leave nothing out"
+            )
 
     @property
     def threshold_sigma(self) -> float:
