@@ -304,6 +304,12 @@ SCREENS: dict[str, Screen] = {
     "review-golden-list": Screen(
         inspected_session, "review", seen=True, then=(click("[data-pick=defect-form]"), with_golden)
     ),
+    "review-left-out": Screen(
+        inspected_session,
+        "review",
+        seen=True,
+        then=(press("PageDown"), click("[data-pick=defect-excluded][data-k=here]"), pause),
+    ),
     "review-export": Screen(inspected_session, "review", seen=True, then=(click("[data-pick=defect-errand]"),)),
     "review-golden": Screen(
         inspected_session, "review", seen=True, then=(click("[data-pick=defect-errand][data-k=golden]"),)

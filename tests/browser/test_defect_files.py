@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.steps import eventually, notes, press, text_field, type_into
+from tests.browser.steps import eventually, notes, numbers, press, set_numbers, text_field, type_into
 from tests.measure.noisy_wafer import Planted, wafer
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.session.session import Session
@@ -77,3 +77,43 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     dialog.get_by_role("button", name="Lay over", exact=True).click()
     expect(page.get_by_text(f"{n} places of another tool: {n} found here too, 0 not.")).to_be_visible()
     assert notes(page).count() == 0
+
+
+def test_a_place_is_left_out_on_every_die_as_a_person_does(session: Session, page: Page):
+    dialog, before = page.get_by_role("dialog"), session.snapshot.inspection.inspection
+    assert before is not None
+    page.keyboard.press("Shift+R")
+    page.keyboard.press("PageDown")
+    page.locator("[data-pick=defect-excluded][data-k=here]").press("Enter")
+    expect(dialog.locator("[data-pick=defect-area-away]")).to_have_count(1)
+    set_numbers(page, "From, µm", 5, 5)
+    set_numbers(page, "To, µm", 5, 15)
+    dialog.get_by_role("button", name="Keep", exact=True).click()
+    expect(dialog).to_contain_text("The area is empty: type two opposite corners of a rectangle.")
+    set_numbers(page, "To, µm", 12, 15)
+    dialog.get_by_role("button", name="Keep", exact=True).click()
+    expect(dialog).to_have_count(0)
+    expect(page.get_by_text("2 areas of every die left out")).to_be_visible()
+    press(page, "Inspect")
+    session.wait_until(lambda now: (found := now.inspection.inspection) is not None and found != before, PATIENCE_S)
+    found = session.snapshot.inspection.inspection
+    assert found is not None
+    assert len(found.recipe.excluded) == 2
+    assert found.recipe.excluded[1].bounds_um == (5, 5, 12, 15)
+    assert len(found.found) == len(before.found) - 1
+    expect(page.get_by_text("Left out of every die, as the recipe asks: 2 areas")).to_be_visible()
+
+
+def test_an_area_is_searched_again_once_it_is_taken_away(session: Session, page: Page):
+    page.keyboard.press("Shift+R")
+    page.locator("[data-pick=defect-form]").press("Enter")
+    expect(page.get_by_text("2 areas of every die left out")).to_be_visible()
+    page.keyboard.press("Control+k")
+    page.keyboard.type("Areas left out")
+    page.keyboard.press("Enter")
+    dialog = page.get_by_role("dialog")
+    dialog.locator("[data-pick=defect-area-change][data-k='1']").press("Enter")
+    expect(numbers(page, "From, µm").first).to_have_value("5")
+    expect(dialog.locator("[data-pick=defect-area-away]")).to_have_count(1)
+    dialog.get_by_role("button", name="Cancel", exact=True).click()
+    expect(page.get_by_text("2 areas of every die left out")).to_be_visible()

@@ -12,6 +12,7 @@ from wafer_viewer.model.class_rules import ClassRules
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.defect_recipes import (
     defect_recipes,
@@ -24,7 +25,9 @@ from wafer_viewer.store.defect_recipes import (
 
 
 def test_a_recipe_is_read_as_it_was_kept(tmp_path: Path):
-    recipe = DefectRecipe(product="LX 7/b", name="keen", sensitivity=0.7, rules=ClassRules(scratch_ratio=6.0))
+    areas = (Region.rectangle(1.0, 2.0, 3.5, 4.0), Region.polygon((0.0, 0.0), (9.0, 0.0), (0.0, 9.0)))
+    rules = ClassRules(scratch_ratio=6.0)
+    recipe = DefectRecipe(product="LX 7/b", name="keen", sensitivity=0.7, excluded=areas, rules=rules)
     path = save_defect_recipe(tmp_path, recipe)
     assert path == tmp_path / "recipes" / "LX-7-b-keen.defects.toml"
     assert read_defect_recipe(path) == recipe

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.symbols import symbol
 from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.repeated_place import RepeatedPlace
 
 Attributes = Callable[[str, object], str]
@@ -48,12 +49,13 @@ def die_stack_svg(
     image = f'<image {box} href="{html.escape(picture_url)}" preserveAspectRatio="none"/>' if picture_url else ""
     frame = f'<rect {box} fill="{"none" if picture_url else "var(--fill)"}" stroke="var(--ink3)"/>'
     drawn = shown(inspection, places)
+    areas = "".join(_left_out(area, at) for area in inspection.recipe.excluded)
     marks = "".join(_mark(d, at, d.number == chosen, attributes) for d in drawn if d.in_die is not None)
     rings = "".join(_ring(k, one, at, scale, k == place, attributes) for k, one in enumerate(places))
     w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
     return (
         f'<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
-        f'aria-label="All dies laid onto one" style="max-width:100%">{image}{frame}{rings}{marks}</svg>'
+        f'aria-label="All dies laid onto one" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
     )
 
 
@@ -68,6 +70,22 @@ def shown(inspection: Inspection, places: Sequence[RepeatedPlace]) -> list[Defec
 def not_drawn(inspection: Inspection, drawn: Collection[Defect]) -> int:
     """How many lie on dies and are not among those drawn."""
     return sum(bool(d.die) and d.in_die is not None for d in inspection.found) - len(drawn)
+
+
+def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -> str:
+    """An area in which nothing was sought: veiled, with a broken line round it."""
+    x0, y0, x1, y1 = area.bounds_um
+    corners = (
+        [(p.x_um, p.y_um) for p in area.points] if area.kind == "polygon" else [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    )
+    (left, low), (right, high) = at(x0, y0), at(x1, y1)
+    look = 'fill="#fff" fill-opacity=".55" stroke="#15202B" stroke-width="1.2" stroke-dasharray="4 3"'
+    if area.kind == "circle":
+        middle = f'cx="{(left + right) / 2:.1f}" cy="{(low + high) / 2:.1f}"'
+        shape = f'<ellipse {middle} rx="{(right - left) / 2:.1f}" ry="{(low - high) / 2:.1f}" {look}/>'
+    else:
+        shape = f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners))}" {look}/>'
+    return f"<g><title>Left out: nothing was sought here</title>{shape}</g>"
 
 
 def _mark(

@@ -31,6 +31,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.state import Snapshot
@@ -82,6 +83,7 @@ class InspectionForm:
         golden = form.compare == GOLDEN
         self._golden.show(words.golden_table(snapshot.shelf, form.product.strip(), form.golden) if golden else "")
         self._more.show(words.more(form, self._shows_more))
+        self._excluded.show(words.left_out(form))
         set_prop(self._rest, "visible", self._shows_more)
         set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
         set_prop(self._begin, "disabled", bool(why_not))
@@ -123,6 +125,7 @@ class InspectionForm:
     def _build_evidence(self, gui: Any) -> None:
         self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
         self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
+        self._excluded = Cell(gui)
         for widget in (self._evidence, self._scales):
             widget.on_update(self._redrawing())
 
@@ -146,9 +149,19 @@ class InspectionForm:
 
     # --- what a person does
 
+    @property
+    def excluded(self) -> tuple[Region, ...]:
+        """The areas that are left out, as the form stands."""
+        return self._form.excluded
+
     def save(self) -> None:
         """Ask for a name and keep what stands on the form as the recipe of its product."""
         save_recipe_dialog(self._page, self.recipe, lambda kept: self._put(kept, form_of(kept, None, self._typed())))
+
+    def exclude(self, areas: tuple[Region, ...]) -> None:
+        """Leave these areas of every die out when the surface is inspected next."""
+        self._form = replace(self._form, excluded=areas)
+        self._page.redraw()
 
     def _choose_recipe(self, event: Any) -> None:
         product, shelf = self._product.value.strip(), self._page.session.snapshot.shelf
@@ -223,6 +236,7 @@ class InspectionForm:
             compare=self._against.value,
             evidence=self._evidence.value,
             golden=self._form.golden,
+            excluded=self._form.excluded,
             dies=self._dies.value,
             pitch_um=self._pitch.value,
             corner_um=self._corner.value,

@@ -10,6 +10,7 @@ from wafer_viewer.gui.defect_limits_text import limits_of, text_of
 from wafer_viewer.model.defects import DefectRecipe, Evidence, Inspection
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_work import Against, Dies
 
@@ -36,6 +37,7 @@ class DefectForm:
     angle_deg: float = 0.0
     product: str = ""
     scales_px: str = ""
+    excluded: tuple[Region, ...] = ()
     max_per_die: str = ""
     max_per_mm2: str = ""
 
@@ -54,6 +56,7 @@ def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectF
         dies=before.dies,
         product=recipe.product,
         scales_px=", ".join(f"{scale:g}" for scale in recipe.scales_px),
+        excluded=recipe.excluded,
         max_per_die=per_die,
         max_per_mm2=per_mm2,
     )
@@ -76,6 +79,7 @@ def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
         product=form.product.strip(),
         golden=form.golden if form.compare == GOLDEN else "",
         scales_px=_scales(form.scales_px),
+        excluded=form.excluded,
         limits=limits_of(form.max_per_die, form.max_per_mm2),
     )
 

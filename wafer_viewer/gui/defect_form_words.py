@@ -75,10 +75,24 @@ def more(form: DefectForm, unfolded: bool) -> str:
     told = (
         form.evidence,
         f"scales {form.scales_px} px",
+        *((areas(form),) if form.excluded else ()),
         f"dies: {form.dies[0].lower()}{form.dies[1:]}",
         f"at most {' and '.join(limits)}" if limits else "no limits",
     )
     return f'<div class="wv-lab" style="margin:2px 0 6px">{html.safe("; ".join(told))} · {link}</div>'
+
+
+def left_out(form: DefectForm) -> str:
+    """That line of the form, with its way to change it."""
+    link = f'<span class="wv-link" {html.pick("defect-excluded")}>Areas…</span>'
+    told = areas(form)
+    return f'<div class="wv-lab" style="margin:2px 0 6px">{told[0].upper()}{told[1:]} · {link}</div>'
+
+
+def areas(form: DefectForm) -> str:
+    """How much of every die is left out."""
+    n = len(form.excluded)
+    return f"{n} {'area' if n == 1 else 'areas'} of every die left out" if n else "the whole die is searched"
 
 
 def _a_mm2(text: str) -> str:

@@ -14,11 +14,13 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_dialogs import ERRANDS, recipes_dialog
 from wafer_viewer.gui.defect_form import InspectionForm
+from wafer_viewer.gui.defect_items import chosen_defect
 from wafer_viewer.gui.defect_limits_text import verdict
 from wafer_viewer.gui.defect_listing import SORTS
 from wafer_viewer.gui.defect_other import OtherSection
 from wafer_viewer.gui.defect_pareto import chart_of
 from wafer_viewer.gui.defect_rows import rows, rows_of, sorting
+from wafer_viewer.gui.excluded_dialog import STAYS, ExcludedDialog, place_of
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kept_places import Box
 from wafer_viewer.gui.kit import Cell, set_prop
@@ -30,6 +32,7 @@ from wafer_viewer.gui.review_words import filters
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.thumbnails import Thumbnails, framed, thumbnail
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.state import Snapshot
 
@@ -56,6 +59,7 @@ class DefectSection:
             self._list = Cell(page.gui)
         page.on_pick("defect-form", lambda _: self.unfold())
         page.on_pick("defect-errand", self._run)
+        page.on_pick("defect-excluded", lambda key: self._leave_out(here=key == "here"))
         page.on_pick("defect-sort", lambda sort: self._list_by(sort=sort))
 
     def show(self, snapshot: Snapshot, view: View) -> None:
@@ -85,6 +89,8 @@ class DefectSection:
             no_defects,
             Command("Search for defects…", None, self.unfold, icon.SEARCH, group="Review"),
             Command("Save the recipe for defects…", None, self.form.save, icon.DEVICE_FLOPPY, group="Review"),
+            Command("Areas left out of the search…", None, self._leave_out, icon.CROP, group="Review"),
+            Command("Leave this place out…", None, lambda: self._leave_out(here=True), icon.CROP, group="Review"),
             Command("Recipes for defects…", None, lambda: recipes_dialog(self._page), icon.LIST, group="Review"),
             *(
                 Command(errand.name, None, lambda k=key: self._run(k), errand.icon, group="Review")
@@ -111,6 +117,18 @@ class DefectSection:
         """Ask for one of the errands in its dialog."""
         asked = ERRANDS[errand]
         guarded(self._page, asked.failed)(asked.ask)(self._page)
+
+    def _leave_out(self, *, here: bool = False) -> None:
+        """Ask for areas of every die to be left out, `here`: that of the defect under review too; the form shows them,
+        with the button that inspects again."""
+        page = self._page
+        proposed = place_of(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
+
+        def keep(areas: tuple[Region, ...]) -> None:
+            self._unfolded = True
+            self.form.exclude(areas)
+
+        guarded(page, STAYS)(ExcludedDialog)(page, self.form.excluded, keep, proposed)
 
     def _list_by(self, **changes: Any) -> None:
         self._page.change(defects=replace(self._page.view.defects, **changes))
@@ -156,7 +174,8 @@ class DefectSection:
 def _errands() -> str:
     """What is done with the defects as a whole."""
     links = (f'<span class="wv-link" {html.pick("defect-errand", key)}>{e.short}</span>' for key, e in ERRANDS.items())
-    return f'<div class="wv-legend" style="margin:2px 0 6px">{"".join(links)}</div>'
+    areas = f'<span class="wv-link" {html.pick("defect-excluded", "here")}>Leave out…</span>'
+    return f'<div class="wv-legend" style="margin:2px 0 6px">{"".join(links)}{areas}</div>'
 
 
 def _why_not(snapshot: Snapshot) -> str:
