@@ -36,7 +36,7 @@ def gathered(u: Floats, v: Floats, z_um: Floats, clear: Floats, peaks: dict[str,
 
 
 def shaped(whole: Gathered) -> DefectShape:
-    height_um, inside = height_of(whole)
+    height_um, inside = height_of(whole, 1.0)
     outline = outline_of(whole.x_um[inside], whole.y_um[inside], 1.0)
     return shape_of(whole, inside, outline, height_um, CELLS, DefectRecipe(), True)
 
@@ -73,6 +73,19 @@ def test_a_groove_whose_heights_are_blurred_wide_is_a_scratch_by_its_picture():
     assert shape.major_um / shape.minor_um < 2.5
     assert shape.ratio == pytest.approx(8.0, rel=0.1)
     assert classify(shape).kind == "scratch"
+
+
+def test_what_the_picture_shows_beside_an_error_of_heights_is_not_lost() -> None:
+    u, v, _ = disc(30.0, 50.0, 6.0)
+    rows, cols = (a.ravel().astype(float) for a in np.mgrid[30:70, 48:51])
+    edge, scratch = np.full(len(u), 1.0), np.full(len(rows), 0.0)
+    z_um, clear = np.concatenate([edge, scratch]), np.concatenate([0 * edge, scratch + 5.0])
+    both = np.concatenate([u, cols]), np.concatenate([v, rows])
+    _, inside = height_of(gathered(*both, z_um, clear, {"height": 6.0, "picture": 9.0}), 1.0)
+    assert inside.all()
+    near = np.concatenate([u, cols - 18]), both[1]
+    _, inside = height_of(gathered(*near, z_um, clear, {"height": 6.0, "picture": 9.0}), 1.0)
+    assert inside.sum() == len(u)
 
 
 def test_the_heights_tell_how_long_it_is_where_they_show_it_more_clearly():

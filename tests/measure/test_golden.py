@@ -56,3 +56,15 @@ def test_a_place_that_only_few_dies_know_is_not_known() -> None:
     found = golden(with_heights(of, z_um))
     assert np.isnan(found.z_um[64:76, 64:86]).all()
     assert np.isfinite(found.picture[64:76, 64:86]).all()
+
+
+def test_a_structure_that_begins_at_the_middle_of_the_street_is_not_trusted_on_its_other_side_either() -> None:
+    """There few dies, far off their places, show it, and a robust spread does not tell."""
+    of = made()
+    picture = of.surface.all_in_focus.copy()
+    for rows, cols in cells_of(of):
+        picture[rows, cols.start + 1 : cols.start + 5] = 20
+    lined = dataclasses.replace(of, surface=dataclasses.replace(of.surface, all_in_focus=picture))
+    spread, plain = (golden(one).picture_spread[20:-20] for one in (lined, of))
+    assert float(np.median(spread[:, -1])) > 5 * float(np.median(plain[:, -1]))
+    assert float(np.median(spread[:, 40:-40])) == pytest.approx(float(np.median(plain[:, 40:-40])), rel=0.1)

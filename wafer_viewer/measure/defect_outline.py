@@ -15,8 +15,8 @@ THIN = 3.0
 HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
 """Of the score, and in deviations: where heights show less than both, and stand out of the noise of their place by less
 than so much too, all pixels that differ are the outline."""
-CLEAR_PX = 4
-"""Fewer pixels that stand out in the picture show no shape."""
+CLEAR_PX, APART_PX = 4, 5
+"""Fewer pixels that stand out in the picture show no shape; what lies so far from all others is apart from them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class Outline:
         return math.pi * (3 * (a + b) - math.sqrt((3 * a + b) * (a + 3 * b)))
 
 
-def height_of(whole: Gathered) -> tuple[float, Mask]:
+def height_of(whole: Gathered, pixel_um: float) -> tuple[float, Mask]:
     """The signed peak over the reference, and which pixels are over half of it; all where nothing was measured."""
     known = np.isfinite(whole.smooth_um)
     if not known.any():
@@ -74,7 +74,21 @@ def height_of(whole: Gathered) -> tuple[float, Mask]:
     if faint and abs(height_um) < HEIGHT_SURE * whole.first.noise_um:
         return height_um, np.ones(len(whole.x_um), bool)
     with np.errstate(invalid="ignore"):
-        return height_um, known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))
+        inside = known & (whole.smooth_um * math.copysign(1, height_um) >= HALF * abs(height_um))
+    return height_um, inside | _seen_elsewhere(whole, inside, APART_PX * pixel_um)
+
+
+def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
+    """What stands out in the picture, where most of it lies apart from the heights: two things that were put together,
+    of which neither shall be lost."""
+    from scipy.spatial import KDTree
+
+    pictured = whole.pictured
+    if pictured is None:
+        return np.zeros(len(inside), bool)
+    heights, seen = (np.stack([whole.x_um[some], whole.y_um[some]], axis=1) for some in (inside, pictured))
+    away_um, _ = KDTree(heights).query(seen)
+    return pictured if np.mean(away_um > apart_um) > HALF else np.zeros(len(inside), bool)
 
 
 def _peak(whole: Gathered, values: Floats) -> float:

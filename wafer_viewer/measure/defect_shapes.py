@@ -35,7 +35,7 @@ def defect_of(
 ) -> Defect:
     """One defect from its pieces; on_dies: the cells are dies."""
     whole = Gathered.of(pieces)
-    height_um, inside = height_of(whole)
+    height_um, inside = height_of(whole, cells.pixel_um)
     outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um * whole.pixels_wide)
     shape = shape_of(whole, inside, outline, height_um, cells, recipe, on_dies)
     found = classify(shape, recipe.rules)

@@ -16,6 +16,7 @@ from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
+from wafer_viewer.numerics.relief import relief
 
 LEAST_DIES = 5
 """Fewer dies have no typical one."""
@@ -40,6 +41,8 @@ FLOOR = 0.7
 """Of the usual spread: no place is taken to be steadier."""
 EDGE_OFF_PX, EDGE_BLUR = 0.04, 0.12
 """How far off a registered die may still lie, and how much of a bend is lost between pixels (k = 1)."""
+MOST_OFF = 3.0
+"""In deviations: further off its place hardly a die lies."""
 Cell = tuple[Plane, Plane]
 
 
@@ -105,8 +108,11 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
             typical(stack, least, layers[2 * k][block], layers[2 * k + 1][block])
     as_pooled = ((LEAST_HEIGHT_UM, POWERS[0]), (LEAST_CONTRAST, POWERS[1]))
     steady = (steadied(layers[2 * k + 1], len(poses), *how) for k, how in enumerate(as_pooled))
-    spreads = (_with_edges(spread, layers[2 * k]) for k, spread in enumerate(steady))
     shifts = {place: pose.shift for place, pose in poses.items()}
+    reach_px = _reach_px(np.array(list(shifts.values()), np.float32))
+    spreads = (
+        _with_border(_with_edges(spread, layers[2 * k]), layers[2 * k], reach_px) for k, spread in enumerate(steady)
+    )
     return Golden(layers[0], next(spreads), layers[2], next(spreads), len(poses), shifts)
 
 
@@ -205,6 +211,20 @@ def _with_edges(spread: Plane, middle: Plane) -> Plane:
     bend = np.abs(np.gradient(down, axis=0)) + np.abs(np.gradient(right, axis=1))
     edge = EDGE_OFF_PX * np.hypot(down, right) + EDGE_BLUR * bend
     return np.hypot(spread, maximum_filter(np.nan_to_num(edge), 5)).astype(np.float32)
+
+
+def _reach_px(shifts: NDArray[np.float32]) -> int:
+    """How far into a cell its neighbours reach where dies lie off their places, and one pixel more."""
+    return min(REACH_PX, 1 + math.ceil(MOST_OFF * robust_sigma(shifts)))
+
+
+def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
+    """At the border of a cell what is seen is its neighbour's, which lies off its own place: a structure that crosses
+    the middle of the street is longer or shorter there, on few dies so much that a robust spread does not tell."""
+    inner = slice(reach_px, -reach_px), slice(reach_px, -reach_px)
+    out = np.fmax(spread, relief(middle, 2 * reach_px + 1) - spread)
+    out[inner] = spread[inner]
+    return out
 
 
 def robust_sigma(values: NDArray[np.float32]) -> float:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import Plane
 from wafer_viewer.measure.golden import Golden
+from wafer_viewer.numerics.relief import relief
 
 PLAIN_TO = 4.0
 """In usual spreads: plain ground rises and falls by so much at most."""
@@ -20,7 +21,7 @@ Kinds = NDArray[np.uint8]
 def kinds_of(golden: Golden) -> Kinds:
     """The kind of ground of every pixel of a cell."""
     layers = (golden.picture, golden.picture_spread), (golden.z_um, golden.z_spread_um)
-    patterned, walled = (_relief(layer) > PLAIN_TO * _usual(spread) for layer, spread in layers)
+    patterned, walled = (relief(layer, AROUND_PX) > PLAIN_TO * _usual(spread) for layer, spread in layers)
     return np.select([walled, patterned, np.isnan(golden.z_um)], [3, 2, 1], 0).astype(np.uint8)
 
 
@@ -28,16 +29,6 @@ def coarser(kinds: Kinds, side: int) -> Kinds:
     """Of squares of `side` pixels, the most uneven of these; what is left over at the end is left out."""
     rows, cols = (n // side for n in kinds.shape)
     return kinds[: rows * side, : cols * side].reshape(rows, side, cols, side).max(axis=(1, 3)) if side > 1 else kinds
-
-
-def _relief(layer: Plane) -> Plane:
-    """How far the layer rises and falls round each pixel, as far as it is known."""
-    from scipy.ndimage import maximum_filter, minimum_filter
-
-    known = np.isfinite(layer)
-    high = maximum_filter(np.where(known, layer, np.float32(-np.inf)), AROUND_PX)
-    low = minimum_filter(np.where(known, layer, np.float32(np.inf)), AROUND_PX)
-    return np.where(high >= low, high - low, np.float32(0))
 
 
 def _usual(spread: Plane) -> float:
