@@ -81,10 +81,12 @@ def test_what_the_picture_shows_beside_an_error_of_heights_is_not_lost() -> None
     edge, scratch = np.full(len(u), 1.0), np.full(len(rows), 0.0)
     z_um, clear = np.concatenate([edge, scratch]), np.concatenate([0 * edge, scratch + 5.0])
     both = np.concatenate([u, cols]), np.concatenate([v, rows])
-    _, inside = height_of(gathered(*both, z_um, clear, {"height": 6.0, "picture": 9.0}), 1.0)
+    _, inside = height_of(gathered(*both, z_um, clear, {"height": 6.0, "sharp": 9.0}), 1.0)
     assert inside.all()
     near = np.concatenate([u, cols - 18]), both[1]
-    _, inside = height_of(gathered(*near, z_um, clear, {"height": 6.0, "picture": 9.0}), 1.0)
+    _, inside = height_of(gathered(*near, z_um, clear, {"height": 6.0, "sharp": 9.0}), 1.0)
+    assert inside.sum() == len(u)
+    _, inside = height_of(gathered(*both, z_um, clear, {"height": 6.0, "sharp": 4.0}), 1.0)
     assert inside.sum() == len(u)
 
 

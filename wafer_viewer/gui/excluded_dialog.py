@@ -16,7 +16,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 
 Areas = tuple[Region, ...]
-STAYS = "The areas stay"
+STAYS, CORNER = "The areas stay", "corner of a new one, from that of the die; 0 in all: none"
 NOWHERE = (0.0, 0.0)
 ROOM = 0.25
 """Round a defect, of its size: that of the next die differs a little."""
@@ -37,8 +37,8 @@ class ExcludedDialog:
         dialog = Dialog(page, "Areas left out", BELOW)
         with dialog.modal:
             self._table = Cell(page.gui, area_table(self._areas))
-            self._start = page.gui.add_vector2("From, µm", NOWHERE, step=0.5)
-            self._end = page.gui.add_vector2("To, µm", NOWHERE, step=0.5)
+            self._start = page.gui.add_vector2("From, µm", NOWHERE, step=0.5, hint=f"Lower left {CORNER}")
+            self._end = page.gui.add_vector2("To, µm", NOWHERE, step=0.5, hint=f"Upper right {CORNER}")
         page.on_pick("defect-area-change", lambda key: self._change(int(key)))
         page.on_pick("defect-area-away", lambda key: self._take_away(int(key)))
         dialog.answers("Keep", viser.Icon.CHECK, lambda: keep((*self._areas, *self._typed())), STAYS)

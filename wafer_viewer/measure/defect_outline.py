@@ -8,9 +8,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from wafer_viewer.measure.defect_filters import SHARP, SOFT
 from wafer_viewer.measure.defect_pieces import Floats, Mask, Piece, Pixels
 
-HALF = 0.5
+HALF, PICTURE_SURE = 0.5, 5.5
+"""In deviations: what stands out in the picture less may be its noise."""
 THIN = 3.0
 HEIGHT_SHARE, HEIGHT_SURE = 0.4, 4.5
 """Of the score, and in deviations: where heights show less than both, and stand out of the noise of their place by less
@@ -84,7 +86,7 @@ def _seen_elsewhere(whole: Gathered, inside: Mask, apart_um: float) -> Mask:
     from scipy.spatial import KDTree
 
     pictured = whole.pictured
-    if pictured is None:
+    if pictured is None or max(whole.peaks.get(layer, 0.0) for layer in (SHARP, SOFT)) < PICTURE_SURE:
         return np.zeros(len(inside), bool)
     heights, seen = (np.stack([whole.x_um[some], whole.y_um[some]], axis=1) for some in (inside, pictured))
     away_um, _ = KDTree(heights).query(seen)

@@ -222,7 +222,7 @@ def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
     """At the border of a cell what is seen is its neighbour's, which lies off its own place: a structure that crosses
     the middle of the street is longer or shorter there, on few dies so much that a robust spread does not tell."""
     inner = slice(reach_px, -reach_px), slice(reach_px, -reach_px)
-    out = np.fmax(spread, relief(middle, 2 * reach_px + 1) - spread)
+    out = np.fmax(spread, relief(middle, 2 * reach_px + 1, repeats=True) - spread)
     out[inner] = spread[inner]
     return out
 
