@@ -85,6 +85,21 @@ def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.
     assert "not clean" in verdict["why"][0]
 
 
+def test_areas_that_a_recipe_names_are_left_out_and_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    recipe = tmp_path / "areas.toml"
+    call = ["measure", "defects", str(folder / "bumped.npz"), *GIVEN, "--sensitivity", "0.2"]
+    main(call)
+    worst = json.loads(capsys.readouterr().out)["inspection"]["defects"][0]
+    at = ", ".join(f"[{worst['in_die'][0] + off}, {worst['in_die'][1] + off}]" for off in (-36, 36))
+    recipe.write_text(f'[[excluded]]\nkind = "rectangle"\npoints = [{at}]')
+    main([*call, "--recipe", str(recipe)])
+    found = json.loads(capsys.readouterr().out)["inspection"]
+    assert all(defect["center"] != pytest.approx(AT_UM, abs=30.0) for defect in found["defects"])
+    assert any(note.startswith("Left out of every die, as the recipe asks: 1 area") for note in found["notes"])
+
+
 @pytest.mark.parametrize(
     ("flags", "sentence"),
     [
