@@ -120,7 +120,7 @@ def _facts(inspection: Inspection) -> list[str]:
     words = {True: "SIMULATED · ", False: ""}[inspection.simulated]
     return [
         f"{words}{found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",
-        f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false: "
+        f"Over {number(inspection.threshold_sigma, 1)} times the noise; expected to be false by noise alone: "
         f"{per_mm2(inspection.expected_false_per_mm2)}",
         *inspection.notes,
     ]
