@@ -36,6 +36,7 @@ def test_each_is_listed_with_its_extent_and_a_way_to_search_there_again():
     assert "10.0 – 30.0" in table
     assert "52.0 – 68.0" in table
     assert table.count('data-pick="defect-area-away"') == 2
+    assert table.count('data-pick="defect-area-change"') == 1
 
 
 def test_the_place_of_a_defect_lies_round_it_counted_from_its_die():

@@ -27,7 +27,9 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     if inspection is None or expected is None:
         return f"{above} How many of them are false is said after the first inspection."
     here, wafer = _about(expected * inspection.inspected_mm2), _about(expected * WAFER_MM2)
-    return f"{above} Expected to be false by noise alone: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
+    return (
+        f"{above} Expected to be false by noise alone: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
+    )
 
 
 def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, inspected: bool) -> str:

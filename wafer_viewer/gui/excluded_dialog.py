@@ -81,13 +81,12 @@ def area_table(areas: Areas) -> str:
 
 
 def _row(k: int, area: Region) -> str:
+    """Corners can be typed of rectangles alone."""
     x0, y0, x1, y1 = area.bounds_um
+    change, away = ("Change", "change", "Type its corners anew"), ("Remove", "away", "Search there again")
     verbs = " · ".join(
-        f'<span class="wv-link" title="{title}" {html.pick(what, k)}>{verb}</span>'
-        for verb, what, title in (
-            ("Change", "defect-area-change", "Type its corners anew"),
-            ("Remove", "defect-area-away", "Search there again"),
-        )
+        f'<span class="wv-link" title="{title}" {html.pick(f"defect-area-{what}", k)}>{verb}</span>'
+        for verb, what, title in ((change, away) if area.kind == "rectangle" else (away,))
     )
     spans = (f"{number(low, 1)} – {number(high, 1)}" for low, high in ((x0, x1), (y0, y1)))
     return html.row([str(k + 1), *spans, f'<span style="white-space:nowrap">{verbs}</span>'], " nn ")
