@@ -115,7 +115,7 @@ class InspectionForm:
         in_a_row(gui, [save, kept], 30)
 
     def _build_search(self, gui: Any) -> None:
-        self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.025, DefectRecipe().sensitivity, hint=DIAL)
+        self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
         self._expected = Cell(gui)
         self._against = gui.add_dropdown("Compare", AGAINST, hint="A surface of one die has no others")
         self._golden = Cell(gui)

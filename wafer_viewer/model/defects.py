@@ -40,7 +40,7 @@ class DefectRecipe(Spec, frozen=True, kw_only=True):
     error: ClassVar[type[WaferViewerError]] = MeasureError
     name: str = "standard"
     product: str = ""
-    sensitivity: Fraction = 0.375
+    sensitivity: Fraction = 0.4
     scales_px: tuple[NonNegative, ...] = (0.0, 1.5, 4.0, 10.0)
     min_area_px: Count = 4
     evidence: Evidence = "both"
