@@ -16,7 +16,7 @@ from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
-from wafer_viewer.numerics.relief import relief
+from wafer_viewer.numerics.filters import relief
 
 LEAST_DIES = 5
 """Fewer dies have no typical one."""
@@ -222,7 +222,7 @@ def _with_border(spread: Plane, middle: Plane, reach_px: int) -> Plane:
     """At the border of a cell what is seen is its neighbour's, which lies off its own place: a structure that crosses
     the middle of the street is longer or shorter there, on few dies so much that a robust spread does not tell."""
     inner = slice(reach_px, -reach_px), slice(reach_px, -reach_px)
-    out = np.fmax(spread, relief(middle, 2 * reach_px + 1, repeats=True) - spread)
+    out = np.fmax(spread, relief(np.pad(middle, reach_px, "wrap"), 2 * reach_px + 1)[inner] - spread)
     out[inner] = spread[inner]
     return out
 

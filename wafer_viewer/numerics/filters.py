@@ -25,6 +25,14 @@ def lowest(plane: Plane, size: int) -> Plane:
     return _as(plane, minimum_filter(plane, size, mode="nearest"))
 
 
+def relief(plane: Floats, size: int) -> Floats:
+    """Highest less lowest of what is known of size x size pixels, 0 where nothing is."""
+    known = np.isfinite(plane)
+    high = highest(np.where(known, plane, np.float32(-np.inf)), size)
+    low = lowest(np.where(known, plane, np.float32(np.inf)), size)
+    return np.where(high >= low, high - low, np.float32(0))
+
+
 def mean(plane: NDArray[Any], size: int) -> Floats:
     """The mean of size x size pixels."""
     from scipy.ndimage import uniform_filter
