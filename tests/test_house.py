@@ -14,8 +14,8 @@ ROOMS = sorted(p.name for p in (ROOT / "wafer_viewer").iterdir() if (p / "__init
 
 
 @pytest.mark.parametrize("module", MODULES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_a_file_has_one_subject_and_fits_in_the_head(module):
-    assert len(module.read_text().splitlines()) <= 300
+def test_a_file_has_one_subject(module):
+    assert len(module.read_text().splitlines()) <= 600
 
 
 @pytest.mark.parametrize("room", ROOMS)
