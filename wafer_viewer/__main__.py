@@ -47,6 +47,7 @@ COMMANDS: dict[str, str] = {
     "check": "test every checksum of a dataset and name missing frames",
     "cluster": "make what several machines need to work together",
     "convert": "write a surface in another format",
+    "glossary": "what the words of this program mean",
     "doctor": "what this machine has and lacks, and the line that mends it",
 }
 FUNCTIONS = {"import": "import_", "measure site-range": "measure_site_range"}

@@ -19,6 +19,7 @@ from wafer_viewer.arguments import (
     Sources,
     Text,
     Um,
+    Word,
     require_sources,
 )
 from wafer_viewer.command_output import (
@@ -231,6 +232,24 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
     from wafer_viewer.session.doctor import examine
 
     return print_checks(examine(_config(rig), data.expanduser()))
+
+
+def glossary(word: Word = "") -> int:
+    """Print what the words of this program mean; status 1 when it does not know the word.
+
+    Args:
+        word: Only the terms that contain this; all without it.
+    """
+    from wafer_viewer.model.glossary import find_terms
+
+    found = find_terms(word)
+    width = max((len(term.word) for term in found), default=0)
+    for term in found:
+        source = f" [{term.source}]" if term.source else ""
+        print(f"{term.word:<{width}}  {term.meaning}{source}")
+    if not found:
+        warn(f"The glossary has no term with '{word}': wafer-viewer glossary lists all of them.")
+    return int(not found)
 
 
 def _config(rig: Path | None) -> RigConfig:

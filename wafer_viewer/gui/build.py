@@ -24,7 +24,7 @@ from wafer_viewer.gui.hands import HandsOff, Question
 from wafer_viewer.gui.header import Header, possible
 from wafer_viewer.gui.hints import add_hints, add_titles
 from wafer_viewer.gui.keys import Parts, commands_of
-from wafer_viewer.gui.keys_sheet import add_keys_sheet
+from wafer_viewer.gui.keys_sheet import add_keys_sheet, glossary_command
 from wafer_viewer.gui.kit import Cell, always_there
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.left import LeftPanel
@@ -192,7 +192,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
 def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
     """Keys, palette, the sheet of keys, and what fields and buttons say of themselves."""
     views, picture = SavedViews(page, scene), PrintPicture(page, scene)
-    commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts]
+    commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts, glossary_command(page)]
     palette = Palette(page, [*commands, add_keys_sheet(page, commands)], views.going)
     add_titles(page, commands)
     add_hints(page.gui)

@@ -12,6 +12,7 @@ from wafer_viewer.gui.commands import Command, Group
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
+from wafer_viewer.model.glossary import Subject, terms_of
 
 BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
@@ -44,6 +45,31 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
     page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
     page.gui.add_html(f'<div hidden><span class="wv-keys-sheet" {html.pick("keys")}></span></div>')
     return Command("Keys", None, show, group="Page")
+
+
+def glossary_html() -> str:
+    """Every term of the glossary, by subject."""
+
+    def subject_html(subject: Subject) -> str:
+        rows = "".join(
+            f"<dt>{html.safe(term.word)}</dt><dd>{html.safe(term.meaning)} <small>{html.safe(term.source)}</small></dd>"
+            for term in terms_of(subject)
+        )
+        return f"<section><b>{html.safe(subject)}</b><dl>{rows}</dl></section>"
+
+    return f'<div class="wv-sheet wv-glossary"><div>{"".join(map(subject_html, get_args(Subject)))}</div></div>'
+
+
+def glossary_command(page: Page) -> Command:
+    """The command that shows the glossary."""
+
+    def show() -> None:
+        dialog = Dialog(page, "Glossary", "The words of this page, of the command line and of reports.")
+        with dialog.modal:
+            Cell(page.gui, glossary_html())
+        dialog.way_out("Close")
+
+    return Command("Glossary", None, show, group="Page")
 
 
 def _rows(group: Group, commands: Sequence[Command]) -> list[tuple[str, str]]:
