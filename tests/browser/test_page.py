@@ -174,6 +174,18 @@ def test_what_went_wrong_stands_until_it_is_dealt_with(serve: Serve, tmp_path):
     expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
 
 
+def test_clicks_closer_together_than_viser_sends_are_all_heard(serve: Serve):
+    now = fake.at_fault()
+    twins = tuple(dataclasses.replace(now.faults[0], id=f"f{k}", title=f"Fault {k}") for k in range(4))
+    session = fake.FakeSession(dataclasses.replace(now, faults=twins))
+    page = serve(session)
+    links = page.locator("[data-pick=dismiss]")
+    expect(links).to_have_count(4)
+    links.evaluate_all("links => links.forEach(link => link.click())")
+    eventually(lambda: verbs(session).count("dismiss") == 4, "every note was dismissed")
+    assert {args[0] for name, args, _ in session.asked if name == "dismiss"} == {"f0", "f1", "f2", "f3"}
+
+
 def test_an_unforeseen_error_is_told_and_the_page_goes_on(serve: Serve):
     session = fake.FakeSession(fake.planned())
     session.fails_with = ZeroDivisionError("division by zero")

@@ -6,6 +6,7 @@ Everything here returns HTML text. What comes from people or files goes through 
 from __future__ import annotations
 
 import html
+import json
 import re
 from collections.abc import Iterable, Sequence
 from typing import Any, Literal
@@ -13,6 +14,8 @@ from typing import Any, Literal
 from wafer_viewer.gui.icons import svg
 
 Tone = Literal["good", "attention", "fault", "busy"]
+PICKS_HELD_MS = 2000
+"""So long a pick is reported again with those that follow it."""
 
 
 def safe(text: object) -> str:
@@ -30,14 +33,28 @@ def icon(name: Any, size_px: int = 16) -> str:
     return f'<span class="wv-i" style="width:{size_px}px;height:{size_px}px">{svg(name)}</span>'
 
 
-def pick_script(what: str) -> str:
-    """The handler that tells the page, through its one hidden text field, which element with ``data-k`` was chosen."""
+def pick_script(what: str, latest_only: bool = False) -> str:
+    """The handler that reports the element with ``data-k`` through the page's hidden text field.
+
+    viser sends only the last of several changes within 50 ms: the field holds all picks of the last two seconds, each
+    with its number, so that none is lost. latest_only: of a slider, a new value replaces those before it.
+    """
+    stale = f"||p[1]==='{what}'" if latest_only else ""
     return (
-        "event.stopPropagation();const i=document.querySelector('div:has(>.wv-picks)+div input');"
+        "event.stopPropagation();const t=performance.now();window.wvPicks=(window.wvPicks||[])"
+        f".filter(p=>!(t-p[3]>{PICKS_HELD_MS}{stale}));"
+        "window.wvPickNumber=(window.wvPickNumber||0)+1;"
+        f"window.wvPicks.push([window.wvPickNumber,'{what}',this.dataset.k,t]);"
+        "const i=document.querySelector('div:has(>.wv-picks)+div input');"
         "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set"
-        f".call(i,'{what}|'+this.dataset.k+'|'+performance.now());"
+        ".call(i,JSON.stringify(window.wvPicks));"
         "i.dispatchEvent(new Event('input',{bubbles:true}))"
     )
+
+
+def read_picks(text: str, after: int) -> list[tuple[int, str, str]]:
+    """Return number, subject and key of the picks that `pick_script` reported after number `after`, oldest first."""
+    return [(number, what, key) for number, what, key, _ in json.loads(text) if number > after]
 
 
 def pick(what: str, key: object = "") -> str:

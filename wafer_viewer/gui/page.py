@@ -15,7 +15,7 @@ import viser
 from wafer_viewer.gui import memory
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.guard import guarded, tell_failure
-from wafer_viewer.gui.html import Tone, icon, micro, note, pick, safe
+from wafer_viewer.gui.html import Tone, icon, micro, note, pick, read_picks, safe
 from wafer_viewer.gui.memory import Remembered, Self
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
@@ -62,6 +62,7 @@ class Page:
         self.has_overlaps = False
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
+        self._last_pick = 0
         self._at_close: list[Callable[[], None]] = []
         self._told: dict[str, viser.NotificationHandle | None] = {
             fault.id: None for fault in session.snapshot.faults if not fault.needs_person
@@ -202,10 +203,14 @@ class Page:
         )
 
     def _picked(self, event: Any) -> None:
-        what, _, rest = event.target.value.partition("|")
-        key = rest.rpartition("|")[0]
-        if event.client is not None and what in self._picks:
-            guarded(self, "That click came to nothing")(self._picks[what])(key)
+        if event.client is None:
+            return
+        with self._lock:
+            news = read_picks(event.target.value, self._last_pick)
+            self._last_pick = max((number for number, _, _ in news), default=self._last_pick)
+        for _, what, key in news:
+            if what in self._picks:
+                guarded(self, "That click came to nothing")(self._picks[what])(key)
 
     # --- drawing
 

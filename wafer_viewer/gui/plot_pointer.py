@@ -38,7 +38,7 @@ def zoom_area() -> str:
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
     """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
-    tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR)
+    tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR, latest_only=True)
     return "".join(
         f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
         f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '

@@ -102,7 +102,7 @@ def _slider(curve: FocusCurve) -> str:
     """The line through the curve: a slider over z as large as the plot, so that it can be taken hold of anywhere."""
     low, high = curve.z_um[0], curve.z_um[-1]
     step = (high - low) / (len(curve.z_um) - 1) * (1 - 1e-9)  # or the last frame would lie beyond the last step
-    tell = html.safe(f"this.dataset.k=this.value;{html.pick_script('why-frame')}")
+    tell = html.safe(f"this.dataset.k=this.value;{html.pick_script('why-frame', latest_only=True)}")
     hold = "if(event.key.startsWith('Arrow'))event.stopPropagation()"  # or the camera would move too
     return (
         f'<input type="range" class="wv-scrub" aria-label="Frame at z, µm" min="{low!r}" max="{high!r}" '
