@@ -1,14 +1,20 @@
 #!/usr/bin/env bash
 # Every check of the project, with all its own set-up.
 #
-#   bash tests/run.sh          everything: lint, types, layers, tests, browser tests, benchmarks' quick runs
+#   bash tests/run.sh          lint, types, layers and all tests, those in the browser too
 #   bash tests/run.sh fast     lint, types, layers and the fast tests: under two minutes once set up
+#   bash tests/run.sh bench    the quick run of every benchmark
 #   bash tests/run.sh setup    only the set-up
 #
 # The virtual environment is .venv in the checkout; WAFER_VIEWER_VENV names another.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 what="${1:-all}"
+case "$what" in all | fast | bench | setup) ;; *)
+  echo "There is no part '$what': choose all, fast, bench or setup." >&2
+  exit 2
+  ;;
+esac
 venv="${WAFER_VIEWER_VENV:-$PWD/.venv}"
 missing=()
 took=()
@@ -119,7 +125,7 @@ step "Set-up: system packages" install_system_packages
 step "Set-up: kernels" compile_kernels
 bin="$venv/bin"
 export PATH="$bin:$PATH"
-if [ "$what" != setup ]; then
+if [ "$what" = all ] || [ "$what" = fast ]; then
   step "Lint" "$bin/ruff" check --quiet .
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
@@ -128,10 +134,10 @@ if [ "$what" != setup ]; then
   step "Types, begun beside the fast tests" end_types
 fi
 if [ "$what" = all ]; then
-  step "Benchmarks, quick runs" quick_benchmarks
   step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "slow and not browser and not hardware"
   step "Browser tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "not hardware" tests/browser
 fi
+if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
 if [ ${#missing[@]} -gt 0 ]; then
   echo "Could not install: ${missing[*]}. What needs it was reported as skipped or failed above." >&2
 fi

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import Locator, Page, TimeoutError, expect
 
 from wafer_viewer.session.state import Fault
 
 HAND_MS = 80
+ANSWER_MS = 2000
 
 
 def text_field(page: Page, label: str) -> Locator:
@@ -58,6 +60,21 @@ def go_to(page: Page, step: str) -> None:
 def title_is(page: Page, title: str | re.Pattern[str]) -> None:
     """Wait for the title of the panel in sight."""
     expect(page.locator(".wv-title > span:first-child").first).to_have_text(title)
+
+
+def click_the_surface(page: Page, right_px: float = 0.0, down_px: float = 0.0) -> None:
+    """Click beside the middle of the scene until the read-out answers: a click before the first tile hits nothing."""
+    scene, read_out = page.locator("canvas").first, page.locator(".wv-read")
+
+    def answered() -> bool:
+        box = scene.bounding_box()
+        assert box is not None
+        page.mouse.click(box["x"] + box["width"] / 2 + right_px, box["y"] + box["height"] / 2 + down_px)
+        with suppress(TimeoutError):
+            read_out.wait_for(timeout=ANSWER_MS)
+        return read_out.is_visible()
+
+    eventually(answered, "the surface was hit")
 
 
 def eventually(holds: Callable[[], bool], what: str, within_s: float = 30.0) -> None:

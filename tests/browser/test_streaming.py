@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from tests.bench.big_mosaic import RESULT, big_dataset
 from tests.browser.fake_session import FakeSession
 from tests.browser.slow_line import SlowLine
-from tests.browser.steps import eventually, go_to
+from tests.browser.steps import click_the_surface, eventually, go_to
 from tests.gui.stand_in import grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.gui import tiles
 from wafer_viewer.gui.app import start
@@ -124,12 +124,6 @@ def zoom(page: Page, notches: int) -> None:
         page.mouse.wheel(0, -300)
 
 
-def click(page: Page, right_px: float = 0.0) -> None:
-    box = page.locator("canvas").first.bounding_box()
-    assert box is not None
-    page.mouse.click(box["x"] + box["width"] / 2 + right_px, box["y"] + box["height"] / 2)
-
-
 def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     address: str, sent: Sent, look_at: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
 ):
@@ -148,7 +142,7 @@ def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     eventually(lambda: sent.n_bytes - whole > held, "it goes on", SETTLED_S)
     at_rest(page, sent)
     assert held <= HELD_BYTES + A_TILE_BYTES < sent.n_bytes - whole
-    click(page)
+    click_the_surface(page)
     expect(page.locator(".wv-read")).to_contain_text("confidence")
 
 
@@ -162,7 +156,7 @@ def test_over_a_slow_line_coarse_tiles_come_first_and_clicks_are_answered_betwee
     first_bytes = sent.n_bytes
     for _ in range(3):
         zoom(page, 3)
-        click(page, 40.0)
+        click_the_surface(page, 40.0)
         expect(page.locator(".wv-read")).to_contain_text("confidence")
         assert sent.n_bytes - (line.passed - passed) < MOST_BYTES
     assert first_bytes < TWO_MBIT * 2
@@ -179,6 +173,6 @@ def test_a_page_reloaded_while_tiles_come_is_drawn_anew(address: str, sent: Sent
     expect(page.locator(".wv-title").first).to_have_text("Surface")
     eventually(lambda: sent.n_tiles > drawn, "tiles come again", SETTLED_S)
     at_rest(page, sent)
-    click(page)
+    click_the_surface(page)
     expect(page.locator(".wv-read")).to_contain_text("confidence")
     expect(page.locator(".wv-note.fault")).to_have_count(0)

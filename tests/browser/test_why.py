@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.seen_session import SeenSession, a_focus_curve
-from tests.browser.steps import eventually, go_to, title_is
+from tests.browser.steps import click_the_surface, eventually, go_to, title_is
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.surface import Origin
@@ -55,19 +55,6 @@ def scene(page: Page) -> Locator:
 def height_px(page: Page) -> float:
     box = scene(page).bounding_box()
     return box["height"] if box else 0.0
-
-
-def click_the_surface(page: Page, dx: float = 0.0, dy: float = 0.0) -> None:
-    """Click until it is answered: what is drawn may still be on its way to the screen."""
-
-    def answered() -> bool:
-        box = scene(page).bounding_box()
-        if box is not None:
-            page.mouse.click(box["x"] + box["width"] / 2 + dx, box["y"] + box["height"] / 2 + dy)
-        page.wait_for_timeout(500)
-        return page.locator(".wv-read").count() > 0
-
-    eventually(answered, "the surface was hit")
 
 
 def test_a_click_explains_a_pixel_and_another_click_the_next(page: Page, session: SeenSession):
