@@ -131,7 +131,7 @@ def scan(
         require_go(checks, confirmed=yes)
 
     with _opened(rig) as device, progress("Scan") as tell:
-        ended = scan_to(out, job, device, tell, ready)
+        ended = scan_to(out, job, device, tell, ready, warn)
     if ended.error is not None:
         raise RigError(ended.error)
     print(f"{out}: {ended.words}")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.acquire.reconcile import Reconciler, Timing
+from wafer_viewer.acquire.reconcile import DeviceClock, Reconciler, Timing
 from wafer_viewer.model.devices import CameraImage, Pulse
 from wafer_viewer.model.plan import Leg, PulseTrain, Shot
 from wafer_viewer.model.stack import FrameStatus
@@ -46,7 +46,7 @@ def image_of(pulse, offset_us=123_456_789, counter=True, drift=0.0, jitter_us=0,
 
 
 def reconciler(one, offset_us=123_456_789, delay_us=12.0, exposure_us=100.0):
-    return Reconciler(one, LIMITS, Timing(delay_us, exposure_us, offset_us, PERIOD_US / 2))
+    return Reconciler(one, LIMITS, Timing(delay_us, exposure_us, DeviceClock(offset_us), PERIOD_US))
 
 
 def right(frame, one):
@@ -79,7 +79,7 @@ def test_lost_images_mislabel_none_and_are_named(lost, counter, direction, drift
     matching.add([], sent)
     assert len(frames) == N - len(lost)
     assert all(right(f, one) for f in frames)
-    assert {h.shot for h in matching.holes()} == {one.shots[i] for i in lost}
+    assert {h.shot for h in matching.close().holes} == {one.shots[i] for i in lost}
 
 
 @pytest.mark.parametrize("counter", [True, False])
@@ -93,7 +93,7 @@ def test_one_ignored_trigger_in_126_would_mislabel_most_by_order_and_mislabels_n
     assert by_order == 85
     assert len(frames) == 125
     assert all(right(f, one) for f in frames)
-    (hole,) = matching.holes()
+    (hole,) = matching.close().holes
     assert hole.shot == Shot(7, 40)
     assert hole.count == sent[40].count
     assert "no image" in hole.why
@@ -114,7 +114,7 @@ def test_a_pulse_that_was_suppressed_leaves_its_own_slot_empty():
     matching = reconciler(one)
     frames = matching.add([image_of(p) for p in sent], sent)
     assert [f.shot.k for f in frames] == [k for k in range(N) if k != 9]
-    assert [(h.shot.k, h.why) for h in matching.holes()] == [(9, "the pulse box sent no pulse")]
+    assert [(h.shot.k, h.why) for h in matching.close().holes] == [(9, "the pulse box sent no pulse")]
 
 
 def test_a_damaged_image_with_a_stale_counter_takes_no_slot_from_another():
@@ -124,7 +124,7 @@ def test_a_damaged_image_with_a_stale_counter_takes_no_slot_from_another():
     matching = reconciler(one)
     frames = matching.add([image_of(sent[4]), damaged, image_of(sent[6])], sent[:7])
     assert [f.shot.k for f in frames] == [4, 6]
-    assert next(h for h in matching.holes() if h.shot.k == 5).why == "its image came incomplete"
+    assert next(h for h in matching.close().holes if h.shot.k == 5).why == "its image came incomplete"
 
 
 def test_the_same_image_twice_is_one_frame():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.rigs.virtual.camera import Faults
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.port import Interference
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 

@@ -8,7 +8,7 @@ from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.plan import PulseTrain
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import FrameStatus
-from wafer_viewer.rigs.virtual.camera import Faults
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 
 ON_COMMAND = PulseTrain(axis="z", first_count=0, counts_per_frame=100, n_frames=100, direction=1)

@@ -1,4 +1,4 @@
-"""One pass of a scan on a rig: get there, arm, move, and hand on every frame as soon as it is known."""
+"""One pass of a scan on a rig: get there, arm, move, hand on every frame as it is known, judge the whole."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.reconcile import Hole, Reconciler, Timing
+from wafer_viewer.acquire.motion import Deadline, at_um, await_arrival, come_to_rest, device_errors, move
+from wafer_viewer.acquire.reconcile import DeviceClock, Pairing, Reconciler, Timing
 from wafer_viewer.model.devices import CameraImage, PulseSummary, Rig
 from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
 from wafer_viewer.model.plan import Axis, Leg, PulseTrain
@@ -17,16 +18,31 @@ POLL_S = 0.05
 GRACE_S = 0.25
 """How long after the last pulse's exposure and readout an image may still come."""
 SYNC_TRIES = 3
+COUNT_TOLERANCE = 2
+"""By how many counts pulse box and stage may differ at rest: each rounds, and an axis at rest still trembles."""
 NOTHING_SENT = PulseSummary(emitted=0, suppressed=0, quadrature_errors=0, exposures=0)
 
 
 @dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why the frames of a pass cannot be kept, and what to do when that goes on."""
+
+    why: str
+    mend: str
+
+
+@dataclass(frozen=True, slots=True)
 class PassResult:
-    """How a pass went: what the box says, the slots left empty, and the offset of the clocks at its end."""
+    """How a pass went.
+
+    doubts: why none of its frames can be kept; pairing: None where it was stopped on the way to its beginning;
+    count_mended: by how many counts the box was off the stage before the pass, which was put right.
+    """
 
     summary: PulseSummary
-    holes: tuple[Hole, ...]
-    offset_us: float
+    pairing: Pairing | None
+    doubts: tuple[Doubt, ...]
+    count_mended: int
     stopped: bool
 
 
@@ -40,23 +56,29 @@ def rest_afterwards(rig: Rig) -> Generator[None]:
         yield
 
 
-def clock_offset_us(rig: Rig, exposure_us: float) -> float:
-    """Camera time less box time, from a single pulse on command: proves the trigger's way, before anything moves.
+def device_clock(rig: Rig, exposure_us: float, before: DeviceClock | None = None) -> DeviceClock:
+    """The camera's clock against the box's, from a single pulse on command: proves the trigger's way as well.
 
     Raises RigError when no image answers.
     """
     here = rig.limits.z.counts(rig.stage.position().z_um)
     train = PulseTrain(axis="z", first_count=here, counts_per_frame=1, n_frames=1, direction=1)
     for _ in range(SYNC_TRIES):
-        rig.camera.start(exposure_us)
+        with device_errors("camera"):
+            rig.camera.start(exposure_us)
         rig.box.arm(train, on_command=True)
         rig.box.fire()
-        image = rig.camera.next_image(_image_s(rig, exposure_us))
+        with device_errors("camera"):
+            image = rig.camera.next_image(_image_s(rig, exposure_us))
         rig.box.disarm()
         pulses = rig.box.pulses()
-        rig.camera.stop()
+        with device_errors("camera"):
+            rig.camera.stop()
         if image is not None and pulses:
-            return image.device_time_us - pulses[0].time_us
+            offset_us, at_us = image.device_time_us - pulses[0].time_us, pulses[0].time_us
+            if before is None:
+                return DeviceClock(offset_us, at_us)
+            return DeviceClock(offset_us, at_us, before.drift, before.spread_us)
     raise RigError(
         f"The camera gave no image for {SYNC_TRIES} test pulses: check the trigger cable and that the camera waits for "
         "its hardware trigger."
@@ -67,22 +89,23 @@ def run_pass(
     rig: Rig,
     leg: Leg,
     exposure_us: float,
-    offset_us: float,
-    keep: Callable[[Frame], None],
+    clock: DeviceClock,
+    take: Callable[[Frame], None],
     should_stop: Callable[[], bool],
 ) -> PassResult:
-    """Carry out a leg; every frame goes to `keep` while the pass runs, whatever fails later.
+    """Carry out a leg; every frame goes to `take` while the pass runs, and counts only by the result of the pass.
 
-    Raises MissedPulse when the box sent no pulse at all, RigError when no image came at all or a device refuses.
+    Raises MissedPulse when the box sent no pulse at all, RigTimeout when the stage does not arrive in time, RigError
+    when no image came at all or a device refuses.
     """
-    one = _Pass(rig, leg, exposure_us, offset_us, keep, should_stop)
+    one = _Pass(rig, leg, exposure_us, clock, take, should_stop)
     if not one.get_there():
-        return PassResult(NOTHING_SENT, (), offset_us, stopped=True)
-    rig.camera.start(exposure_us)
+        return PassResult(NOTHING_SENT, None, (), count_mended=0, stopped=True)
+    mended = one.mend_count()
+    with device_errors("camera"):
+        rig.camera.start(exposure_us)
     stopped = one.shoot() if leg.speed_um_s == 0 else one.sweep()
-    result = one.finish(stopped)
-    rig.camera.stop()
-    return result
+    return one.finish(stopped, mended)
 
 
 class _Pass:
@@ -91,16 +114,16 @@ class _Pass:
         rig: Rig,
         leg: Leg,
         exposure_us: float,
-        offset_us: float,
-        keep: Callable[[Frame], None],
+        clock: DeviceClock,
+        take: Callable[[Frame], None],
         should_stop: Callable[[], bool],
     ) -> None:
         self._rig = rig
         self._leg = leg
         self._exposure_us = exposure_us
-        self._keep = keep
+        self._take = take
         self._should_stop = should_stop
-        self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, offset_us))
+        self._reconciler = Reconciler(leg, rig.limits, _timing(rig, leg, exposure_us, clock))
 
     def get_there(self) -> bool:
         """Go to where the pass begins; returns whether it was not stopped on the way."""
@@ -108,19 +131,30 @@ class _Pass:
         first_um = self._rig.limits.axis(train.axis).position_um(train.first_count)
         return self._go_to(first_um - self._run_up_um())
 
+    def mend_count(self) -> int:
+        """Set the box's count by the stage's own position where the two differ at rest; returns by how many counts."""
+        off = self._count_error()
+        if abs(off) <= COUNT_TOLERANCE:
+            return 0
+        self._rig.box.correct_count(self._leg.train.axis, off)
+        return off
+
     def sweep(self) -> bool:
         """Move through all pulses at speed; returns whether it was stopped on the way."""
         stage, train, speed = self._rig.stage, self._leg.train, self._leg.speed_um_s
-        last_um = self._rig.limits.axis(train.axis).position_um(train.last_count)
+        end_um = self._rig.limits.axis(train.axis).position_um(train.last_count) + self._run_up_um()
+        deadline = Deadline(self._rig, {train.axis: end_um}, speed)
         self._rig.box.arm(train)
-        stage.start(train.axis, last_um + self._run_up_um(), speed)
-        while stage.moving():
+        with device_errors("stage"):
+            stage.start(train.axis, end_um, speed)
+        while self._moving():
             if self._should_stop():
-                stage.stop()
-                stage.wait()
+                come_to_rest(self._rig)
                 return True
+            if deadline.passed:
+                raise deadline.give_up()
             self._look(POLL_S)
-        return False
+        return not self._arrived(deadline)
 
     def shoot(self) -> bool:
         """Halt and settle at every count of the train and take a frame there; returns whether it was stopped."""
@@ -139,40 +173,74 @@ class _Pass:
             self._look(0.0)
         return False
 
-    def finish(self, stopped: bool) -> PassResult:
-        """Wait for the images under way, end the run, and say what is missing."""
+    def finish(self, stopped: bool, mended: int) -> PassResult:
+        """Wait for the images under way, end the run, and judge it."""
         deadline_s = self._rig.clock.now_s() + _image_s(self._rig, self._exposure_us)
         while not stopped and not self._reconciler.all_paired and self._rig.clock.now_s() < deadline_s:
             self._look(POLL_S)
         summary = self._rig.box.disarm()
         self._pair([])
-        holes = tuple(self._reconciler.holes())
+        with device_errors("camera"):
+            self._rig.camera.stop()
+        pairing = self._reconciler.close()
+        doubts = doubts_of(summary, pairing, self._leg.train.axis, self._slip(), self._rig)
         if not stopped:
-            self._check_anything_came(summary, holes)
-        return PassResult(summary, holes, self._reconciler.offset_us, stopped)
+            self._check_anything_came(summary, pairing)
+        return PassResult(summary, pairing, doubts, mended, stopped)
+
+    def _slip(self) -> int:
+        """By how many counts the box is off the stage after the pass; a second look once the axis has settled."""
+        off = self._count_error()
+        if abs(off) <= COUNT_TOLERANCE:
+            return 0
+        self._wait_until(self._rig.clock.now_s() + self._rig.limits.axis(self._leg.train.axis).settle_s)
+        off = self._count_error()
+        return off if abs(off) > COUNT_TOLERANCE else 0
+
+    def _count_error(self) -> int:
+        """The box's count of the pass' axis less that of the stage's own position; only at rest."""
+        axis = self._leg.train.axis
+        counted = self._rig.box.count(axis)
+        with device_errors("stage"):
+            return counted - self._rig.limits.axis(axis).counts(at_um(self._rig.stage.position(), axis))
 
     def _run_up_um(self) -> float:
         train = self._leg.train
         return train.direction * self._rig.limits.axis(train.axis).run_up_um(self._leg.speed_um_s)
 
-    def _go_to(self, at_um: float) -> bool:
+    def _go_to(self, to_um: float) -> bool:
         """Move along the pass' axis, to the pass in the others; returns whether it was not stopped."""
         leg = self._leg
-        goal: dict[Axis, float] = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um, leg.train.axis: at_um}
+        goal: dict[Axis, float] = {"x": leg.x_um, "y": leg.y_um, "z": leg.z_um, leg.train.axis: to_um}
         try:
-            self._rig.stage.move_to(x_um=goal["x"], y_um=goal["y"], z_um=goal["z"], should_stop=self._should_stop)
+            with device_errors("stage"):
+                move(self._rig, goal, self._should_stop)
         except MotionStopped:
             return False
         return True
 
+    def _arrived(self, deadline: Deadline) -> bool:
+        """Wait for the end of the way; returns whether it was not stopped."""
+        try:
+            with device_errors("stage"):
+                await_arrival(self._rig, deadline, self._should_stop)
+        except MotionStopped:
+            return False
+        return True
+
+    def _moving(self) -> bool:
+        with device_errors("stage"):
+            return self._rig.stage.moving()
+
     def _look(self, timeout_s: float) -> None:
         """Fetch what has come, and beat the heart of the box."""
-        image = self._rig.camera.next_image(timeout_s)
+        with device_errors("camera"):
+            image = self._rig.camera.next_image(timeout_s)
         self._pair([] if image is None else [image])
 
     def _pair(self, images: list[CameraImage]) -> None:
         for frame in self._reconciler.add(images, self._rig.box.pulses()):
-            self._keep(frame)
+            self._take(frame)
 
     def _wait_until(self, time_s: float) -> None:
         self._rig.clock.sleep(max(0.0, time_s - self._rig.clock.now_s()))
@@ -180,25 +248,60 @@ class _Pass:
     def _exposed_s(self) -> float:
         return (self._exposure_us + _delay_us(self._rig)) * 1e-6
 
-    def _check_anything_came(self, summary: PulseSummary, holes: tuple[Hole, ...]) -> None:
+    def _check_anything_came(self, summary: PulseSummary, pairing: Pairing) -> None:
         n, shot = self._leg.train.n_frames, self._leg.shots[0]
         if summary.emitted == 0:
             raise MissedPulse(
                 f"The pulse box sent 0 of {n} pulses in the pass that begins at field {shot.field}: check the cable of "
                 f"the {self._leg.train.axis} scale and its counts per um."
             )
-        if len(holes) == n > 1:
+        if pairing.n_images == 0 and n > 1:
             raise RigError(
                 f"The camera gave 0 images for {summary.emitted} pulses in the pass that begins at field {shot.field}: "
                 "check the trigger cable and that the camera is not in use elsewhere."
             )
 
 
-def _timing(rig: Rig, leg: Leg, exposure_us: float, offset_us: float) -> Timing:
+def doubts_of(summary: PulseSummary, pairing: Pairing, axis: Axis, slip: int, rig: Rig) -> tuple[Doubt, ...]:
+    """Everything by which the frames of a pass may not be what they are said to be."""
+    found: list[Doubt] = []
+    if errors := summary.quadrature_errors:
+        found.append(Doubt(f"the pulse box reports {_n(errors, 'quadrature error')} on the {axis} scale", _SCALE))
+    if slip:
+        off_um = rig.limits.axis(axis).position_um(slip)
+        found.append(
+            Doubt(f"its count of the {axis} axis slipped by {_n(slip, 'count')} ({off_um:+.2f} um) in the pass", _SCALE)
+        )
+    if suppressed := summary.suppressed:
+        found.append(Doubt(f"the pulse box suppressed {_n(suppressed, 'pulse')} that came too soon", _SPEED))
+    least, most = pairing.n_images, pairing.n_images + pairing.n_unexposed
+    if not least <= summary.exposures <= most:
+        found.append(
+            Doubt(
+                f"the pulse box saw {_n(summary.exposures, 'exposure')} for {_n(summary.emitted, 'pulse')} and "
+                f"{_n(pairing.n_images, 'image')}",
+                _TRIGGER,
+            )
+        )
+    if pairing.doubt:
+        found.append(Doubt(pairing.doubt, _TRIGGER))
+    return tuple(found)
+
+
+_SCALE = "check the cable and the signal of the scale, and that the box can follow its speed"
+_SPEED = "lower the frame rate or check the scale's signal for noise"
+_TRIGGER = "check the cables between pulse box and camera, trigger and exposure signal, for noise and loose contact"
+
+
+def _n(number: int, what: str) -> str:
+    return f"{number} {what}{'' if abs(number) == 1 else 's'}"
+
+
+def _timing(rig: Rig, leg: Leg, exposure_us: float, clock: DeviceClock) -> Timing:
     period_us = rig.limits.camera.period_s(exposure_us) * 1e6
     if leg.speed_um_s:
         period_us = rig.limits.axis(leg.train.axis).position_um(leg.train.counts_per_frame) / leg.speed_um_s * 1e6
-    return Timing(_delay_us(rig), exposure_us, offset_us, period_us / 2)
+    return Timing(_delay_us(rig), exposure_us, clock, period_us)
 
 
 def _delay_us(rig: Rig) -> float:

@@ -1,31 +1,68 @@
-"""Which image belongs to which pulse, and where the stage was then. Never by the order of arrival.
+"""Pairing of the images of a pass with the pulses that took them, by the time and by the counter of the camera.
 
-One ignored trigger in 126 would mislabel most of a field by a step if images were counted off. Here an image is named
-by the camera's trigger counter where it has one, else by its device time; what has no image stays an empty slot.
+Never by the order of arrival: one ignored trigger in 126 would mislabel most of a field by a step. The device time of
+an image says which pulse took it, because camera and pulse box keep time far better than half a pulse period. The
+camera's counter is held against that: noise on its input makes it count too much, and a camera that numbers its
+exposures counts too little. Where the two disagree the time decides, as long as the images keep to it; what it does not
+decide is an empty slot, or a whole pass that is taken again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
 
 from wafer_viewer.model.devices import CameraImage, Pulse
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Leg, Shot
 from wafer_viewer.model.stack import Frame, FrameStatus
 
+TRACKED = 9
+"""Images whose median says how camera and box differ just now."""
+FIT_FROM = 8
+"""The fewest images that a clock is fitted to; fewer move that of the pass before."""
+FOLLOWED = 0.25
+"""By how much at most, of the limit for an image."""
+AT_ONCE = 0.25
+"""An image is given to a pulse at once when it is nearer than this, in pulse periods."""
+SHARP = 0.05
+"""How far an image may lie off its pulse in any case, in pulse periods: a twentieth of a step in z."""
+SIGMAS = 5.0
+"""How far it may lie off in standard deviations of all images of the pass."""
+MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceClock:
+    """The camera's clock against that of the pulse box.
+
+    offset_us: camera time less box time, at the box time at_us; drift: how much faster the camera's runs, relative;
+    spread_us: standard deviation of the images about that.
+    """
+
+    offset_us: float
+    at_us: float = 0.0
+    drift: float = 0.0
+    spread_us: float = 0.0
+
+    def image_us(self, pulse: Pulse) -> float:
+        """The device time that the image of a pulse should have."""
+        return pulse.time_us + self.offset_us + self.drift * (pulse.time_us - self.at_us)
+
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When a pulse exposes: the camera's delay and exposure; and how camera and box tell the time.
-
-    offset_us is the camera's device time less the box's; tolerance_us is half a pulse period.
-    """
+    """The camera's delay and exposure after a pulse, its clock against the box's, and the time from pulse to pulse."""
 
     delay_us: float
     exposure_us: float
-    offset_us: float
-    tolerance_us: float
+    clock: DeviceClock
+    period_us: float
 
     @property
     def middle_s(self) -> float:
@@ -42,44 +79,94 @@ class Hole:
     why: str
 
 
+@dataclass(frozen=True, slots=True)
+class Pairing:
+    """The pairing of a whole pass.
+
+    holes: slots without a frame, with those whose image turned out not to be of their pulse;
+    doubt: why the whole pass cannot be trusted, or empty;
+    n_images: different images that came; n_unexposed: pulses without an image;
+    extra_edges: edges that the camera counted and the box did not send; uncounted: pulses that it did not count;
+    strays: images that belong to no pulse; clock: that of the pass, for the next one.
+    """
+
+    holes: tuple[Hole, ...]
+    doubt: str
+    n_images: int
+    n_unexposed: int
+    extra_edges: int
+    uncounted: int
+    strays: int
+    clock: DeviceClock
+
+
+@dataclass(frozen=True, slots=True)
+class _Match:
+    pulse: Pulse
+    device_time_us: int
+    trigger_count: int | None
+
+
 class Reconciler:
-    """Pairs the images and pulses of one pass as they come, in whatever order they come."""
+    """Pairs the images and pulses of one pass as they come, in whatever order; `close` judges the pass as a whole."""
 
     def __init__(self, leg: Leg, limits: RigLimits, timing: Timing) -> None:
         self._leg = leg
         self._limits = limits
         self._timing = timing
-        self._offset_us = timing.offset_us
-        self._pulses: dict[int, Pulse] = {}
+        self._pulses: list[Pulse] = []
+        self._times_us: list[int] = []
         self._waiting: list[CameraImage] = []
-        self._taken: set[int] = set()
+        self._matches: dict[int, _Match] = {}
         self._spoilt: set[int] = set()
-
-    @property
-    def offset_us(self) -> float:
-        """Camera time less box time by the last pair, so that a drift between them is followed."""
-        return self._offset_us
+        self._seen: set[tuple[int, int | None]] = set()
+        self._rivals = 0
+        """Images of slots that had one already."""
+        self._off_us: deque[float] = deque(maxlen=TRACKED)
 
     @property
     def all_paired(self) -> bool:
         """Whether every slot of the leg has its image."""
-        return len(self._taken) == len(self._leg.shots)
+        return len(self._matches) == len(self._leg.shots)
 
     def add(self, images: Iterable[CameraImage], pulses: Iterable[Pulse]) -> list[Frame]:
-        """Take what has come; returns the frames that are known by it."""
-        self._pulses |= {pulse.number: pulse for pulse in pulses}
-        waiting, self._waiting = [*self._waiting, *images], []
+        """Take what has come; returns the frames that are known by it, until `close` confirms or revokes them."""
+        for pulse in pulses:
+            self._pulses.append(pulse)
+            self._times_us.append(pulse.time_us)
+        waiting, self._waiting = [*self._waiting, *(image for image in images if self._is_new(image))], []
         frames = (self._frame(image) for image in waiting)
         return [frame for frame in frames if frame is not None]
 
-    def holes(self) -> list[Hole]:
-        """The slots that have no frame as yet."""
-        sent = {self._place(pulse) for pulse in self._pulses.values()}
-        return [
-            Hole(shot, self._count(i), self._why(i, sent))
-            for i, shot in enumerate(self._leg.shots)
-            if i not in self._taken
-        ]
+    def close(self) -> Pairing:
+        """The pairing of the pass as a whole, once all has come that comes."""
+        matches = sorted(self._matches.items(), key=lambda item: item[1].pulse.number)
+        clock = self._fitted([match for _, match in matches])
+        limit_us = self._limit_us(clock)
+        revoked = {
+            place: abs(off_us)
+            for place, match in matches
+            if abs(off_us := match.device_time_us - clock.image_us(match.pulse)) > limit_us
+        }
+        sure = [match for place, match in matches if place not in revoked]
+        extra, uncounted = _counter_steps(sure)
+        n_images = len(self._matches) + len(self._spoilt) + self._rivals + len(self._waiting)
+        return Pairing(
+            holes=self._holes(revoked),
+            doubt=self._doubt(clock, counter_differs=bool(extra or uncounted), has_counter=_has_counter(sure)),
+            n_images=n_images,
+            n_unexposed=len(self._pulses) - len(self._matches) - len(self._spoilt),
+            extra_edges=extra,
+            uncounted=uncounted,
+            strays=len(self._waiting) + self._rivals,
+            clock=clock,
+        )
+
+    def _is_new(self, image: CameraImage) -> bool:
+        key = image.device_time_us, image.trigger_count
+        known = key in self._seen
+        self._seen.add(key)
+        return not known
 
     def _frame(self, image: CameraImage) -> Frame | None:
         pulse = self._pulse_of(image)
@@ -87,24 +174,85 @@ class Reconciler:
             self._waiting.append(image)
             return None
         place = self._place(pulse)
-        if place is None or place in self._taken:
+        if place is None or place in self._matches:
+            self._rivals += 1
             return None
         if image.status is not FrameStatus.OK:
             self._spoilt.add(place)
             return None
-        self._taken.add(place)
-        self._offset_us = image.device_time_us - pulse.time_us
+        self._spoilt.discard(place)
+        self._matches[place] = _Match(pulse, image.device_time_us, image.trigger_count)
+        self._off_us.append(image.device_time_us - self._timing.clock.image_us(pulse))
         return frame_of(image, pulse, self._leg, self._leg.shots[place], self._limits, self._timing)
 
     def _pulse_of(self, image: CameraImage) -> Pulse | None:
-        """The pulse that took an image; the counter of a damaged image is not to be trusted."""
-        if image.trigger_count is not None and image.status is FrameStatus.OK:
-            return self._pulses.get(image.trigger_count)
-        time_us = image.device_time_us - self._offset_us
-        nearest = min(self._pulses.values(), key=lambda p: abs(p.time_us - time_us), default=None)
-        if nearest is None or abs(nearest.time_us - time_us) >= self._timing.tolerance_us:
+        """The pulse at whose time an image was taken, as far as that is known by now."""
+        if not self._pulses:
             return None
-        return nearest
+        clock = self._timing.clock
+        off_us = median(self._off_us) if self._off_us else 0.0
+        shift_us = clock.image_us(self._pulses[-1]) - self._pulses[-1].time_us + off_us
+        at = bisect_left(self._times_us, image.device_time_us - shift_us)
+        near = self._pulses[max(0, at - 1) : at + 1]
+        nearest = min(near, key=lambda p: abs(p.time_us + shift_us - image.device_time_us))
+        away_us = abs(nearest.time_us + shift_us - image.device_time_us)
+        return nearest if away_us < AT_ONCE * self._timing.period_us else None
+
+    def _fitted(self, matches: Sequence[_Match]) -> DeviceClock:
+        """The camera's clock by the images of this pass; outliers do not move it."""
+        before = self._timing.clock
+        if not matches:
+            return before
+        times_us = np.array([match.pulse.time_us for match in matches], np.float64)
+        off_us = np.array([match.device_time_us - match.pulse.time_us for match in matches], np.float64)
+        at_us = float(times_us.mean())
+        if len(matches) < FIT_FROM:
+            # A few images do not say which of them is the odd one: they move the clock of before by a little only.
+            carried_us = before.offset_us + before.drift * (at_us - before.at_us)
+            step_us = self._limit_us(before) * FOLLOWED
+            moved_us = min(max(float(np.median(off_us)) - carried_us, -step_us), step_us)
+            return DeviceClock(carried_us + moved_us, at_us, before.drift, before.spread_us)
+        drift = _slope(times_us, off_us)
+        left_us = off_us - drift * (times_us - at_us)
+        offset_us = float(np.median(left_us))
+        spread_us = MAD_TO_SIGMA * float(np.median(np.abs(left_us - offset_us)))
+        return DeviceClock(offset_us, at_us, drift, spread_us)
+
+    def _limit_us(self, clock: DeviceClock) -> float:
+        """How far the image of a pulse may lie off it."""
+        return max(SHARP * self._timing.period_us, SIGMAS * clock.spread_us)
+
+    def _doubt(self, clock: DeviceClock, *, counter_differs: bool, has_counter: bool) -> str:
+        period_us = self._timing.period_us
+        if self._waiting and not self._matches:
+            return f"{len(self._waiting)} images came, and none of them at the time of a pulse"
+        if self._shifted(clock):
+            return "images came before the first or after the last pulse where others lack theirs"
+        if SIGMAS * clock.spread_us > period_us / 2 and (counter_differs or not has_counter):
+            return (
+                f"the times of the images scatter by {clock.spread_us / 1000:.1f} ms about the pulses, "
+                f"{period_us / 1000:.1f} ms apart, and no counter tells them apart"
+            )
+        return ""
+
+    def _shifted(self, clock: DeviceClock) -> bool:
+        """Whether all images may belong one pulse further: one lies just outside the train, its far end is empty."""
+        if not self._pulses or not self._waiting:
+            return False
+        first, last, period_us = self._pulses[0], self._pulses[-1], self._timing.period_us
+        taken = {match.pulse.number for match in self._matches.values()}
+        before = any(0.5 < (clock.image_us(first) - i.device_time_us) / period_us < 1.5 for i in self._waiting)
+        after = any(0.5 < (i.device_time_us - clock.image_us(last)) / period_us < 1.5 for i in self._waiting)
+        return (before and last.number not in taken) or (after and first.number not in taken)
+
+    def _holes(self, revoked: dict[int, float]) -> tuple[Hole, ...]:
+        """The slots that have no frame, or none that can be kept."""
+        sent = {self._place(pulse) for pulse in self._pulses}
+        return tuple(
+            Hole(shot, self._count(i), self._why(i, sent, revoked.get(i)))
+            for i, shot in enumerate(self._leg.shots)
+            if i not in self._matches or i in revoked
+        )
 
     def _place(self, pulse: Pulse) -> int | None:
         """The place in the leg of a pulse, by its scale count; None when it is none of the train's."""
@@ -116,10 +264,38 @@ class Reconciler:
         train = self._leg.train
         return train.first_count + train.direction * train.counts_per_frame * place
 
-    def _why(self, place: int, sent: set[int | None]) -> str:
+    def _why(self, place: int, sent: set[int | None], off_us: float | None) -> str:
+        if off_us is not None:
+            return f"its image was taken {off_us / 1000:.2f} ms off its pulse"
         if place in self._spoilt:
             return "its image came incomplete"
         return "no image came for its pulse" if place in sent else "the pulse box sent no pulse"
+
+
+def _slope(times_us: np.ndarray, off_us: np.ndarray) -> float:
+    """The drift between the medians of the first and of the last third: outliers do not move it."""
+    third = len(times_us) // 3
+    run_us = float(np.median(times_us[-third:]) - np.median(times_us[:third]))
+    return float(np.median(off_us[-third:]) - np.median(off_us[:third])) / run_us if run_us > 0 else 0.0
+
+
+def _has_counter(matches: Sequence[_Match]) -> bool:
+    return any(match.trigger_count is not None for match in matches)
+
+
+def _counter_steps(matches: Sequence[_Match]) -> tuple[int, int]:
+    """How many edges the camera counted too many, and how many too few, against the pulses at the same times.
+
+    A counter that falls has wrapped or was set back, which says nothing of the edges in between.
+    """
+    extra = uncounted = 0
+    counted = [(m.pulse.number, m.trigger_count) for m in matches if m.trigger_count is not None]
+    for (number, count), (next_number, next_count) in zip([(-1, -1), *counted], counted, strict=False):
+        step = (next_count - count) - (next_number - number)
+        if next_count > count:
+            extra += max(0, step)
+            uncounted += max(0, -step)
+    return extra, uncounted
 
 
 def frame_of(image: CameraImage, pulse: Pulse, leg: Leg, shot: Shot, limits: RigLimits, timing: Timing) -> Frame:

@@ -1,21 +1,26 @@
-"""A plan carried out on a rig: every leg, then again what stayed empty; each frame to the sink once it is known."""
+"""A plan carried out on a rig: every leg, again at once what cannot be trusted, at the end again what stayed empty."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.one_pass import PassResult, clock_offset_us, rest_afterwards, run_pass
-from wafer_viewer.acquire.reconcile import Hole
+from wafer_viewer.acquire.one_pass import PassResult, device_clock, rest_afterwards, run_pass
+from wafer_viewer.acquire.reconcile import DeviceClock, Hole
 from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Leg, ScanPlan, Shot
+from wafer_viewer.model.plan import Axis, Leg, ScanPlan, Shot
 from wafer_viewer.model.scanning import ScanControl, ScanSink
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import Frame
 
 REPAIRS = 2
 """How often an empty slot is tried again."""
+PASS_TRIES = 3
+"""How often a pass is taken whose frames cannot be trusted, before the scan ends."""
+CLOCK_HOLDS_S = 5.0
+"""Without images for so long, the clocks are compared anew: 100 ppm of it are a small part of a pulse period."""
 NAMED = 5
 """How many of the missing frames a report names."""
 
@@ -39,9 +44,11 @@ class ScanOutcome:
 def run_scan(plan: ScanPlan, rig: Rig, sink: ScanSink, control: ScanControl, skip: Container[Shot] = ()) -> ScanOutcome:
     """Carry out a plan. Slots in `skip` are kept already: their frames are not handed over again.
 
-    Empty slots are taken again after the last leg, at most twice; what then still is empty is reported to the sink.
-    A pause takes hold at the end of a leg, a stop at once. Whatever happens, the rig is left at rest: no pulses, the
-    stage halted, the camera idle. Raises RigError when a device fails or the pulse box was started anew.
+    A pass whose counts or times do not agree is taken again at once, at most PASS_TRIES times. Empty slots are taken
+    again after the last leg, at most twice; what then still is empty is reported to the sink. A pause takes hold at the
+    end of a leg, a stop at once. Whatever happens, the rig is left at rest: no pulses, the stage halted, the camera
+    idle. Raises RigError when a device fails, the pulse box was started anew, or a pass cannot be trusted in any of its
+    tries.
     """
     with rest_afterwards(rig):
         return _Scan(plan, rig, sink, control, skip).run()
@@ -66,16 +73,21 @@ class _Scan:
         self._sink = sink
         self._control = control
         self._skip = skip
-        self._offset_us = 0.0
+        self._clock: DeviceClock | None = None
+        self._clock_known_s = 0.0
+        self._taken: set[Shot] = set()
+        """Slots with a frame of the pass under way, which counts once that is over."""
         self._kept: set[Shot] = set()
         self._holes: dict[Shot, Hole] = {}
         self._repaired = 0
         self._stopped = False
+        self._referenced: set[Axis] = set()
+        self._remarks = _Remarks(sink.fault)
 
     def run(self) -> ScanOutcome:
         """Prepare, take all legs, repair, report."""
         switched_on_s = self._rig.clock.now_s()
-        legs = self._legs_with(lambda shot: shot not in self._skip)
+        legs = self._legs_with(self._wanted)
         self._rig.prepare(replace(self._plan, legs=tuple(leg for _, leg in legs)), self._control.should_stop)
         started_s = self._rig.clock.now_s()
         self._take_all(legs)
@@ -90,9 +102,12 @@ class _Scan:
             prepared_s=started_s - switched_on_s,
         )
 
+    def _wanted(self, shot: Shot) -> bool:
+        return shot not in self._skip and shot not in self._kept
+
     def _take_all(self, legs: list[tuple[int, Leg]]) -> None:
         if legs and not self._interrupted():
-            self._offset_us = clock_offset_us(self._rig, self._plan.exposures_us[0])
+            self._clock_at(self._plan.exposures_us[0])
             self._take(legs)
 
     def _repair(self) -> None:
@@ -106,11 +121,22 @@ class _Scan:
 
     def _take(self, legs: list[tuple[int, Leg]]) -> None:
         for number, leg in legs:
-            if self._interrupted():
+            if not self._take_until_trusted(number, leg):
                 return
-            self._sink.pass_begun(number, leg)
-            result = self._carry_out(leg)
-            self._sink.pass_ended(number, result.summary)
+
+    def _take_until_trusted(self, number: int, leg: Leg) -> bool:
+        """Take a leg again while its frames cannot be trusted; returns whether it was not stopped."""
+        for attempt in range(1, PASS_TRIES + 1):
+            if self._interrupted():
+                return False
+            result = self._carry_out(number, leg)
+            if result.stopped:
+                return False
+            if not result.doubts:
+                return True
+            self._tell_doubts(leg, result, attempt)
+            self._clock = None
+        return False
 
     def _interrupted(self) -> bool:
         if self._control.should_pause():
@@ -118,34 +144,140 @@ class _Scan:
         self._stopped = self._stopped or self._control.should_stop()
         return self._stopped
 
-    def _carry_out(self, leg: Leg) -> PassResult:
+    def _carry_out(self, number: int, leg: Leg) -> PassResult:
         exposure_us = self._plan.exposures_us[leg.shots[0].exposure]
-        result = run_pass(self._rig, leg, exposure_us, self._offset_us, self._keep, self._control.should_stop)
-        self._offset_us = result.offset_us
+        clock = self._clock_at(exposure_us)
+        self._sink.pass_begun(number, leg)
+        self._taken.clear()
+        result = run_pass(self._rig, leg, exposure_us, clock, self._frame, self._control.should_stop)
         self._stopped = result.stopped
-        if not result.stopped:
-            self._note(result.holes)
+        self._settle(leg, result)
+        self._sink.pass_ended(number, result.summary)
+        if result.pairing is not None:
+            self._clock, self._clock_known_s = result.pairing.clock, self._rig.clock.now_s()
+            self._remark(leg, result)
         return result
 
-    def _keep(self, frame: Frame) -> None:
-        if frame.shot in self._skip or frame.shot in self._kept:
-            return
-        self._sink.frame(frame)
-        self._kept.add(frame.shot)
-        if self._holes.pop(frame.shot, None) is not None:
-            self._repaired += 1
-            self._sink.repaired(frame.shot)
-        self._control.progress(self._plan, frame)
+    def _clock_at(self, exposure_us: float) -> DeviceClock:
+        """The camera's clock against the box's, compared anew where that was too long ago."""
+        if self._clock is None or self._rig.clock.now_s() - self._clock_known_s > CLOCK_HOLDS_S:
+            self._clock = device_clock(self._rig, exposure_us, self._clock)
+            self._clock_known_s = self._rig.clock.now_s()
+        return self._clock
 
-    def _note(self, holes: Iterable[Hole]) -> None:
+    def _frame(self, frame: Frame) -> None:
+        """A frame of the pass under way."""
+        if self._wanted(frame.shot) and frame.shot not in self._taken:
+            self._sink.frame(frame)
+            self._taken.add(frame.shot)
+            self._control.progress(self._plan, frame)
+
+    def _settle(self, leg: Leg, result: PassResult) -> None:
+        """Keep the frames of a pass that is over, or note their slots as empty."""
+        holes = _untrusted(leg, result) if result.doubts else result.pairing.holes if result.pairing else ()
         for hole in holes:
-            if hole.shot not in self._skip and hole.shot not in self._kept and hole.shot not in self._holes:
-                self._holes[hole.shot] = hole
-                self._sink.missed(hole.shot, hole.count, hole.why)
+            if self._wanted(hole.shot) and not (result.stopped and hole.shot not in self._taken):
+                self._note(hole)
+        for shot in self._taken - {hole.shot for hole in holes}:
+            self._keep(shot)
+
+    def _note(self, hole: Hole) -> None:
+        """Note an empty slot; one that is noted already is told again only where its frame is taken back."""
+        if hole.shot not in self._holes or hole.shot in self._taken:
+            self._sink.missed(hole.shot, hole.count, hole.why)
+        self._holes[hole.shot] = hole
+
+    def _keep(self, shot: Shot) -> None:
+        self._kept.add(shot)
+        if self._holes.pop(shot, None) is not None:
+            self._repaired += 1
+            self._sink.repaired(shot)
+
+    def _tell_doubts(self, leg: Leg, result: PassResult, attempt: int) -> None:
+        """Report a pass that cannot be trusted. Raises RigError after its last try."""
+        why = ", and ".join(doubt.why for doubt in result.doubts)
+        which = f"the pass that begins at field {leg.shots[0].field}"
+        if attempt < PASS_TRIES:
+            self._sink.fault(
+                f"None of the {len(leg.shots)} frames of {which} is kept: {why}. It is taken again (try {attempt + 1} "
+                f"of {PASS_TRIES})."
+            )
+            return
+        mends = "; ".join(dict.fromkeys(doubt.mend for doubt in result.doubts))
+        raise RigError(
+            f"The scan cannot be trusted: in {PASS_TRIES} tries of {which} no frame could be kept, in the last one "
+            f"because {why}. {mends[0].upper()}{mends[1:]}; then continue the scan."
+        )
+
+    def _remark(self, leg: Leg, result: PassResult) -> None:
+        """Note what was found beside the frames, and mended or harmless by itself."""
+        axis, pairing = leg.train.axis, result.pairing
+        if result.count_mended and axis in self._referenced:
+            self._remarks.slipped(axis, result.count_mended, self._rig.limits)
+        self._referenced.add(axis)
+        if pairing is not None and not result.doubts:
+            self._remarks.paired(pairing.extra_edges, pairing.uncounted, pairing.strays)
 
     def _report(self) -> None:
+        self._remarks.close()
         if self._holes and not self._stopped:
             self._sink.fault(_still_missing(list(self._holes.values())))
+
+
+class _Remarks:
+    """Faults that spoil no frame, told when they first occur and summed up at the end."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell = tell
+        self._totals: dict[str, list[int]] = {}
+
+    def slipped(self, axis: Axis, counts: int, limits: RigLimits) -> None:
+        """The box's count was off before a pass, and was put right."""
+        self._add(
+            f"Between two passes the pulse box's count of the {axis} axis slipped, by {counts:+d} counts "
+            f"({limits.axis(axis).position_um(counts):+.2f} um) at first; it was set by the stage's position before "
+            "any frame was taken. Check the cable and the signal of the scale.",
+            f"the pulse box's count of the {axis} axis slipped between passes",
+            1,
+        )
+
+    def paired(self, extra_edges: int, uncounted: int, strays: int) -> None:
+        """Counter and images of the camera against the pulses of a pass; every frame is in its slot by its time."""
+        mend = "every frame is in its slot by its time. Check the trigger cable for noise."
+        if extra_edges:
+            first = f"The camera counted {_times(extra_edges, 'edge')} that the pulse box did not send; {mend}"
+            self._add(first, "the camera counted edges that the pulse box did not send", extra_edges)
+        if uncounted:
+            first = (
+                f"The camera did not count {_times(uncounted, 'pulse')}: it ignores triggers, or numbers its images "
+                "instead of its triggers; every frame is in its slot by its time."
+            )
+            self._add(first, "the camera did not count pulses", uncounted)
+        if strays:
+            first = f"The camera sent {_times(strays, 'image')} that no pulse took, left out; {mend}"
+            self._add(first, "the camera sent images that no pulse took", strays)
+
+    def close(self) -> None:
+        """Sum up what occurred in more than one pass."""
+        for what, numbers in self._totals.items():
+            if len(numbers) > 1:
+                self._tell(f"In {len(numbers)} passes {what}: {sum(numbers)} times in all.")
+
+    def _add(self, first: str, what: str, number: int) -> None:
+        if what not in self._totals:
+            self._tell(first)
+        self._totals.setdefault(what, []).append(number)
+
+
+def _untrusted(leg: Leg, result: PassResult) -> list[Hole]:
+    """Every slot of a pass as an empty one."""
+    train, why = leg.train, ", and ".join(doubt.why for doubt in result.doubts)
+    step = train.direction * train.counts_per_frame
+    return [Hole(shot, train.first_count + step * i, why) for i, shot in enumerate(leg.shots)]
+
+
+def _times(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _still_missing(holes: list[Hole]) -> str:

@@ -48,7 +48,8 @@ class PulseSummary:
 class CameraImage:
     """What a camera hands over: the image, its own trigger counter where it has one, its own clock, the status.
 
-    trigger_count counts edges from 0 at `start`, ignored ones too: a number of frames is no trigger counter.
+    trigger_count counts edges from 0 at `start`, ignored ones too. Images are paired with pulses by device_time_us, the
+    time of the trigger or a fixed delay after it; the counter is held against that, and may be wrong, wrap or miss.
     """
 
     image: Image | None
@@ -111,6 +112,7 @@ class Stage(Protocol):
 
         `should_stop` is asked before, and every few ms on the way, so a driver starts the axes and polls them instead
         of waiting for one long answer. Where it says True the stage is stopped, and MotionStopped comes once it stands.
+        The scan sets its deadline by that question: a driver that does not ask it can hang.
         """
         ...
 
@@ -130,7 +132,7 @@ class Stage(Protocol):
         ...
 
     def wait(self) -> None:
-        """Wait until every axis stands and has settled."""
+        """Wait until every axis stands and has settled. Raises RigTimeout when it does not report so in time."""
         ...
 
     def stop(self) -> None:
@@ -150,6 +152,14 @@ class PulseBox(Protocol):
 
     def fire(self) -> None:
         """Send one pulse of the armed run now: for stop and shoot."""
+        ...
+
+    def count(self, axis: Axis) -> int:
+        """The count of an axis now, as the box has it. It may send a pulse for that: let no camera wait for one."""
+        ...
+
+    def correct_count(self, axis: Axis, off: int) -> None:
+        """Leave out, from here on, the counts that the box has too many on an axis: the way to mend a slip."""
         ...
 
     def pulses(self) -> list[Pulse]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, ClassVar
 
 from wafer_viewer.model.errors import RigError, WaferViewerError
@@ -43,6 +44,12 @@ class AxisLimits(Spec, frozen=True, kw_only=True):
     def run_up_um(self, speed_um_s: float) -> float:
         """The way before the first pulse, and past the last, of a pass: the ramp and RUN_UP_SPARE_S at full speed."""
         return self.ramp_um(speed_um_s) + speed_um_s * RUN_UP_SPARE_S
+
+    def move_s(self, distance_um: float, speed_um_s: float | None = None) -> float:
+        """Seconds that a move over a distance takes with its settling, at full speed or a given one."""
+        way_um, speed = abs(distance_um), speed_um_s or self.speed_um_s
+        top = min(speed, math.sqrt(way_um * self.acceleration_um_s2))
+        return (way_um / top + top / self.acceleration_um_s2 if top > 0 else 0.0) + self.settle_s
 
 
 class CameraLimits(Spec, frozen=True, kw_only=True):

@@ -17,11 +17,11 @@ class ScanSink(Protocol):
         ...
 
     def frame(self, frame: Frame) -> None:
-        """A frame for a slot; one that is already kept is not written again."""
+        """A frame for a slot, which counts once its pass has ended; a slot that is kept is not written again."""
         ...
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty."""
+        """A slot stayed empty, or its frame of the pass under way is not to be kept."""
         ...
 
     def repaired(self, shot: Shot) -> None:
@@ -29,7 +29,7 @@ class ScanSink(Protocol):
         ...
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over."""
+        """A leg is over: its frames count."""
         ...
 
     def fault(self, what: str) -> None:

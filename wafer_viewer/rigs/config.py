@@ -9,10 +9,14 @@ from typing import Annotated, ClassVar, Literal
 from wafer_viewer.model.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Spec, Within, decode
+from wafer_viewer.rigs.virtual.faults import Faults
 
 
 class RigConfig(Spec, frozen=True, kw_only=True):
-    """What FILE.toml says of a rig. As it stands by default: the virtual wafer under a small camera."""
+    """What FILE.toml says of a rig. As it stands by default: the virtual wafer under a small camera.
+
+    faults: of the virtual rig, to see what a scan does about them.
+    """
 
     error: ClassVar[type[WaferViewerError]] = RigError
     kind: str = "virtual"
@@ -21,6 +25,7 @@ class RigConfig(Spec, frozen=True, kw_only=True):
     size: Literal["small", "full"] = "small"
     real_time: bool = False
     seed: Annotated[int, Within(0, 2**31)] = 0
+    faults: Faults = Faults()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -32,7 +37,14 @@ def open_virtual(config: RigConfig) -> Rig:
     """The simulated rig."""
     from wafer_viewer.rigs.virtual.rig import VirtualRig
 
-    return VirtualRig(config.scene, config.size, name=config.name, real_time=config.real_time, seed=config.seed)
+    return VirtualRig(
+        config.scene,
+        config.size,
+        name=config.name,
+        real_time=config.real_time,
+        seed=config.seed,
+        faults=config.faults,
+    )
 
 
 RIGS: dict[str, Callable[[RigConfig], Rig]] = {"virtual": open_virtual}

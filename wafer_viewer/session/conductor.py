@@ -276,7 +276,7 @@ class Conductor:
     def _has_stack(self, number: int, state: FieldState) -> bool:
         if state not in (FieldState.TO_COME, FieldState.TAKING, FieldState.TO_REPEAT):
             return True
-        return sum(shot.field == number for shot in self.library.dataset.kept()) >= MIN_FRAMES
+        return sum(shot.field == number for shot in self.library.dataset.arrived()) >= MIN_FRAMES
 
 
 def _made(folder: Path) -> Path:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import queue
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
+from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
 from wafer_viewer.model.devices import Rig
-from wafer_viewer.model.errors import MotionStopped, WaferViewerError
+from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
+from wafer_viewer.model.plan import Axis
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
 from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, SampleSeen, Scan, Stop
@@ -104,20 +106,20 @@ class Operator:
         match order.ask.verb:
             case Scan() as scan:
                 self._scan(order, scan)
-            case Move() as move:
-                self._move(order, move)
+            case Move() as goal:
+                self._move(order, goal)
             case _:
                 self._end.answer(order.ask, order.n_stops <= self._heeded)
 
     def _stopped_since(self, order: Order) -> bool:
         return self._n_stops > order.n_stops
 
-    def _move(self, order: Order, move: Move) -> None:
-        stage = self._rig.stage
+    def _move(self, order: Order, to: Move) -> None:
+        wanted: dict[Axis, float | None] = {"x": to.x_um, "y": to.y_um, "z": to.z_um}
+        goal_um: dict[Axis, float] = {axis: um for axis, um in wanted.items() if um is not None}
         try:
-            stage.move_to(
-                x_um=move.x_um, y_um=move.y_um, z_um=move.z_um, should_stop=lambda: self._stopped_since(order)
-            )
+            with device_errors("stage"):
+                move(self._rig, goal_um, lambda: self._stopped_since(order))
         finally:
             self._tell_where()
         self._end.answer(order.ask)
@@ -131,7 +133,11 @@ class Operator:
             ended = take(scan, self._rig, writer, self._end.tell, self._steering)
         if ended.stopped:
             self._heeded = self._n_stops
-        self._rig.stage.wait()
+        try:
+            with device_errors("stage"):
+                come_to_rest(self._rig)
+        except RigError as fault:
+            ended = replace(ended, stopped=True, error=ended.error or str(fault))
         self._tell_where()
         self._end.tell(ended)
 

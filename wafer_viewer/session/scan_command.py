@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.drafting import free_bytes, plan_of
 from wafer_viewer.session.library import today
-from wafer_viewer.session.messages import Scan, Taken
+from wafer_viewer.session.messages import Scan, ScanFault, Taken
 from wafer_viewer.session.preflight import Check, Preflight, preflight
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
@@ -32,9 +32,16 @@ class Ended:
 
 
 def scan_to(
-    path: Path, job: Job, rig: Rig, tell: Callable[[float], None], ready: Callable[[tuple[Check, ...]], None]
+    path: Path,
+    job: Job,
+    rig: Rig,
+    tell: Callable[[float], None],
+    ready: Callable[[tuple[Check, ...]], None],
+    warn: Callable[[str], None],
 ) -> Ended:
     """Take a job into a dataset, or go on with it; `ready` hears of the look round before, and may raise.
+
+    `warn` hears of every fault of the running scan.
 
     Raises DatasetError when it cannot be written, PlanError when it is of another job.
     """
@@ -48,6 +55,8 @@ def scan_to(
     def report(event: Any) -> None:
         if isinstance(event, Taken):
             tell(event.progress.frames_done / event.progress.frames_total)
+        elif isinstance(event, ScanFault):
+            warn(event.what)
 
     with writer_of(scan, rig) as writer, _interrupt_stops(steering):
         ended = take(scan, rig, writer, report, steering)

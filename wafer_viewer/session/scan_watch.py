@@ -14,6 +14,7 @@ from wafer_viewer.model.plan import Leg, ScanPlan, Shot
 from wafer_viewer.model.stack import Frame, Image
 from wafer_viewer.session.messages import FieldComplete, Paused, ScanFault, Taken
 from wafer_viewer.session.state import LatestFrame, ScanProgress
+from wafer_viewer.store.files import writing
 from wafer_viewer.store.writer import DatasetWriter
 
 REPORT_EVERY_S = 0.12
@@ -86,7 +87,10 @@ class Stopwatch:
 
 
 class ScanWatch:
-    """The sink and the control of a scan in one, as the runner sees them."""
+    """The sink and the control of a scan in one, as the runner sees them.
+
+    What the system refuses to write becomes a DatasetError here, so that any other OSError is one of a device.
+    """
 
     def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
         self._writer, self._plan, self._tell, self._steering = writer, plan, tell, steering
@@ -104,13 +108,15 @@ class ScanWatch:
 
     def pass_begun(self, number: int, leg: Leg) -> None:
         """A leg starts."""
-        self._writer.pass_begun(number, leg)
+        with writing(self._writer.path):
+            self._writer.pass_begun(number, leg)
 
     def frame(self, frame: Frame) -> None:
         """Keep a frame, and report a few times a second."""
-        self._writer.frame(frame)
+        with writing(self._writer.path):
+            self._writer.frame(frame)
         self._pulses += 1
-        self._done = len(self._writer.kept)
+        self._done = self._writer.n_arrived
         self._last = frame
         if time.monotonic() - self._reported_at >= REPORT_EVERY_S:
             self._report(frame)
@@ -118,20 +124,25 @@ class ScanWatch:
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
         """A slot stayed empty."""
         self._empty.add(shot)
-        self._writer.missed(shot, pulse_count, why)
+        with writing(self._writer.path):
+            self._writer.missed(shot, pulse_count, why)
+        self._done = self._writer.n_arrived
 
     def repaired(self, shot: Shot) -> None:
         """A slot that stayed empty has its frame now."""
         self._empty.discard(shot)
-        self._writer.repaired(shot)
+        with writing(self._writer.path):
+            self._writer.repaired(shot)
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
         """A leg is over."""
-        self._writer.pass_ended(number, summary)
+        with writing(self._writer.path):
+            self._writer.pass_ended(number, summary)
 
     def fault(self, what: str) -> None:
         """Something a person should know."""
-        self._writer.fault(what)
+        with writing(self._writer.path):
+            self._writer.fault(what)
         self._tell(ScanFault(what))
 
     def should_stop(self) -> bool:

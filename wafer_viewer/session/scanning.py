@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
+from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.runner import run_scan
 from wafer_viewer.model.devices import Rig
-from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.messages import Scan, ScanEnded
 from wafer_viewer.session.scan_watch import ScanWatch, Steering
 from wafer_viewer.store.calibrations import calibration_in_force
@@ -35,12 +37,20 @@ def take(scan: Scan, rig: Rig, writer: DatasetWriter, tell: Callable[[Any], None
     """Run a scan; whatever ends it before its time becomes a sentence, for its dataset can be gone on with."""
     watch = ScanWatch(writer, scan.plan, tell, steering)
     try:
-        with writing(scan.path):
+        with device_errors("rig"):
             outcome = run_scan(scan.plan, rig, watch, watch, skip=writer.kept)
-            if not outcome.stopped:
+        if not outcome.stopped:
+            with writing(scan.path):
                 writer.finish()
     except WaferViewerError as fault:
-        return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))
+        return _broken_off(scan, writer, fault)
     finally:
         watch.finish()
     return ScanEnded(scan.path, outcome.stopped, len(outcome.missing), error=None)
+
+
+def _broken_off(scan: Scan, writer: DatasetWriter, fault: WaferViewerError) -> ScanEnded:
+    """The end of a scan by a fault, which the dataset tells as well where it can still be written."""
+    with suppress(DatasetError), writing(scan.path):
+        writer.fault(str(fault))
+    return ScanEnded(scan.path, stopped=True, n_missing=0, error=str(fault))

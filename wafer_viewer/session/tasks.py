@@ -82,21 +82,22 @@ def reconstruct_live(
     for stack in _growing(data, field_number, should_stop):
         live = live or LiveField(stack.images, stack.z_step_um, recipe)
         live.take_new(stack.present)
-        if stack.present.all():
+        if field_number in data.complete_fields():
             kept.save_surface(data.field(field_number), live.surface(stack))
             return True
     return False
 
 
 def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Iterator[FieldStack]:
-    """The stack of a field each time that frames came, until all have, one was missed, or nothing comes any more."""
-    n_frames, before, came_at = data.scan.plan.sweep.n_frames, 0, time.monotonic()
-    while before < n_frames and time.monotonic() - came_at < LIVE_PATIENCE_S and not should_stop():
+    """The stack of a field each time that frames came, until all count, one was missed, or nothing comes any more."""
+    complete, before, came_at = False, 0, time.monotonic()
+    while not complete and time.monotonic() - came_at < LIVE_PATIENCE_S and not should_stop():
         data.refresh()
-        now = sum(shot.field == field_number for shot in data.kept())
-        if any(shot.field == field_number for shot in data.missed()):
+        now = sum(shot.field == field_number for shot in data.arrived())
+        if any(shot.field == field_number for shot in data.ever_missed()):
             return
-        if now > before and now >= MIN_FRAMES:
+        complete = field_number in data.complete_fields()
+        if complete or (now > before and now >= MIN_FRAMES):
             before, came_at = now, time.monotonic()
             yield data.stack(field_number)
         else:

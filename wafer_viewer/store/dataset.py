@@ -13,7 +13,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.stack import Bracket, FieldStack, Image
-from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun
+from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
 from wafer_viewer.store.pages import map_pages
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
@@ -43,6 +43,9 @@ class Dataset:
         self.path, self.scan = path, scan
         self._journal = JournalReader(path / JOURNAL)
         self._frames: dict[Shot, FrameKept] = {}
+        self._provisional: dict[Shot, FrameKept] = {}
+        """Frames of the pass under way, which count once it has ended."""
+        self._is_provisional = False
         self._missed: dict[Shot, Missed] = {}
         self._faults: list[str] = []
         self._ended = False
@@ -59,13 +62,20 @@ class Dataset:
         for line in self._journal.new_lines():
             match line:
                 case FrameKept():
-                    self._frames.setdefault(line.shot, line)
+                    (self._provisional if self._is_provisional else self._frames).setdefault(line.shot, line)
                 case Missed():
                     self._missed[line.shot] = line
+                    self._provisional.pop(line.shot, None)
+                case PassEnded():
+                    self._frames = self._provisional | self._frames
+                    self._provisional, self._is_provisional = {}, False
                 case FaultNoted():
                     self._faults.append(line.what)
-                case Finished() | PassBegun():
-                    self._ended = isinstance(line, Finished)
+                case PassBegun():
+                    self._provisional, self._is_provisional = {}, line.provisional
+                    self._ended = False
+                case Finished():
+                    self._ended = True
                 case _:
                     pass
 
@@ -113,8 +123,16 @@ class Dataset:
         return self.scan.calibration_problem(today)
 
     def kept(self) -> set[Shot]:
-        """The slots that have a frame."""
+        """The slots that have a frame, those of the pass under way left out."""
         return set(self._frames)
+
+    def arrived(self) -> set[Shot]:
+        """The slots that have a frame, be it one of the pass under way, which counts once that has ended."""
+        return self._frames.keys() | self._provisional.keys()
+
+    def ever_missed(self) -> set[Shot]:
+        """The slots that were empty, or had a frame that was not kept, at any time."""
+        return set(self._missed)
 
     def missing(self) -> set[Shot]:
         """The slots without a frame: still to come, or missed."""
@@ -125,7 +143,7 @@ class Dataset:
         return {shot: line.why for shot, line in self._missed.items() if shot not in self._frames}
 
     def complete_fields(self) -> set[int]:
-        """Numbers of the fields that have all their frames."""
+        """Numbers of the fields that have all their frames, those of the pass under way left out."""
         return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
 
     def stack(self, field_number: int, exposure: int | None = None) -> FieldStack:
@@ -133,7 +151,7 @@ class Dataset:
 
         exposure: one of them alone; without it the stack holds them all, the first as its images and the others as its
         brackets, at the mean of their z. Raises DatasetError when the field, its file or the exposure is missing, or
-        fewer than three frames are there.
+        fewer than three frames are there. Frames of a pass under way are among them.
         """
         field = self.field(field_number)
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
@@ -191,7 +209,8 @@ class Dataset:
 
     def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
         n_frames = self.scan.plan.sweep.n_frames
-        return [self._frames.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
+        frames = self._provisional | self._frames
+        return [frames.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
 
     def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
         present = np.array([line is not None for line in lines])

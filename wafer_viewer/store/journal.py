@@ -17,13 +17,18 @@ from wafer_viewer.model.plan import Axis, Shot
 from wafer_viewer.store.files import writing
 
 
-class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun"):
-    """A leg started."""
+class PassBegun(msgspec.Struct, frozen=True, tag="pass_begun", omit_defaults=True):
+    """A leg started.
+
+    provisional: its frames count once it has ended, and those that are missed after they came do not. Older programs
+    kept every frame at once.
+    """
 
     number: int
     axis: Axis
     n_frames: int
     time: str
+    provisional: bool = False
 
 
 class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
@@ -40,7 +45,7 @@ class FrameKept(msgspec.Struct, frozen=True, tag="frame"):
 
 
 class Missed(msgspec.Struct, frozen=True, tag="missed"):
-    """A slot stayed empty, and why."""
+    """A slot stayed empty, or a frame of the pass under way cannot be kept, and why."""
 
     shot: Shot
     pulse_count: int

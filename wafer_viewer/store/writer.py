@@ -44,6 +44,8 @@ class DatasetWriter:
         self._files: dict[int, PageWriter] = {}
         self._journal = journal.JournalWriter(path / JOURNAL)
         self._kept = Dataset(path, record).kept()
+        self._provisional: set[Shot] | None = None
+        """Slots with a frame of the pass under way; None between passes, where a frame counts at once."""
         self._kept_of_field = Counter(shot.field for shot in self._kept)
 
     @classmethod
@@ -105,22 +107,33 @@ class DatasetWriter:
         """The slots that have a frame: what a scan that goes on may skip."""
         return frozenset(self._kept)
 
+    @property
+    def n_arrived(self) -> int:
+        """How many slots have a frame, those of the pass under way among them."""
+        return len(self._kept) + len(self._provisional or ())
+
     def pass_begun(self, number: int, leg: Leg) -> None:
-        """A leg starts."""
-        self._journal.write(journal.PassBegun(number, leg.train.axis, leg.train.n_frames, _now()))
+        """A leg starts: its frames count once it has ended."""
+        self._provisional = set()
+        begun = journal.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
+        self._journal.write(begun)
 
     def frame(self, frame: Frame) -> None:
         """Keep a frame: its page, then its line. A slot that is kept is not written again.
+
+        Within a pass it counts once that has ended, unless its slot is missed before.
 
         An image that did not come whole is noted as missed. Raises DatasetError when frame and plan disagree.
         """
         if frame.image is None or frame.status is not FrameStatus.OK:
             self.missed(frame.shot, frame.pulse_count, f"the image was {frame.status.value}")
-        elif frame.shot not in self._kept:
+        elif frame.shot not in self._kept and frame.shot not in (self._provisional or ()):
             self._keep(frame, self._checked(frame.shot, frame.image))
 
     def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
-        """A slot stayed empty."""
+        """A slot stayed empty, or its frame of the pass under way is not to be kept."""
+        if self._provisional is not None:
+            self._provisional.discard(shot)
         self._journal.write(journal.Missed(shot, pulse_count, why))
 
     def repaired(self, shot: Shot) -> None:
@@ -128,8 +141,10 @@ class DatasetWriter:
         self._journal.write(journal.Repaired(shot))
 
     def pass_ended(self, number: int, summary: PulseSummary) -> None:
-        """A leg is over."""
+        """A leg is over: its frames count."""
         self._journal.write(journal.PassEnded(number, summary, _now()))
+        shots, self._provisional = self._provisional or set[Shot](), None
+        self._count(shots)
 
     def fault(self, what: str) -> None:
         """Something a person should know."""
@@ -167,10 +182,18 @@ class DatasetWriter:
                 crc32=zlib.crc32(image.data),
             )
         )
-        self._kept.add(shot)
-        self._kept_of_field[shot.field] += 1
-        if self._kept_of_field[shot.field] == self.record.pages.n_pages and self.on_field_complete is not None:
-            self.on_field_complete(shot.field)
+        if self._provisional is not None:
+            self._provisional.add(shot)
+        else:
+            self._count({shot})
+
+    def _count(self, shots: set[Shot]) -> None:
+        """Count frames as kept, and tell of the fields that they complete."""
+        self._kept |= shots
+        for number, n_new in Counter(shot.field for shot in shots).items():
+            self._kept_of_field[number] += n_new
+            if self._kept_of_field[number] == self.record.pages.n_pages and self.on_field_complete is not None:
+                self.on_field_complete(number)
 
     def _checked(self, shot: Shot, image: Image) -> Image:
         pages = self.record.pages

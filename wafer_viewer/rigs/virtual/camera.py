@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from wafer_viewer.model.devices import CameraImage, Position
-from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.errors import RigError
 from wafer_viewer.model.limits import CameraLimits
-from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.stack import FrameStatus, Image
 from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.mechanics import VirtualStage
-from wafer_viewer.rigs.virtual.port import Interference
 
 TRIGGER_DELAY_US = 12.0
 """From the pulse to the begin of the exposure."""
@@ -21,6 +20,8 @@ CLOCK_OFFSET_US = 7_654_321
 CLOCK_DRIFT = 20e-6
 """The camera's own clock: where it stands when the rig is switched on, and how much faster it runs."""
 TRANSFER_S = 0.002
+EXTRA = -1
+"""The number of an image that no trigger took."""
 
 
 class Renderer(Protocol):
@@ -29,22 +30,6 @@ class Renderer(Protocol):
     def frame(self, x_um: float, y_um: float, z_um: float, exposure_us: float, seed: int) -> Image:
         """The picture with the stage truly at (x, y, z), the middle of the frame at (x, y); [row, col]."""
         ...
-
-
-class Faults(Spec, frozen=True, kw_only=True):
-    """What goes wrong, by the running number of the trigger since the rig was switched on.
-
-    A trigger is ignored, an exposed image is lost on its way, or comes incomplete; the pulse box loses its power.
-    """
-
-    error: ClassVar[type[WaferViewerError]] = RigError
-    ignored_triggers: tuple[int, ...] = ()
-    lost_images: tuple[int, ...] = ()
-    incomplete: tuple[int, ...] = ()
-    reboots: tuple[int, ...] = ()
-    wire: Interference = Interference()
-    trigger_counter: bool = True
-    """Whether the camera counts its triggers; without, frames are paired with pulses by time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +65,12 @@ class VirtualCamera:
         self._waits = 0
         self._queue: deque[Exposure] = deque()
         self._ready_s = 0.0
-        self._edges = 0
+        self._edges = self._exposures = 0
         self._triggers = 0
 
     @property
     def triggers(self) -> int:
-        """Triggers since the rig was switched on."""
+        """Triggers for which the camera waited since the rig was switched on."""
         return self._triggers
 
     def start(self, exposure_us: float) -> None:
@@ -97,7 +82,7 @@ class VirtualCamera:
                 f"{limits.exposure_max_us:g} us."
             )
         self._forget()
-        self._exposure_us, self._edges = exposure_us, 0
+        self._exposure_us, self._edges, self._exposures = exposure_us, 0, 0
 
     def stop(self) -> None:
         """Wait for triggers no more; images not fetched are dropped."""
@@ -105,16 +90,29 @@ class VirtualCamera:
         self._exposure_us = None
 
     def trigger(self, time_s: float) -> bool:
-        """An edge on the trigger input; returns whether the camera exposed."""
-        number, count = self._triggers, self._edges
-        self._triggers, self._edges = number + 1, count + 1
-        if self._exposure_us is None or time_s < self._ready_s or number in self._faults.ignored_triggers:
+        """An edge from the pulse box; returns whether the camera exposed."""
+        if self._exposure_us is None:
             return False
-        self._ready_s = time_s + self._limits.period_s(self._exposure_us) - 1e-6
+        number = self._triggers
+        self._triggers += 1
+        return self._edge(time_s, self._exposure_us, number)
+
+    def disturb(self, time_s: float) -> bool:
+        """An edge on the trigger input that the pulse box did not send; returns whether the camera exposed."""
+        return self._exposure_us is not None and self._edge(time_s, self._exposure_us, EXTRA)
+
+    def _edge(self, time_s: float, exposure_us: float, number: int) -> bool:
+        count = self._exposures if self._faults.counts_exposures else self._edges
+        self._edges += 1
+        if time_s < self._ready_s or number in self._faults.ignored_triggers:
+            return False
+        self._exposures += 1
+        self._ready_s = time_s + self._limits.period_s(exposure_us) - 1e-6
         if number not in self._faults.lost_images:
-            taken = self._expose(time_s, self._exposure_us, number, count)
-            arrival_s, wait = self._arrival_s(time_s, self._exposure_us), self._waits
-            self._clock.at(arrival_s, lambda _: self._arrive(taken, wait))
+            taken = self._expose(time_s, exposure_us, number, count)
+            arrival_s, wait = self._arrival_s(time_s, exposure_us), self._waits
+            for _ in range(1 + (number in self._faults.duplicated_images)):
+                self._clock.at(arrival_s, lambda _: self._arrive(taken, wait))
         return True
 
     def next_image(self, timeout_s: float) -> CameraImage | None:
@@ -152,4 +150,6 @@ class VirtualCamera:
         if taken.number in self._faults.incomplete:
             image, status, count = image.copy(), FrameStatus.INCOMPLETE, max(0, count - 1)
             image[image.shape[0] // 2 :] = 0
+        if self._faults.counter_wraps_at:
+            count %= self._faults.counter_wraps_at
         return CameraImage(image, count if self._faults.trigger_counter else None, taken.device_time_us, status)

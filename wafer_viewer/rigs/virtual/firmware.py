@@ -26,12 +26,24 @@ class Refused(Exception):
 
 
 class VirtualPulseBox:
-    """Counts the virtual scales, divides them and triggers the camera; `trigger` tells whether the camera exposed."""
+    """Counts the virtual scales, divides them and triggers the camera.
 
-    def __init__(self, clock: VirtualClock, stage: VirtualStage, trigger: Callable[[float], bool]) -> None:
+    trigger: tells whether the camera exposed; suppresses: whether the pulse that is due is held back.
+    """
+
+    def __init__(
+        self,
+        clock: VirtualClock,
+        stage: VirtualStage,
+        trigger: Callable[[float], bool],
+        suppresses: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._clock = clock
         self._stage = stage
         self._trigger = trigger
+        self._suppresses = suppresses
+        self._counted_off: dict[Axis, int] = dict.fromkeys(AXES.values(), 0)
+        """The box's count of each axis less that of its scale."""
         self._send: Callable[[bytes, float], None] = lambda data, time_s: None
         self._boot = 1
         self.executed = 0
@@ -43,12 +55,24 @@ class VirtualPulseBox:
         self._send = send
 
     def reboot(self) -> None:
-        """Lose power and come back."""
+        """Lose power and come back, counting from 0 where the stage stands."""
         self._unwatch()
         if self._heart is not None:
             self._heart.cancel()
         self._boot += 1
+        at = self._stage.position()
+        for axis, um in zip(AXES.values(), (at.x_um, at.y_um, at.z_um), strict=True):
+            self._counted_off[axis] = -self._stage.axes[axis].limits.counts(um)
         self._power_up()
+
+    def slip(self, counts: int, *, reported: bool) -> None:
+        """Lose counts of the axis in motion; where reported, every two of them are one quadrature error."""
+        self._counted_off[self._axis] -= self._setting("DIR") * counts
+        self._quadrature_errors += math.ceil(counts / 2) if reported else 0
+
+    def see_exposure(self) -> None:
+        """Count an exposure that no pulse of the box began."""
+        self._exposures += 1
 
     def receive(self, data: bytes, time_s: float) -> bytes:
         """Take bytes that arrive at a time; returns the answers to the commands that they complete."""
@@ -71,7 +95,7 @@ class VirtualPulseBox:
 
     def _begin_run(self) -> None:
         self._ring: deque[Pulse] = deque(maxlen=RING_RECORDS)
-        self._emitted = self._suppressed = self._exposures = 0
+        self._emitted = self._suppressed = self._exposures = self._quadrature_errors = 0
         self._crossed = 0
         self._last_pulse_s = -math.inf
 
@@ -154,7 +178,7 @@ class VirtualPulseBox:
         self._unwatch()
 
     def _motion_changed(self, axis: Axis, time_s: float) -> None:
-        if self._armed and axis == AXES[self._settings["AX"]]:
+        if self._armed and axis == self._axis:
             self._watch(time_s)
 
     def _watch(self, time_s: float) -> None:
@@ -166,8 +190,8 @@ class VirtualPulseBox:
         count = setting("START") + direction * setting("DIV") * self._crossed
         if direction * (setting("STOP") - count) < 0:
             return
-        axis = self._stage.axes[AXES[self._settings["AX"]]]
-        crossing_s = axis.profile.crossing_s(axis.limits.position_um(count), direction, time_s)
+        axis, on_scale = self._stage.axes[self._axis], count - self._counted_off[self._axis]
+        crossing_s = axis.profile.crossing_s(axis.limits.position_um(on_scale), direction, time_s)
         if crossing_s is not None:
             self._watched = self._clock.at(crossing_s, lambda t: self._cross(count, t))
 
@@ -178,7 +202,7 @@ class VirtualPulseBox:
 
     def _cross(self, count: int, time_s: float) -> None:
         self._crossed += 1
-        if (time_s - self._last_pulse_s) * 1e6 < self._setting("MINGAP_US"):
+        if (time_s - self._last_pulse_s) * 1e6 < self._setting("MINGAP_US") or self._suppresses():
             self._suppressed += 1
         else:
             self._pulse(count, time_s)
@@ -207,7 +231,7 @@ class VirtualPulseBox:
         numbers = {
             "EMITTED": self._emitted,
             "SUPPRESSED": self._suppressed,
-            "QERR": 0,
+            "QERR": self._quadrature_errors,
             "EXPOSURES": self._exposures,
         }
         return {name: str(value) for name, value in numbers.items()}
@@ -215,9 +239,13 @@ class VirtualPulseBox:
     def _setting(self, name: str) -> int:
         return int(self._settings[name])
 
+    @property
+    def _axis(self) -> Axis:
+        return AXES[self._settings["AX"]]
+
     def _count_at(self, time_s: float) -> int:
-        axis = self._stage.axes[AXES[self._settings["AX"]]]
-        return axis.limits.counts(axis.profile.position_at(time_s))
+        axis = self._stage.axes[self._axis]
+        return axis.limits.counts(axis.profile.position_at(time_s)) + self._counted_off[self._axis]
 
 
 Verb = Callable[[VirtualPulseBox, dict[str, str], float], dict[str, str]]

@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from wafer_viewer.model.devices import Position
-from wafer_viewer.model.errors import MotionStopped, RigError
+from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.model.limits import AxisLimits, RigLimits
 from wafer_viewer.model.plan import Axis
 from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.motion import halt, standing, trapezoid
 
 LATERAL_ERROR_UM = 0.15
@@ -22,6 +23,8 @@ AXIAL_WAVES_UM = (20.0, 400.0)
 """The shortest and the longest wave of these errors."""
 RING_UM = 0.3
 RING_HZ = 60.0
+REST_PATIENCE_S = 5.0
+"""How long after its way and settling an axis may still report motion."""
 WATCH_S = 0.002
 """How often a motion is asked after, and whoever may break it off: 0.2 mm at full speed."""
 
@@ -59,10 +62,10 @@ class VirtualAxis:
                 f"{self.limits.high_um:g} um."
             )
 
-    def start(self, now_s: float, to_um: float, speed_um_s: float) -> None:
-        """Begin a motion."""
+    def start(self, now_s: float, to_um: float, speed_um_s: float, late_s: float = 0.0) -> None:
+        """Begin a motion, `late_s` after its command."""
         self.profile = trapezoid(
-            now_s, self.profile.position_at(now_s), to_um, speed_um_s, self.limits.acceleration_um_s2
+            now_s + late_s, self.profile.position_at(now_s), to_um, speed_um_s, self.limits.acceleration_um_s2
         )
 
     def stop(self, now_s: float) -> None:
@@ -89,8 +92,13 @@ class VirtualAxis:
 class VirtualStage:
     """Fulfils the role Stage on a virtual clock; the pulse box follows its scales, the camera its truth."""
 
-    def __init__(self, clock: VirtualClock, limits: RigLimits, seed: int = 0) -> None:
+    def __init__(self, clock: VirtualClock, limits: RigLimits, seed: int = 0, faults: Faults | None = None) -> None:
         self._clock = clock
+        self._faults = faults or Faults()
+        self._motions = 0
+        """How many were commanded since the rig was switched on."""
+        self._endless = False
+        """Whether it reports to be moving, whatever it does."""
         self.axes: dict[Axis, VirtualAxis] = {n: VirtualAxis(n, limits.axis(n)) for n in ("x", "y", "z")}
         self._error_x = ScaleError((seed, 1), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
         self._error_y = ScaleError((seed, 2), LATERAL_ERROR_UM, LATERAL_WAVES_UM)
@@ -143,9 +151,11 @@ class VirtualStage:
             self._check(axis, to_um)
         if should_stop is not None and should_stop():
             raise self._stopped()
+        now_s = self._clock.now_s()
+        goals = [(axis, to_um) for axis, to_um in goals if to_um != axis.profile.position_at(now_s)]
+        late_s = self._command() if goals else 0.0
         for axis, to_um in goals:
-            if to_um != axis.profile.position_at(self._clock.now_s()):
-                self._start(axis, to_um, axis.limits.speed_um_s)
+            self._start(axis, to_um, axis.limits.speed_um_s, late_s)
         self._arrive(should_stop)
 
     def start(self, axis: Axis, to_um: float, speed_um_s: float) -> None:
@@ -156,7 +166,7 @@ class VirtualStage:
             raise RigError(
                 f"The {axis} axis cannot go at {speed_um_s:g} um/s: its limit is {one.limits.speed_um_s:g} um/s."
             )
-        self._start(one, to_um, speed_um_s)
+        self._start(one, to_um, speed_um_s, self._command())
 
     def homed(self) -> bool:
         """Always: its scales are absolute."""
@@ -165,16 +175,19 @@ class VirtualStage:
     def moving(self) -> bool:
         """Whether any axis is in motion."""
         now_s = self._clock.now_s()
-        return any(axis.moving(now_s) for axis in self.axes.values())
+        return self._endless or any(axis.moving(now_s) for axis in self.axes.values())
 
     def wait(self) -> None:
-        """Wait until every axis stands and has settled."""
+        """Wait until every axis stands and has settled. Raises RigTimeout when it does not report so in time."""
         self._clock.sleep(self._unsettled_s())
+        if self._endless:
+            self._clock.sleep(REST_PATIENCE_S)
+            raise RigTimeout("The stage still reports motion long after it should stand: stop it and check its drives.")
 
     def stop(self) -> None:
         """Decelerate every axis to a halt. This is no emergency stop."""
         self._clock.catch_up()
-        now_s = self._clock.now_s()
+        now_s, self._endless = self._clock.now_s(), False
         for axis in self.axes.values():
             if axis.moving(now_s):
                 axis.stop(now_s)
@@ -187,7 +200,7 @@ class VirtualStage:
                 self.stop()
                 self.wait()
                 raise self._stopped()
-            self._clock.sleep(min(WATCH_S, self._unsettled_s()))
+            self._clock.sleep(min(WATCH_S, self._unsettled_s() or WATCH_S))
         self.wait()
 
     def _unsettled_s(self) -> float:
@@ -203,10 +216,17 @@ class VirtualStage:
         if axis.moving(self._clock.now_s()):
             raise RigError(f"The {axis.name} axis is still moving: wait for it or stop it first.")
 
-    def _start(self, axis: VirtualAxis, to_um: float, speed_um_s: float) -> None:
+    def _command(self) -> float:
+        """Number a motion, with its faults; returns how late it begins, in s."""
+        number = self._motions
+        self._motions += 1
+        self._endless = self._endless or number in self._faults.endless_motions
+        return self._faults.late_s if number in self._faults.late_motions else 0.0
+
+    def _start(self, axis: VirtualAxis, to_um: float, speed_um_s: float, late_s: float) -> None:
         self._clock.catch_up()
         now_s = self._clock.now_s()
-        axis.start(now_s, to_um, speed_um_s)
+        axis.start(now_s, to_um, speed_um_s, late_s)
         self._tell(axis, now_s)
 
     def _tell(self, axis: VirtualAxis, now_s: float) -> None:

@@ -13,8 +13,9 @@ from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.plan import ScanPlan
 from wafer_viewer.rigs.pulse_box import PulseBoxClient
-from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Faults, Renderer, VirtualCamera
+from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.firmware import VirtualPulseBox
 from wafer_viewer.rigs.virtual.mechanics import VirtualStage
 from wafer_viewer.rigs.virtual.port import VirtualPort
@@ -104,10 +105,11 @@ class VirtualRig:
         self._limits = limits or virtual_limits(*SIZES[size])
         self._faults = faults or Faults()
         self._clock = VirtualClock(real_time=real_time)
-        self._stage = VirtualStage(self._clock, self._limits, seed)
+        self._stage = VirtualStage(self._clock, self._limits, seed, self._faults)
         self._renderer = renderer or scene_renderer(scene, self._limits)
         self._camera = VirtualCamera(self._clock, self._stage, self._limits.camera, self._renderer, self._faults, seed)
-        self._firmware = VirtualPulseBox(self._clock, self._stage, self._triggered)
+        self._firmware = VirtualPulseBox(self._clock, self._stage, self._triggered, self._suppresses)
+        self._held_back: set[int] = set()
         self._port = VirtualPort(self._clock, self._firmware, self._faults.wire)
         self._firmware.connect(self._port.deliver)
         self._box = PulseBoxClient(self._port, self._clock)
@@ -193,9 +195,31 @@ class VirtualRig:
         return scene(self._scene).truth(x_um, y_um)
 
     def _triggered(self, time_s: float) -> bool:
-        if self._camera.triggers in self._faults.reboots:
+        """A pulse on the cable to the camera, with the faults that come with it; whether the box saw an exposure."""
+        number, faults = self._camera.triggers, self._faults
+        exposed = self._camera.trigger(time_s)
+        if self._camera.triggers == number:
+            return exposed
+        if number in faults.reboots:
             self._clock.at(time_s, lambda _: self._firmware.reboot())
-        return self._camera.trigger(time_s)
+        if number in faults.slips:
+            self._firmware.slip(faults.slip_counts, reported=faults.slips_reported)
+        if number in faults.extra_edges:
+            self._clock.at(time_s + faults.extra_edge_us * 1e-6, self._disturbed)
+        return exposed and number not in faults.unseen_exposures
+
+    def _disturbed(self, time_s: float) -> None:
+        """Interference on the cable to the camera."""
+        if self._camera.disturb(time_s):
+            self._firmware.see_exposure()
+
+    def _suppresses(self) -> bool:
+        """Whether the box holds the next trigger back: once for each number that its faults name."""
+        number = self._camera.triggers
+        if number not in self._faults.suppressed_pulses or number in self._held_back:
+            return False
+        self._held_back.add(number)
+        return True
 
 
 def scene_renderer(name: str, limits: RigLimits) -> Renderer:

@@ -1,0 +1,261 @@
+"""Scans on a rig that slips, loses, invents and hangs: no frame stands in a wrong slot, and every fault is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wafer_viewer.acquire.runner import PASS_TRIES, run_scan
+from wafer_viewer.model.errors import RigError, RigTimeout
+from wafer_viewer.model.plan import Shot
+from wafer_viewer.rigs.virtual.faults import Faults
+
+FIELDS = {"rows": 2, "cols": 2, "n_frames": 60}
+N = 240
+
+
+class Ledger:
+    """Fulfils ScanSink: keeps the frames that count, as the dataset's writer does."""
+
+    def __init__(self):
+        self.kept, self.open = {}, {}
+        self.missed_why, self.faults, self.summaries = {}, [], []
+
+    def pass_begun(self, number, leg):
+        self.open = {}
+
+    def frame(self, frame):
+        self.open[frame.shot] = frame
+
+    def missed(self, shot, pulse_count, why):
+        self.open.pop(shot, None)
+        self.missed_why.setdefault(shot, []).append(why)
+
+    def repaired(self, shot):
+        pass
+
+    def pass_ended(self, number, summary):
+        self.summaries.append(summary)
+        self.kept |= self.open
+        self.open = {}
+
+    def fault(self, what):
+        self.faults.append(what)
+
+
+@pytest.fixture
+def scan(virtual_rig, small_plan, control, place):
+    """A function that scans four fields of 60 frames with faults: what was kept, and how many frames are wrong."""
+
+    def take(strategy="z_snake", **faults):
+        rig, ledger = virtual_rig(faults=Faults(**faults)), Ledger()
+        plan = small_plan(rig, strategy, **FIELDS)
+        error = None
+        try:
+            run_scan(plan, rig, ledger, control())
+        except RigError as fault:
+            error = fault
+        wrong = [f.shot for f in ledger.kept.values() if abs(place(f.image)[0][2] - f.z_um) > 0.12]
+        slots = [
+            f.shot
+            for f in ledger.kept.values()
+            if abs(f.z_um - plan.sweep.z_um(plan.field(f.shot.field), f.shot.k)) > 0.12
+        ]
+        return ledger, wrong + slots, error
+
+    return take
+
+
+PAIRING = {
+    "one extra edge while the camera is busy": {"extra_edges": (30,), "extra_edge_us": 1_000.0},
+    "one extra edge that exposes": {"extra_edges": (30,), "extra_edge_us": 16_800.0},
+    "an extra edge after each 37th": {"extra_edges": tuple(range(37, 500, 37)), "extra_edge_us": 1_000.0},
+    "an exposing edge after each 37th": {"extra_edges": tuple(range(37, 200, 37)), "extra_edge_us": 16_800.0},
+    "an edge before the first pulse": {"extra_edges": (0, 60, 120), "extra_edge_us": 400_000.0},
+    "a camera that numbers exposures, three triggers ignored": {"counts_exposures": True, "ignored_triggers": (20, 90, 150)},
+    "the same and an extra edge": {"counts_exposures": True, "ignored_triggers": (20, 90), "extra_edges": (40,), "extra_edge_us": 16_800.0},
+    "a counter that wraps": {"counter_wraps_at": 16},
+    "images twice": {"duplicated_images": tuple(range(3, 300, 7))},
+    "lost images": {"lost_images": tuple(range(5, 240, 10)), "trigger_counter": False},
+    "incomplete images": {"incomplete": tuple(range(5, 240, 17))},
+    "an ignored trigger at either end": {"ignored_triggers": (1, 60, 61, 120)},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])
+@pytest.mark.parametrize("case", PAIRING)
+def test_no_frame_stands_in_a_wrong_slot(case, strategy, scan):
+    ledger, wrong, error = scan(strategy, **PAIRING[case])
+    assert error is None
+    assert wrong == []
+    assert len(ledger.kept) == N
+
+
+@pytest.mark.parametrize(
+    ("case", "says"),
+    [
+        ("one extra edge while the camera is busy", "counted 1 edge that the pulse box did not send"),
+        ("an extra edge after each 37th", "In 4 passes the camera counted edges"),
+        ("a camera that numbers exposures, three triggers ignored", "did not count 1 pulse"),
+    ],
+)
+def test_a_counter_that_disagrees_with_the_time_is_named(case, says, scan):
+    ledger, wrong, _ = scan(**PAIRING[case])
+    assert wrong == []
+    assert any(says in fault for fault in ledger.faults), ledger.faults
+
+
+SUSPECT = {
+    "quadrature errors": ({"slips": (30,), "slip_counts": 14}, r"7 quadrature errors on the z scale, and .* slipped by -14 counts \(-0\.14 um\)"),
+    "a slip that nobody reports": ({"slips": (30,), "slip_counts": 250, "slips_reported": False}, r"slipped by -250 counts \(-2\.50 um\)"),
+    "suppressed pulses": ({"suppressed_pulses": (25, 30, 40)}, "suppressed 3 pulses"),
+    "exposures that the box did not see": ({"unseen_exposures": (25, 26)}, "58 exposures for 60 pulses and 60 images"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SUSPECT)
+def test_a_pass_that_cannot_be_trusted_is_taken_again_and_named(case, scan):
+    faults, says = SUSPECT[case]
+    ledger, wrong, error = scan(**faults)
+    assert error is None
+    assert wrong == []
+    assert len(ledger.kept) == N
+    assert len(ledger.summaries) == 5, "four passes, one of them again"
+    assert len(ledger.missed_why) == 60
+    (told,) = ledger.faults
+    assert "None of the 60 frames of the pass that begins at field 1 is kept" in told
+    assert "try 2 of 3" in told
+    import re
+
+    assert re.search(says, told), told
+
+
+@pytest.mark.parametrize("direction", ["up", "down"])
+def test_a_box_that_always_slips_ends_the_scan_with_a_sentence(direction, scan):
+    first = 10 if direction == "up" else 90
+    ledger, wrong, error = scan(slips=tuple(range(first, 3_000, 20)), slip_counts=250)
+    assert wrong == []
+    assert len(ledger.kept) == (0 if direction == "up" else 60)
+    assert len(ledger.summaries) == PASS_TRIES + len(ledger.kept) // 60
+    text = str(error)
+    assert "in 3 tries" in text
+    assert "quadrature errors on the z scale" in text
+    assert "counts (" in text
+    assert "Check the cable and the signal of the scale" in text
+
+
+def test_a_slip_between_passes_is_mended_before_frames_are_taken_and_named(virtual_rig, small_plan, control, place):
+    rig, ledger = virtual_rig(), Ledger()
+    plan = small_plan(rig, **FIELDS)
+    end = ledger.pass_ended
+
+    def pass_ended(number, summary):
+        end(number, summary)
+        rig._firmware.slip(300, reported=False)
+
+    ledger.pass_ended = pass_ended
+    run_scan(plan, rig, ledger, control())
+    assert len(ledger.kept) == N
+    assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
+    assert "z axis slipped, by" in ledger.faults[0]
+    assert "In 3 passes the pulse box's count of the z axis slipped between passes" in ledger.faults[-1]
+
+
+def test_a_counter_that_starts_anywhere_is_set_by_the_stages_position(virtual_rig, small_plan, control, place):
+    rig, ledger = virtual_rig(), Ledger()
+    rig.stage.move_to(z_um=50.0)
+    rig._firmware.reboot()
+    with pytest.raises(RigError, match="started anew"):
+        rig.box.count("z")
+    run_scan(small_plan(rig, **FIELDS), rig, ledger, control())
+    assert len(ledger.kept) == N
+    assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
+
+
+@pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])
+def test_a_stage_that_reports_motion_for_ever_is_given_up(strategy, virtual_rig, small_plan, control):
+    rig, ledger = virtual_rig(faults=Faults(endless_motions=(1,))), Ledger()
+    began_s = rig.clock.now_s()
+    with pytest.raises(RigTimeout) as told:
+        run_scan(small_plan(rig, strategy, **FIELDS), rig, ledger, control())
+    text = str(told.value)
+    assert "does not report the end of its motion" in text
+    assert "the z axis stands at" in text
+    assert "should be at" in text
+    assert "pulse box disarmed" in text
+    assert "home the stage" in text
+    assert rig.clock.now_s() - began_s < 10.0
+    assert not rig.stage.moving()
+    assert ledger.kept == {}
+
+
+def test_a_stage_that_is_late_is_waited_for_within_reason(scan):
+    ledger, wrong, error = scan(late_motions=(0, 1, 2, 3), late_s=1.0)
+    assert error is None
+    assert wrong == []
+    assert len(ledger.kept) == N
+
+
+@pytest.mark.parametrize("motion", [0, 1])
+def test_a_stage_that_does_not_arrive_is_named_with_its_place_and_its_goal(motion, scan):
+    ledger, wrong, error = scan(late_motions=(motion,), late_s=60.0)
+    assert isinstance(error, RigTimeout)
+    assert wrong == []
+    axis = "x" if motion == 0 else "z"
+    assert f"The {axis} axis did not arrive" in str(error)
+    assert "it stands at" in str(error)
+    assert "instead of" in str(error)
+
+
+def test_what_reports_standing_too_early_is_waited_for(virtual_rig, small_plan, control, place, monkeypatch):
+    rig, ledger = virtual_rig(), Ledger()
+    plan = small_plan(rig, **FIELDS)
+    monkeypatch.setattr(rig.stage, "moving", lambda: False)
+    monkeypatch.setattr(rig.stage, "wait", lambda: None)
+    run_scan(plan, rig, ledger, control())
+    assert len(ledger.kept) == N
+    for frame in ledger.kept.values():
+        (x_um, _, z_um), _ = place(frame.image)
+        assert z_um == pytest.approx(frame.z_um, abs=0.12)
+        assert x_um == pytest.approx(plan.field(frame.shot.field).x_um, abs=1.5)
+
+
+@pytest.mark.parametrize(("device", "call"), [("camera", "next_image"), ("camera", "start"), ("stage", "start")])
+def test_an_error_of_a_devices_driver_is_told_as_that_devices(
+    device, call, virtual_rig, small_plan, control, monkeypatch
+):
+    rig = virtual_rig()
+
+    def broken(*_):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(getattr(rig, device), call, broken)
+    with pytest.raises(RigError, match=rf"The {device} failed \(Input/output error\): check its cable"):
+        run_scan(small_plan(rig), rig, Ledger(), control())
+
+
+def test_a_long_pause_does_not_shift_the_clocks_by_a_pulse(virtual_rig, small_plan, control, place):
+    rig, ledger = virtual_rig(faults=Faults(trigger_counter=False)), Ledger()
+    hand = control(pause_after=60)
+    hand.wait_while_paused = lambda: (setattr(hand, "pause_after", None), rig.clock.sleep(1_500.0))
+    run_scan(small_plan(rig, **FIELDS), rig, ledger, hand)
+    assert len(ledger.kept) == N
+    assert all(abs(place(f.image)[0][2] - f.z_um) < 0.12 for f in ledger.kept.values())
+
+
+def test_random_extra_and_ignored_triggers_mislabel_none(scan):
+    rng = np.random.default_rng(7)
+    for _ in range(6):
+        extra, ignored = rng.choice(240, 6, replace=False), rng.choice(np.arange(1, 240), 4, replace=False)
+        ledger, wrong, error = scan(
+            extra_edges=tuple(map(int, extra)),
+            extra_edge_us=float(rng.uniform(50.0, 17_000.0)),
+            ignored_triggers=tuple(map(int, ignored)),
+            counts_exposures=bool(rng.integers(2)),
+        )
+        assert (error, wrong, len(ledger.kept)) == (None, [], N)
+
+
+def test_the_hole_of_an_ignored_trigger_is_its_own(scan):
+    ledger, _, _ = scan(ignored_triggers=(10,))
+    assert ledger.missed_why == {Shot(1, 9): ["no image came for its pulse"]}

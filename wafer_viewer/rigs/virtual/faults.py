@@ -1,0 +1,61 @@
+"""Faults that the virtual rig can be given, as real stages, pulse boxes, cables and cameras have them."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.spec import Count, NonNegative, Spec, Within
+from wafer_viewer.rigs.virtual.port import Interference
+
+Numbers = tuple[int, ...]
+WrapsAt = Annotated[int, Within(0)]
+
+
+class Faults(Spec, frozen=True, kw_only=True):
+    """Faults of the virtual rig; none by default. The table ``[faults]`` of a rig's file.
+
+    Triggers are numbered from 0 since the rig was switched on; only those count for which the camera waits. The first
+    is the test pulse of a scan. Motions are numbered from 0 as they are commanded.
+
+    Parameters
+    ----------
+    ignored_triggers : triggers that the camera does not expose at.
+    lost_images : triggers whose image is lost on its way to the computer.
+    incomplete : triggers whose image arrives incomplete, with a stale counter.
+    duplicated_images : triggers whose image arrives twice.
+    extra_edges : triggers after which interference makes a further edge at the camera, `extra_edge_us` later. The
+        camera counts it, and exposes at it when it is ready.
+    trigger_counter : false for a camera that does not number its images.
+    counts_exposures : true for a camera that numbers its exposures instead of the edges at its input.
+    counter_wraps_at : the camera's counter goes back to 0 there; 0 for never.
+    unseen_exposures : triggers whose exposure the pulse box does not see, so that its count is short.
+    suppressed_pulses : triggers that the pulse box holds back once, and reports as suppressed.
+    slips : triggers at which the pulse box loses `slip_counts` counts of the moving axis. With `slips_reported` it
+        reports a quadrature error for every two of them.
+    reboots : triggers at which the pulse box loses its power; it counts from 0 again where the stage stands then.
+    endless_motions : motions after which the stage reports to be moving until it is stopped.
+    late_motions : motions that begin `late_s` after their command.
+    wire : interference on the serial line.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    ignored_triggers: Numbers = ()
+    lost_images: Numbers = ()
+    incomplete: Numbers = ()
+    duplicated_images: Numbers = ()
+    extra_edges: Numbers = ()
+    extra_edge_us: NonNegative = 1_000.0
+    trigger_counter: bool = True
+    counts_exposures: bool = False
+    counter_wraps_at: WrapsAt = 0
+    unseen_exposures: Numbers = ()
+    suppressed_pulses: Numbers = ()
+    slips: Numbers = ()
+    slip_counts: Count = 14
+    slips_reported: bool = True
+    reboots: Numbers = ()
+    endless_motions: Numbers = ()
+    late_motions: Numbers = ()
+    late_s: NonNegative = 0.5
+    wire: Interference = Interference()
