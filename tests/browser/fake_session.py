@@ -77,6 +77,15 @@ class FakeSession:
         self.change(draft=dataclasses.replace(self.snapshot.draft, typed=typed))
         return self._done("keep_typed", (typed,), {})
 
+    def stop(self) -> Future[bool]:
+        """Halt what moves; a scan is then unfinished."""
+        anything = self.snapshot.rig.state in ("moving", "scanning", "paused")
+        self.asked.append(("stop", (), {}))
+        self.change(rig=dataclasses.replace(self.snapshot.rig, state="ready"))
+        answer: Future[bool] = Future()
+        answer.set_result(anything)
+        return answer
+
     def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
 

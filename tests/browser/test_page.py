@@ -116,7 +116,7 @@ def test_a_coarse_step_is_warned_of(serve: Serve):
     expect(page.get_by_text("over half the depth of field")).to_be_visible()
 
 
-def test_stop_asks_once_and_pause_does_not(serve: Serve):
+def test_pause_asks_nothing_and_stop_halts_before_it_asks(serve: Serve):
     session = fake.FakeSession(fake.scanning())
     page = serve(session)
     go_to(page, "Acquire")
@@ -126,10 +126,28 @@ def test_stop_asks_once_and_pause_does_not(serve: Serve):
     press(page, "Pause")
     eventually(lambda: "pause" in verbs(session), "the scan was paused")
     page.get_by_role("button", name="Stop scan").click()
-    expect(page.get_by_text("What was taken stays")).to_be_visible()
-    assert "stop_scan" not in verbs(session)
-    press(page, "Stop scan")
-    eventually(lambda: "stop_scan" in verbs(session), "the scan was stopped")
+    eventually(lambda: "stop" in verbs(session), "the scan was stopped without a question")
+    question = page.get_by_role("dialog")
+    expect(question).to_contain_text("3 of 9 fields are complete; all frames are kept.")
+    question.get_by_role("button", name="Continue the scan").click()
+    eventually(lambda: "continue_scan" in verbs(session), "the scan was continued")
+    expect(question).to_have_count(0)
+
+
+def test_the_question_after_stop_closes_when_it_no_longer_applies(serve: Serve):
+    session = fake.FakeSession(fake.scanning())
+    page = serve(session)
+    for ends in (
+        lambda: session.change(rig=dataclasses.replace(session.snapshot.rig, state="scanning")),
+        lambda: session.change(dataset=dataclasses.replace(session.snapshot.dataset, finished=True)),
+    ):
+        page.keyboard.press("Shift+Escape")
+        expect(page.get_by_role("dialog")).to_contain_text("The scan is stopped")
+        ends()
+        expect(page.get_by_role("dialog")).to_have_count(0)
+    page.keyboard.press("Shift+Escape")
+    expect(page.get_by_text("Nothing moves.")).to_be_visible()
+    assert notes(page).count() == 0
 
 
 def test_an_unfinished_dataset_is_gone_on_with(serve: Serve):

@@ -63,6 +63,26 @@ def test_stop_breaks_off_a_move_and_the_next_one_works(page: Page, session: Sess
     assert session.snapshot.rig.z_um == pytest.approx(stood.z_um, abs=1e-3)
 
 
+def test_a_scan_is_halted_at_once_continued_and_ended(page: Page, session: Session):
+    session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, READY_S)
+    session.take_tour().result(READY_S)
+    session.start_scan("halted").result(READY_S)
+    session.wait_until(lambda now: now.scan is not None and now.scan.frames_done > 5, READY_S)
+    stop_button(page).click()
+    session.wait_until(lambda now: now.rig.state == "ready", READY_S)
+    assert not session.snapshot.dataset.finished
+    question = page.get_by_role("dialog")
+    question.get_by_role("button", name="Continue the scan").click()
+    expect(question).to_have_count(0)
+    session.wait_until(lambda now: now.rig.state == "scanning", READY_S)
+    page.keyboard.press("Shift+Escape")
+    question.get_by_role("button", name="End the scan").click()
+    expect(question).to_have_count(0)
+    session.wait_until(lambda now: now.rig.state == "ready", READY_S)
+    expect(stop_button(page)).to_be_disabled()
+    assert notes(page).count() == 0
+
+
 class MovingSession(fake.FakeSession):
     """Its stage is on its way until it is stopped."""
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.look import eight_bit
 from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import stop_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, outlined, set_prop
 from wafer_viewer.gui.operator_view import unfold
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.stopping import NOT_STOPPED, stop
 from wafer_viewer.gui.verdict_section import VerdictSection, awaited
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.stack import Image
@@ -74,9 +74,10 @@ class AcquirePanel:
         with self._running:
             pause = guarded(page, "The scan did not pause")(lambda _: self.pause_or_resume())
             self._pause = button(gui, "Pause", viser.Icon.PLAYER_PAUSE, pause)
-            self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, lambda _: stop_dialog(page))
+            halt = guarded(page, NOT_STOPPED)(lambda _: stop(page))
+            self._stop = button(gui, "Stop scan", viser.Icon.PLAYER_STOP, halt)
             in_a_row(gui, [self._pause, self._stop], 40)
-            Cell(gui, '<div class="wv-why">Stop ends the scan in software: it is no emergency stop.</div>')
+            Cell(gui, '<div class="wv-why">Stop halts at once, in software: it is no emergency stop.</div>')
         self._notes = Cell(gui)
         self._verdict = VerdictSection(page)
         self._more = Cell(gui)

@@ -1,4 +1,4 @@
-"""Questions in the middle of the page: which dataset, which images, which plan, where to, really stop."""
+"""Questions in the middle of the page: which dataset, which images, which plan, where to."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Dialog:
         with self.modal:
             Cell(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
 
-    def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str) -> None:
+    def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str, away: str = "Cancel") -> None:
         """The two buttons at the foot. `act` may raise: the dialog then stays open, so that it can be mended."""
         with self.modal:
             problem = Cell(self.page.gui)
-            away = button(self.page.gui, "Cancel", None, lambda _: self.close())
+            leave = button(self.page.gui, away, None, lambda _: self.close())
             do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
-            in_a_row(self.page.gui, [away, do], 38, filled=do)
-            Cell(self.page.gui, _on_key("wv-away", away) + _on_key("wv-do", do), padded=False)
+            in_a_row(self.page.gui, [leave, do], 38, filled=do)
+            Cell(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
 
     def way_out(self, name: str) -> None:
@@ -170,17 +170,6 @@ def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
     below = "Its heights are made again by the recipe chosen. Frames and results stay; the heights of now are gone."
     dialog = Dialog(page, f"Replace the surface of {name}?", below)
     dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface stays")
-
-
-def stop_dialog(page: Page) -> None:
-    """Ask once before a scan is stopped."""
-    dialog = Dialog(page, "Stop the scan?", "What was taken stays, and the scan can be continued later.")
-    dialog.answers(
-        "Stop scan",
-        viser.Icon.PLAYER_STOP,
-        lambda: page.ask("The scan was not stopped", page.session.stop_scan()),
-        "The scan was not stopped",
-    )
 
 
 def rename_dialog(page: Page, number: int, old: str) -> None:

@@ -155,7 +155,7 @@ class Session(Asking):
         return self._do(self._rooms.stop, self._rooms.rig.stop_at_once())
 
     def stop_scan(self) -> Future[None]:
-        """End the scan; done when the rig is at rest. This is no emergency stop."""
+        """End the scan; done when the rig is at rest, at once without a scan. This is no emergency stop."""
         return self._do(self._rooms.stop_scan)
 
     # --------------------------------------------------------------- datasets
