@@ -54,6 +54,7 @@ def serve(
     port: int = 8080,
     scheduler: Text = None,
     open_browser: bool = False,
+    new_token: bool = False,
 ) -> None:
     """Open the viewer; prints its address. Ctrl-C ends it.
 
@@ -63,9 +64,11 @@ def serve(
         port: Port of the page on this machine; 0 takes a free one.
         scheduler: Address of a dask cluster that runs already, tls://HOST:PORT; without it one is started here.
         open_browser: Also open the page in the browser of this machine.
+        new_token: Replace the token of the folder's address: addresses printed before open the page no more.
     """
     from wafer_viewer.gui.app import serve as serve_page
     from wafer_viewer.session.memory import return_what_is_freed
+    from wafer_viewer.session.page_token import page_token
     from wafer_viewer.session.session import Session
 
     if not 0 <= port <= LAST_PORT:
@@ -74,7 +77,8 @@ def serve(
     return_what_is_freed()
     session = Session(data.expanduser(), _config(rig), scheduler)
     try:
-        serve_page(session, port=port, open_browser=open_browser)
+        token = page_token(session.snapshot.data_folder, renew=new_token)
+        serve_page(session, port=port, open_browser=open_browser, token=token)
     finally:
         session.close()
 

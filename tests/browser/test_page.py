@@ -22,7 +22,6 @@ from tests.browser.steps import (
     title_is,
     type_into,
 )
-from wafer_viewer.gui.app import start
 from wafer_viewer.model.errors import DatasetError
 
 pytestmark = [
@@ -287,13 +286,3 @@ def test_a_real_rig_is_never_called_simulated(serve: Serve):
     page = serve(fake.FakeSession(real))
     expect(page.locator(".wv-pill")).to_have_text(re.compile("REAL · Bench 2 · ready"))
     expect(page.locator(".wv-hd")).not_to_contain_text("SIMULATED")
-
-
-def test_a_lost_connection_is_written_across_the_page(look_at):
-    running = start(fake.FakeSession(fake.planned()))
-    page = look_at(running.address)
-    running.stop()
-    bar = page.locator("[data-dock-unmergeable-header]")
-    expect(bar).to_have_css("background-color", "rgb(180, 35, 24)")
-    said = bar.evaluate("bar => getComputedStyle(bar, '::before').content")
-    assert "Nothing on this page is current" in said

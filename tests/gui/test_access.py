@@ -15,6 +15,7 @@ import websockets.sync.client
 from websockets.exceptions import InvalidStatus
 
 from wafer_viewer.gui.access import AccessGuard, open_server
+from wafer_viewer.session.page_token import new_token
 
 Server = tuple[viser.ViserServer, AccessGuard]
 
@@ -132,6 +133,20 @@ def test_no_share_tunnel_can_be_opened(server: Server) -> None:
     before = threading.active_count()
     assert server[0].request_share_url() is None
     assert threading.active_count() == before
+
+
+def test_a_restart_with_the_same_token_and_port_lets_the_open_page_in_again() -> None:
+    token = new_token()
+    opened, guard = open_server("127.0.0.1", 0, token)
+    kept, port = cookie((opened, guard)), opened.get_port()
+    opened.stop()
+    again = open_server("127.0.0.1", port, token)
+    try:
+        assert again[1].address == guard.address
+        own = f"http://127.0.0.1:{port}"
+        assert socket_status(again, Cookie=kept, Origin=own) == 101
+    finally:
+        again[0].stop()
 
 
 def test_a_server_opened_meanwhile_by_others_is_left_alone() -> None:

@@ -12,7 +12,6 @@ import hmac
 import http
 import http.cookies
 import io
-import secrets
 import threading
 from collections.abc import Callable, Generator
 from typing import Any
@@ -24,11 +23,12 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
+from wafer_viewer.session.page_token import new_token
+
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _EVERYWHERE = ("0.0.0.0", "::", "")
-_TOKEN_BYTES = 24
 _HTTP_PORT = 80
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
@@ -46,9 +46,9 @@ _patching = threading.Lock()
 class AccessGuard:
     """The checks of one server, and the address that passes them."""
 
-    def __init__(self, host: str) -> None:
+    def __init__(self, host: str, token: str) -> None:
         self._host = host
-        self._token = secrets.token_urlsafe(_TOKEN_BYTES)
+        self._token = token
         self._port = 0
 
     @property
@@ -121,9 +121,9 @@ class AccessGuard:
         return hmac.compare_digest(given.encode(), self._token.encode())
 
 
-def open_server(host: str, port: int) -> tuple[viser.ViserServer, AccessGuard]:
+def open_server(host: str, port: int, token: str | None = None) -> tuple[viser.ViserServer, AccessGuard]:
     """A viser server that is guarded from its first request on, and cannot be shared through a tunnel."""
-    guard = AccessGuard(host)
+    guard = AccessGuard(host, token or new_token())
     with _guarding(guard), contextlib.redirect_stdout(io.StringIO()):  # viser would print an address without the token
         server = viser.ViserServer(host=host, port=port, verbose=False)
     guard.bound_to(server.get_port())

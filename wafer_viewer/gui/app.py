@@ -51,13 +51,16 @@ def serve(
     port: int = 8080,
     announce: Callable[[str], None] = functools.partial(print, flush=True),
     open_browser: bool = False,
+    token: str | None = None,
 ) -> None:
     """Show the session to browsers until ctrl-C; `announce` gets the line with the address.
+
+    token: of the address; a new one where none is given.
 
     Raises WaferViewerError when the port is in use.
     """
     asked = _hear_requests_to_end()
-    running = start(session, host, port)
+    running = start(session, host, port, token)
     try:
         with contextlib.suppress(KeyboardInterrupt):
             announce(f"Wafer Viewer is at {running.address} (ctrl-C ends it)")
@@ -86,14 +89,14 @@ def _hear_requests_to_end() -> threading.Event:
     return asked
 
 
-def start(session: Session, host: str = "127.0.0.1", port: int = 0) -> Running:
-    """Show the session to browsers and come back at once; port 0 takes a free one.
+def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
+    """Show the session to browsers and come back at once; port 0 takes a free one, no token a new one.
 
     Raises WaferViewerError when the port is in use.
     """
     keep_log()
     quicken()
-    server, guard = open_server(host, _free(host, port))
+    server, guard = open_server(host, _free(host, port), token)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second

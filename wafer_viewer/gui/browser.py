@@ -23,6 +23,7 @@ EDGE_PX = 4
 """A region at the side is so much wider than the panel in it."""
 LEAST_PX, MOST_PX = 200, 720
 """Widths outside of these are no panel's: a panel folded away, or on its way to be."""
+LEAST_SCENE_PX = 440
 _SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
 _SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
 """In the name of what draws without a graphics card."""
@@ -46,7 +47,7 @@ const side = edge => {{
 }};
 window.wvTelling = setInterval(() => {{
   const now = JSON.stringify({{
-    system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'),
+    system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'), window: innerWidth,
   }});
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   if (now === told || !field) return;
@@ -61,6 +62,7 @@ class Told(msgspec.Struct, frozen=True):
     """A browser's report: of each side panel its width in pixels, and whether it is folded away.
 
     renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
+    window: width of the page in pixels, 0 as long as the browser has not said.
     """
 
     system: str = ""
@@ -68,6 +70,7 @@ class Told(msgspec.Struct, frozen=True):
     right: tuple[int, bool] | None = None
     renderer: str = ""
     still: bool = False
+    window: int = 0
 
 
 class BrowserEar:
@@ -80,6 +83,7 @@ class BrowserEar:
         self._page = page
         self._system: str | None = None
         self._restored = False
+        self._cramped = False
         self.left: Any = None
         self._can_fly = False
         self._let_fly: Callable[[bool], None] = lambda able: None
@@ -109,9 +113,23 @@ class BrowserEar:
         self._can_fly = may_fly(told)
         self._let_fly(self._can_fly)
         layout = layout_of(told, page.browser.layout)
+        if self._cramped:  # folded for want of room, not by a person
+            layout = replace(layout, left_folded=page.browser.layout.left_folded)
         if self._restored and layout != page.browser.layout:
             page.remember(replace(page.browser, layout=layout))
+        if self._restored:
+            self._make_room(told, layout)
         page.redraw()
+
+    def _make_room(self, told: Told, layout: Layout) -> None:
+        """Fold the left panel away when the scene gets too narrow, and bring it back when there is room again."""
+        if (cramped := is_cramped(told, layout)) == self._cramped:
+            return
+        self._cramped = cramped
+        if cramped:
+            self.left.minimize()
+        elif not layout.left_folded:
+            self.left.expand()
 
 
 def restore(layout: Layout, left: Any, right: Any) -> None:
@@ -129,6 +147,12 @@ def layout_of(told: Told, before: Layout) -> Layout:
     left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
     right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
     return Layout(left_px, right_px, left_folded, right_folded)
+
+
+def is_cramped(told: Told, layout: Layout) -> bool:
+    """Return whether a window leaves too little for the scene between both panels."""
+    panels = (layout.left_px or LEFT_PX) + (layout.right_px or RIGHT_PX)
+    return 0 < told.window < panels + LEAST_SCENE_PX
 
 
 def may_fly(told: Told) -> bool:

@@ -11,6 +11,7 @@ from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.browser import BrowserEar
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, looking
+from wafer_viewer.gui.contact import Contact
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.defect_beside import DefectBeside
 from wafer_viewer.gui.defect_dock import DefectDock
@@ -21,7 +22,7 @@ from wafer_viewer.gui.gauge_panel import GaugePanel
 from wafer_viewer.gui.gauge_places import in_scene, take_places
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.hands import HandsOff, Question
-from wafer_viewer.gui.header import Header, possible
+from wafer_viewer.gui.header import TITLES, Header, possible, why_not
 from wafer_viewer.gui.hints import add_hints, add_titles
 from wafer_viewer.gui.keys import Parts, commands_of
 from wafer_viewer.gui.keys_sheet import add_keys_sheet, glossary_command
@@ -49,7 +50,7 @@ from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
 from wafer_viewer.gui.verdict_section import awaited
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.viewpoint import Viewpoint
 from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
@@ -107,6 +108,14 @@ class PossibleStep:
             self._page.change(step="plan")
 
 
+def go_to(page: Page, step: Step) -> None:
+    """Go to a step, or say why there is nothing to do in it yet."""
+    if (why := why_not(step, page.session.snapshot)) is None:
+        page.change(step=step, why=None)
+    else:
+        page.say(TITLES[step], f"Not yet: {why}", "attention")
+
+
 def build_page(client: viser.ClientHandle, session: Session) -> Page:
     """Make the page of a browser that has just come, and begin to draw it."""
     page = Page(client, session)
@@ -117,8 +126,8 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         page.add_picks()
         ear = BrowserEar(page)
         halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
-        header = Header(page.gui, lambda step: page.change(step=step, why=None), halt)
-        strip, question = StatusStrip(page), Question(page)
+        header = Header(page.gui, lambda step: go_to(page, step), halt)
+        strip, question, contact = StatusStrip(page), Question(page), Contact(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
@@ -172,6 +181,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
         question,
         reopened,
         hands,
+        contact,
         viewpoint,
         drawing,
     ]

@@ -5,14 +5,10 @@ from __future__ import annotations
 from wafer_viewer.gui import judging
 from wafer_viewer.gui.commands import Obstacle
 from wafer_viewer.gui.defect_items import chosen_defect
-from wafer_viewer.gui.header import TITLES, possible
+from wafer_viewer.gui.header import TITLES, possible, why_not
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.cuts import MOST_LINES
 from wafer_viewer.session.state import Snapshot
-
-_STEPS: dict[Step, str] = {
-    "acquire": "no scan runs, and the open dataset lacks no frame.",
-}
 
 
 def no_dataset(snapshot: Snapshot, _: View) -> str | None:
@@ -50,12 +46,7 @@ def off_surface(snapshot: Snapshot, view: View) -> str | None:
 def no_way_to(step: Step) -> Obstacle:
     """For going to a step."""
 
-    def why_not(snapshot: Snapshot, view: View) -> str | None:
-        if possible(step, snapshot):
-            return None
-        return _STEPS.get(step) or no_surface(snapshot, view)
-
-    return why_not
+    return lambda snapshot, _: why_not(step, snapshot)
 
 
 def elsewhere(step: Step) -> Obstacle:

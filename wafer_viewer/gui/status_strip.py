@@ -6,7 +6,7 @@ import datetime
 
 import viser
 
-from wafer_viewer.draw.numbers import share
+from wafer_viewer.draw.numbers import THIN, number, share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
@@ -49,7 +49,8 @@ class StatusStrip:
             calibration(snapshot, view, today),
             *surface(snapshot.surface if view.on_surface else None),
         ]
-        left = "".join(_item(*words) for words in said if words[0])
+        items = [_item(*words) for words in said if words[0]]
+        left = "".join([*items, f'<span class="wv-xyz">{where(snapshot.rig)}</span>'])
         right = _controls(snapshot.hands, self._page.browser.key)
         self._strip.show(f'<div class="wv-strip" role="contentinfo"><div>{left}</div>{right}</div>')
 
@@ -118,6 +119,13 @@ def surface(info: SurfaceInfo | None) -> tuple[Words, Words]:
     reasons = ", ".join(f"{why} {share(part)}" for why, part in info.unmeasured)
     missing = 1.0 - info.measured_fraction - info.filled_fraction
     return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
+
+
+def where(rig: RigStatus) -> str:
+    """Where the stage stands, as HTML: in the header, or here where that has no room."""
+    axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
+    said = "".join(f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> " for axis, um in axes)
+    return f"{said}{THIN}mm"
 
 
 def _days(days: int) -> str:

@@ -55,7 +55,6 @@ SHEETS = "page.css", "gauge.css", "beside.css"
 HEADER_PX, LEFT_PX, RIGHT_PX = 56, 300, 404
 PROFILE_PX = 268
 """Height of the bottom panel with a curve in it."""
-STEP_PX, NARROW_WINDOW_PX = 116, 1540
 
 
 def palette(dark: bool) -> dict[str, str]:

@@ -21,6 +21,8 @@ WAYS_TO_LOOK = (
     ("all", "Fit", "Show all · Home", viser.Icon.FOCUS_2),
 )
 _WIDTH_PX, _HEIGHT_PX = 520, 42
+NARROW_SCENE_PX = 640
+"""Scenes narrower than this have no room for words beside the legend."""
 
 
 class Toolbar:
@@ -28,11 +30,13 @@ class Toolbar:
 
     def __init__(self, page: Page) -> None:
         self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
+        self._camera = page.client.camera
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the toolbar up to date."""
         measuring = view.step == "measure"
-        looks = "".join(_way(*way, short=measuring) for way in WAYS_TO_LOOK)
+        short = measuring or 0 < self._camera.image_width < NARROW_SCENE_PX
+        looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
         parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
         self._glass.show(f'<div class="wv-glass wv-tools{" many" if measuring else ""}">{parts}</div>')
 
