@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from wafer_viewer.session.state import SurfaceInfo
     from wafer_viewer.store.dataset import CheckReport, Dataset
     from wafer_viewer.store.digests import Digest
+    from wafer_viewer.store.integrity import KindReport
 
 NAMED = 20
 """Missing or damaged frames that are named one by one."""
@@ -116,6 +117,26 @@ def print_surface(out: Path, info: SurfaceInfo) -> None:
         print(f"  {share:.1%} {reason}")
     for note in info.recipe_notes:
         print(f"  {note}")
+
+
+def print_files(kinds: Iterable[KindReport]) -> None:
+    """A line for each kind of file with the states of its checksums, and a sentence for each that is damaged."""
+    for kind in kinds:
+        counts = (f"{kind.n_good} good",) if kind.n_good else ()
+        counts += (f"{len(kind.damaged)} damaged",) if kind.damaged else ()
+        counts += (f"{kind.n_without} {_without_checksum(kind.title)}",) if kind.n_without else ()
+        print(f"{kind.title}: {', '.join(counts)}")
+        for fault in kind.damaged[:NAMED]:
+            print(f"  {fault}")
+        if len(kind.damaged) > NAMED:
+            print(f"  and {len(kind.damaged) - NAMED} more")
+
+
+def _without_checksum(title: str) -> str:
+    from wafer_viewer.store.integrity import UNKNOWN
+
+    unknown, older = "of no kind that Wafer Viewer writes", "without a checksum (made by an older version)"
+    return unknown if title == UNKNOWN else older
 
 
 def print_check(data: Dataset, report: CheckReport) -> None:

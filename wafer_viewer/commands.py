@@ -28,6 +28,7 @@ from wafer_viewer.command_output import (
     print_checks,
     print_cluster,
     print_digests,
+    print_files,
     print_json,
     print_plan,
     print_preflight,
@@ -197,15 +198,27 @@ def import_(
 def check(dataset: DatasetFolder) -> int:
     """Test every checksum of a dataset and name missing frames; status 1 when there is something to mend.
 
+    All files that a number depends on are read: frames, scan record, journal, surfaces, poses, recipes, results.
+
     Args:
         dataset: The dataset.
     """
+    from wafer_viewer.model.errors import DatasetError
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.digests import digests_of_result, digests_of_scan
+    from wafer_viewer.store.integrity import check_files
 
-    data = Dataset.open(dataset)
     with progress("Check") as tell:
+        try:
+            data = Dataset.open(dataset)
+        except DatasetError:
+            files = check_files(dataset, tell)
+            if not any(kind.damaged for kind in files):
+                raise
+            print_files(files)
+            return 1
         report = data.check(tell)
+    print_files(report.files)
     print_check(data, report)
     print_digests(digests_of_scan(dataset))
     for name in data.results():

@@ -210,6 +210,10 @@ def test_a_folder_that_is_no_mosaic(tmp_path):
     group = json.loads((stored.path / "zarr.json").read_bytes())
     del group["attributes"]["wafer_viewer"]["rows"]
     (stored.path / "zarr.json").write_text(json.dumps(group))
+    with pytest.raises(DatasetError, match=r"zarr\.json is damaged, its checksum differs"):
+        ZarrMosaic.open(stored.path)
+    del group["attributes"]["crc32c"]
+    (stored.path / "zarr.json").write_text(json.dumps(group))
     with pytest.raises(DatasetError, match="rows"):
         ZarrMosaic.open(stored.path)
     (stored.path / "zarr.json").write_text("{")

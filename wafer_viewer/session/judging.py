@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.plan import Job
-from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface import Provenance
 from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.desk import Desk
@@ -70,10 +70,12 @@ class Judge:
 
 def kept_verdict(result: Result) -> WaferVerdict | None:
     """The verdict that was kept on this very surface of a result, if there is one."""
+    from wafer_viewer.store.checksums import load_json
+
     path = result.path / FILE
     if not (path.exists() and result.has_mosaic):
         return None
-    kept = decode(path.read_bytes(), WaferVerdict, FILE, "json")
+    kept = load_json(path, WaferVerdict)
     return kept if kept.surface == _mark(result.mosaic().provenance) else None
 
 
@@ -83,7 +85,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     Raises MeasureError where the job has no feature with a place, DatasetError without a stitched surface.
     """
     from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
-    from wafer_viewer.store.files import write_text
+    from wafer_viewer.store.checksums import save_json
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)
@@ -105,7 +107,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
         surface=_mark(mosaic.provenance),
     )
     if keep:
-        write_text(result.path / FILE, encode(verdict, "json"))
+        save_json(result.path / FILE, verdict)
     return verdict
 
 

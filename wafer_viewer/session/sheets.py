@@ -26,6 +26,7 @@ from wafer_viewer.reconstruct.growing import Known
 from wafer_viewer.reconstruct.place import Lattice, layout, planned_lattice
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic_layout import MosaicHeader
 from wafer_viewer.store.result import Result
 
 OPEN_SURFACES = 1024
@@ -107,14 +108,29 @@ class Sheets:
 
     def known(self) -> Known:
         """What the mosaic on disk shows of these surfaces; nothing when it was made otherwise or was broken off."""
-        poses = self.kept.poses() if self.kept.has_mosaic and not self.kept.broken_off else None
-        if poses is not None:
-            header = ZarrMosaic.open(self.kept.mosaic_path).header
+        poses, header = self._stitched()
+        if header is not None:
             there = header.x0_um, header.y0_um, header.pixel_um, (header.rows, header.cols)
             wanted = self.lattice.x0_um, self.lattice.y0_um, self.lattice.pixel_um, self.lattice.shape
             if there != wanted or header.provenance.recipe.stitching != self.stitching:
                 poses = None
         return Known.of(poses, np.array(self.numbers, np.int32), self.marks)
+
+    def mosaic_is_good(self) -> bool:
+        """Whether no file of the mosaic on disk is damaged; all of it is read."""
+        from wafer_viewer.store.integrity import is_mosaic_good
+
+        return is_mosaic_good(self.kept.mosaic_path)
+
+    def _stitched(self) -> tuple[Poses | None, MosaicHeader | None]:
+        """Poses and header of the mosaic on disk, where there is a whole one; damaged ones are made anew."""
+        if not self.kept.has_mosaic or self.kept.broken_off:
+            return None, None
+        try:
+            poses, header = self.kept.poses(), ZarrMosaic.open(self.kept.mosaic_path).header
+        except DatasetError:
+            return None, None
+        return (None, None) if poses is None else (poses, header)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -127,7 +143,8 @@ class Sheets:
 
     def provenance(self, poses: Poses, recipe: Recipe) -> Provenance:
         """Where the mosaic comes from: what its fields have in common, and whatever is to be noted."""
-        joint = mosaic_provenance([surface.provenance for surface in self.surfaces], recipe)
+        opened = (_opened(self.kept, *name, verify=False) for name in zip(self.fields, self.marks, strict=True))
+        joint = mosaic_provenance([surface.provenance for surface in opened], recipe)
         return replace(joint, notes=(*joint.notes, *poses.notes, *self.faults))
 
     def windows(self, known: Known, poses: Poses, moved: NDArray[np.bool_]) -> list[Window]:
@@ -172,18 +189,21 @@ def surfaces_of(dataset: Path, result: str, numbers: Iterable[int]) -> Surfaces:
 
 
 @lru_cache(maxsize=OPEN_SURFACES)
-def _opened(kept: Result, field: Field, mark: int) -> HeightMap:
+def _opened(kept: Result, field: Field, mark: int, verify: bool = True) -> HeightMap:
     """A surface; its mark keeps one that was made again since from being taken for it."""
-    return kept.surface(field)
+    return kept.surface(field, verify=verify)
 
 
 def _readable(data: Dataset, kept: Result) -> tuple[list[Field], list[str]]:
-    """The fields whose surface can be read, and a sentence for each whose cannot."""
+    """The fields whose surface can be read, and a sentence for each whose cannot.
+
+    The heights are not read here: whoever looks at them tests their checksum.
+    """
     readable, faults = list[Field](), list[str]()
     done = kept.surfaces_done(data.fields)
     for field in (f for f in data.fields if f.number in done):
         try:
-            _require_own(_opened(kept, field, kept.field_stamp(field)), FieldOutline.of(data, field))
+            _require_own(_opened(kept, field, kept.field_stamp(field), verify=False), FieldOutline.of(data, field))
         except DatasetError as fault:
             faults.append(f"Field {field.number} is left out: {fault}")
         else:

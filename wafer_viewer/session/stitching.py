@@ -61,6 +61,8 @@ def bring_up_to_date(
     found = _find_poses(sheets, recipe, known, final, hands)
     poses, moved = held_still(found, known, outline.pixel_um, outline.corner_um)
     windows = None if known.poses is None else sheets.windows(known, poses, moved)
+    if final and not windows and windows is not None and not sheets.mosaic_is_good():
+        windows = None
     _draw(sheets, poses, recipe, windows, hands)
     return _summary(sheets, poses, recipe, windows)
 

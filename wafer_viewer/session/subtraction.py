@@ -12,13 +12,14 @@ from pathlib import Path
 from wafer_viewer.model.comparison import Align, Comparison, Face, SurfaceName
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.spec import encode, replace
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance
 from wafer_viewer.reconstruct.difference import Difference, Sums
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
+from wafer_viewer.store.checksums import save_json
 from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.files import remove, replacing, write_text
+from wafer_viewer.store.files import remove, replacing
 from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.result import COMPARISON, MOSAIC
 
@@ -109,7 +110,7 @@ def subtract(
         beside.mkdir(parents=True)
         write_mosaic(beside / MOSAIC, tallied, partial(_later, progress), should_stop, THREADS)
         comparison = replace(tallied.comparison(first, second), number=number)
-        write_text(beside / COMPARISON, encode(comparison, "json"))
+        save_json(beside / COMPARISON, comparison)
     return comparison
 
 

@@ -6,9 +6,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.session.state import SurfaceInfo
+from wafer_viewer.store.checksums import sealed_text, verified_text
 from wafer_viewer.store.files import write_text
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.mosaic_facts import Facts, facts_of
@@ -59,14 +61,15 @@ def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None =
 
 def save_summary(result: Result, info: SurfaceInfo) -> None:
     """Keep a summary beside its mosaic."""
-    write_text(result.path / SUMMARY, msgspec.json.encode(info).decode())
+    text = msgspec.json.format(msgspec.json.encode(info), indent=2).decode()
+    write_text(result.path / SUMMARY, sealed_text(text))
 
 
 def load_summary(result: Result) -> SurfaceInfo | None:
-    """The kept summary; None when there is none, or one of another version."""
+    """The kept summary; None when there is none, a damaged one, or one of another version."""
     try:
-        return msgspec.json.decode((result.path / SUMMARY).read_bytes(), type=SurfaceInfo)
-    except (OSError, msgspec.DecodeError):
+        return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
+    except (DatasetError, msgspec.DecodeError, UnicodeDecodeError):
         return None
 
 

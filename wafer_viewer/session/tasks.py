@@ -56,6 +56,7 @@ def reconstruct_field(
 
     data = Dataset.open(dataset)
     kept = data.result(result)
+    data.require_good_frames(field_number)
     recipe = kept.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
     kept.save_surface(data.field(field_number), surface)

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +15,16 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.stack import Bracket, FieldStack, Image
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
-from wafer_viewer.store.pages import map_pages
+from wafer_viewer.store.pages import map_pages, tags_crc32c
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
 from wafer_viewer.store.result import Result
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.integrity import KindReport
+
+FILES_SHARE = 0.5
+"""Of a check, how much of the progress bar all files but the frames take."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +35,14 @@ class CheckReport:
     missing: tuple[Shot, ...]
     damaged: tuple[Shot, ...]
     faults: tuple[str, ...]
-    """Files that cannot be read, a sentence each."""
+    """Files of frames that cannot be read, a sentence each."""
+    files: tuple[KindReport, ...] = ()
+    """All other files by their kind."""
 
     @property
     def ok(self) -> bool:
-        """Whether every slot has a frame with the right checksum."""
-        return not (self.missing or self.damaged or self.faults)
+        """Whether every slot has a frame with the right checksum, and no file is damaged."""
+        return not (self.missing or self.damaged or self.faults or any(kind.damaged for kind in self.files))
 
 
 class Dataset:
@@ -175,10 +184,16 @@ class Dataset:
         )
 
     def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
-        """Read every page and compare its checksum with the journal's."""
+        """Read every page and compare its checksum with the journal's; test those of all other files."""
+        from wafer_viewer.store.integrity import check_files
+
+        files = check_files(self.path, _part(progress, 0.0, FILES_SHARE), should_stop)
+        progress = _part(progress, FILES_SHARE, 1.0)
+        tags = self.scan.tags_crc32c()
         good, damaged, faults = 0, list[Shot](), list[str]()
         for field in watched(self.fields, len(self.fields), "The check", progress, should_stop):
             try:
+                self._require_good_tags(field, tags.get(field.number))
                 bad = self._damaged(field)
             except DatasetError as fault:
                 faults.append(str(fault))
@@ -186,7 +201,17 @@ class Dataset:
             damaged += bad
             good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
-        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults))
+        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
+
+    def require_good_frames(self, field_number: int) -> None:
+        """Read the frames of a field. Raises DatasetError when one is not what the journal has a checksum of."""
+        bad = self._damaged(self.field(field_number))
+        if bad:
+            path = frames_file(self.path, self.field(field_number))
+            raise DatasetError(
+                f"{path} is damaged, the checksum of frame {bad[0].k} differs"
+                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: restore it from a copy."
+            )
 
     def results(self) -> tuple[str, ...]:
         """Names of the reconstructions."""
@@ -240,12 +265,23 @@ class Dataset:
                 f"and at least {MIN_FRAMES} are needed: go on with the scan."
             )
 
+    def _require_good_tags(self, field: Field, expected: int | None) -> None:
+        """Raise DatasetError when the bytes round the pages changed; older datasets have no checksum of them."""
+        path = frames_file(self.path, field)
+        if expected is not None and tags_crc32c(path, self.scan.pages) != expected:
+            raise DatasetError(f"{path} is damaged, the checksum of its tags differs: restore it from a copy.")
+
     def _damaged(self, field: Field) -> list[Shot]:
         shots = [shot for shot in self._shots(field) if shot in self._frames]
         if not shots:
             return []
         pages = map_pages(frames_file(self.path, field), self.scan.pages)
         return [s for s in shots if zlib.crc32(pages[self.scan.page_of(s.k, s.exposure)]) != self._frames[s].crc32]
+
+
+def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """Progress of a part of the work, as a share of all of it."""
+    return None if progress is None else lambda done: progress(begin + (end - begin) * done)
 
 
 def _checksum(lines: Iterable[FrameKept]) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.store.files import write_text, writing
+from wafer_viewer.model.spec import replace
+from wafer_viewer.store.checksums import load_json, save_json
+from wafer_viewer.store.files import writing
 
 DEFECTS = "defects.json"
 WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
@@ -20,19 +20,14 @@ WORDS = ("judgement", "judged_kind", "note", "judged_by", "judged_at")
 def read_inspection(result: Path) -> Inspection | None:
     """The inspection in the folder of a result; None before one was made. DatasetError where it is unreadable."""
     path = result / DEFECTS
-    if not path.exists():
-        return None
-    try:
-        return decode(path.read_bytes(), Inspection, str(path), "json")
-    except OSError as fault:
-        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    return load_json(path, Inspection) if path.exists() else None
 
 
 def write_inspection(result: Path, inspection: Inspection) -> None:
     """Keep an inspection in place of the one before, whole or not at all."""
     with writing(result):
         result.mkdir(parents=True, exist_ok=True)
-    write_text(result / DEFECTS, encode(inspection, "json"))
+    save_json(result / DEFECTS, inspection)
 
 
 def carry_over(before: Inspection, after: Inspection) -> Inspection:

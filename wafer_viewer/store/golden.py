@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.store.checksums import require_good_archive, seal_archive
 from wafer_viewer.store.files import natural, remove, writing
 
 FOLDER, ENDING = "golden", ".golden.npz"
@@ -59,6 +60,7 @@ def header_of(path: Path) -> GoldenHeader:
 def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
     """The header and the arrays of a file; whatever is wrong with them becomes one sentence."""
     try:
+        require_good_archive(path)
         with path.open("rb") as file, np.load(file) as members:
             yield decode(str(members["header"]), GoldenHeader, path.name, "json"), members
     except FileNotFoundError as fault:
@@ -123,6 +125,8 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
             with writing(path), beside.open("wb") as file:
                 members: dict[str, Any] = {layer: getattr(golden, layer) for layer in LAYERS}
                 np.savez_compressed(file, header=np.array(encode(header, "json")), **members)
+            with writing(path):
+                seal_archive(beside)
             if _named(beside, path):
                 return path
             version += 1

@@ -14,6 +14,7 @@ import msgspec
 from wafer_viewer.model.devices import PulseSummary
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import Axis, Shot
+from wafer_viewer.store.checksums import Checksum, sealed_line, text_state
 from wafer_viewer.store.files import writing
 
 
@@ -81,6 +82,7 @@ class Finished(msgspec.Struct, frozen=True, tag="finished"):
 
 Line = PassBegun | FrameKept | Missed | Repaired | PassEnded | FaultNoted | Finished
 _DECODER = msgspec.json.Decoder(Line)
+_DAMAGE = (msgspec.DecodeError, ValueError)
 
 
 class JournalReader:
@@ -111,8 +113,8 @@ class JournalReader:
 
     def _decode(self, text: bytes) -> Line | None:
         try:
-            return _DECODER.decode(text)
-        except msgspec.DecodeError as fault:
+            return _decoded(text)
+        except _DAMAGE as fault:
             if self._offset + len(text) + 1 >= self._path.stat().st_size:
                 return None
             raise DatasetError(
@@ -133,7 +135,7 @@ class JournalWriter:
 
     def write(self, line: Line) -> None:
         """Append a line. Raises DatasetError when the disk refuses it."""
-        text = msgspec.json.encode(line) + b"\n"
+        text = sealed_line(msgspec.json.encode(line)) + b"\n"
         with writing(self._path):
             if self._file.write(text) != len(text):
                 raise DatasetError(f"{self._path} cannot be written: the disk is full: free some space.")
@@ -143,13 +145,20 @@ class JournalWriter:
         self._file.close()
 
 
+def _decoded(text: bytes) -> Line:
+    """A line. Raises ValueError when it is damaged."""
+    if text_state(text) is Checksum.DAMAGED:
+        raise ValueError("its checksum differs")
+    return _DECODER.decode(text)
+
+
 def _end_of_whole_lines(path: Path) -> int:
     """Where the last line ends that is whole and can be read."""
     text = path.read_bytes()
     end = text.rfind(b"\n") + 1
     begin = text.rfind(b"\n", 0, max(0, end - 1)) + 1
     try:
-        _DECODER.decode(text[begin:end])
-    except msgspec.DecodeError:
+        _decoded(text[begin:end].rstrip(b"\n"))
+    except _DAMAGE:
         return begin
     return end

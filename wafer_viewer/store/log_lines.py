@@ -13,6 +13,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import Spec, decode
+from wafer_viewer.store.checksums import Checksum, sealed_line, text_state, unsealed
 from wafer_viewer.store.files import writing
 
 S = TypeVar("S", bound=Spec)
@@ -20,7 +21,7 @@ S = TypeVar("S", bound=Spec)
 
 def append_line(path: Path, entry: Spec) -> None:
     """Add an entry. Raises DatasetError when the disk refuses it; then nothing of it counts."""
-    text = msgspec.json.encode(entry) + b"\n"
+    text = sealed_line(msgspec.json.encode(entry)) + b"\n"
     with writing(path):
         path.touch()
         os.truncate(path, _end_of_whole_lines(path.read_bytes()))
@@ -39,7 +40,13 @@ def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
     except OSError as fault:
         raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
     lines = text[: _end_of_whole_lines(text)].splitlines()
-    return tuple(decode(line, kind, f"{path}, line {n}", "json") for n, line in enumerate(lines, 1))
+    return tuple(_decoded(line, kind, f"{path}, line {n}") for n, line in enumerate(lines, 1))
+
+
+def _decoded(line: bytes, kind: type[S], name: str) -> S:
+    if text_state(line) is Checksum.DAMAGED:
+        raise DatasetError(f"{name} is damaged, its checksum differs: restore it from a copy.")
+    return decode(unsealed(line), kind, name, "json")
 
 
 def _end_of_whole_lines(text: bytes) -> int:

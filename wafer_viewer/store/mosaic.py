@@ -25,6 +25,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface import HeightLayer, HeightMap, Heights, Mosaic, Origin, Provenance, pixel_window
 from wafer_viewer.store import mosaic_layout
+from wafer_viewer.store.checksums import Checksum, damaged, mend_of, sealed_node, text_state
 from wafer_viewer.store.files import replacing, write_text, writing
 from wafer_viewer.store.mosaic_facts import FACTS, Facts, facts_array, keep_facts, kept_facts
 from wafer_viewer.store.mosaic_layout import (
@@ -97,6 +98,8 @@ def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
                     fill_value=fill,
                     dimension_names=("y", "x"),
                 )
+        for node in path.rglob(GROUP):
+            node.write_text(sealed_node(json.loads(node.read_bytes())), encoding="utf-8")
     return header
 
 
@@ -110,7 +113,7 @@ def rewrite_header(path: Path, source: Mosaic) -> None:
         raise DatasetError(f"{path} lies on another lattice than what it is to show: stitch the fields again.")
     root = json.loads((path / GROUP).read_bytes())
     root["attributes"][OWN] = as_json(new)
-    write_text(path / GROUP, json.dumps(root, indent=2))
+    write_text(path / GROUP, sealed_node(root))
 
 
 def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
@@ -183,12 +186,15 @@ class ZarrMosaic:
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open a mosaic. Raises DatasetError when the folder holds none."""
+        """Open a mosaic. Raises DatasetError when the folder holds none, or its header is damaged."""
         try:
-            root = json.loads((path / GROUP).read_bytes())
+            text = (path / GROUP).read_bytes()
+            if text_state(text) is Checksum.DAMAGED:
+                raise damaged(path / GROUP)
+            root = json.loads(text)
             own = json.dumps(root["attributes"][OWN]).encode()
         except (OSError, ValueError, KeyError, TypeError) as fault:
-            raise DatasetError(f"{path} is no mosaic of Wafer Viewer, or damaged: stitch the fields.") from fault
+            raise DatasetError(f"{path} is no mosaic of Wafer Viewer, or damaged: {mend_of(path)}.") from fault
         return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
 
     def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:

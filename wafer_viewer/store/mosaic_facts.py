@@ -6,6 +6,7 @@ holds the blocks of one shard of it, uncompressed.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store import mosaic_layout
+from wafer_viewer.store.checksums import Checksum, mend_of
 from wafer_viewer.store.files import replacing
+from wafer_viewer.store.shard import checked, summed
 
 if TYPE_CHECKING:
     from wafer_viewer.numerics.pyramid import Layers
@@ -84,11 +87,13 @@ def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
     """How Zarr makes the array of facts of a mosaic of a shape: a chunk of bytes for each shard of level 1."""
     rows, cols = (math.ceil(size / 2 / mosaic_layout.SHARD) for size in shape)
     n_bytes = _per_shard() ** 2 * _record(_step(shape)).itemsize
+    from zarr.codecs import Crc32cCodec
+
     return {
         "shape": (rows, cols, n_bytes),
         "chunks": (1, 1, n_bytes),
         "dtype": "uint8",
-        "compressors": None,
+        "compressors": [Crc32cCodec()],
         "fill_value": 0,
     }
 
@@ -106,16 +111,35 @@ def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers
     whole[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
-        beside.write_bytes(whole.tobytes())
+        beside.write_bytes(summed(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
 
 
 def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
     """The facts of a whole mosaic of a shape. Raises DatasetError when they are missing or damaged."""
     files = sorted((mosaic / FACTS).glob("c/*/*/0"))
     if not files:
-        raise DatasetError(f"{mosaic / FACTS} is missing or empty: stitch the fields again.")
+        raise DatasetError(f"{mosaic / FACTS} is missing or empty: {mend_of(mosaic)}.")
     record = _record(_step(shape))
     return _joined(np.concatenate([_loaded(path, record).ravel() for path in files]))
+
+
+def facts_state(path: Path) -> Checksum:
+    """State of the checksum of one file of facts."""
+    content = path.read_bytes()
+    try:
+        checked(content)
+    except ValueError:
+        return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
+    return Checksum.GOOD
+
+
+def _has_checksums(mosaic: Path) -> bool:
+    """Whether the chunks of facts of a mosaic have checksums: those of older versions do not."""
+    try:
+        made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
+        return any(codec["name"] == "crc32c" for codec in made["codecs"])
+    except (OSError, ValueError, KeyError, TypeError) as fault:
+        raise DatasetError(f"{mosaic / FACTS} is missing or damaged: {mend_of(mosaic)}.") from fault
 
 
 def _per_shard() -> int:
@@ -154,9 +178,11 @@ def _sample(layer: NDArray[np.float32], step: int, out: NDArray[np.float32]) -> 
 def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
     n = _per_shard()
     try:
-        return np.frombuffer(path.read_bytes(), record).reshape(n, n).copy()
+        content = path.read_bytes()
+        older = len(content) == n * n * record.itemsize
+        return np.frombuffer(content if older else checked(content), record).reshape(n, n).copy()
     except (OSError, ValueError) as fault:
-        raise DatasetError(f"{path} is damaged: stitch the fields again.") from fault
+        raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
 
 
 def _joined(blocks: Blocks) -> Facts:

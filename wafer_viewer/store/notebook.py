@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.notebook import Notebook
-from wafer_viewer.model.spec import decode, encode
-from wafer_viewer.store.files import write_text, writing
+from wafer_viewer.store.checksums import load_json, save_json
+from wafer_viewer.store.files import writing
 
 NOTEBOOK = "notebook.json"
 
@@ -15,16 +14,11 @@ NOTEBOOK = "notebook.json"
 def read_notebook(result: Path) -> Notebook:
     """The notebook of the folder of a result; an empty one at first. Raises DatasetError when it cannot be read."""
     path = result / NOTEBOOK
-    if not path.exists():
-        return Notebook()
-    try:
-        return decode(path.read_bytes(), Notebook, str(path), "json")
-    except OSError as fault:
-        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    return load_json(path, Notebook) if path.exists() else Notebook()
 
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
     """Keep a notebook in place of the one before."""
     with writing(result):
         result.mkdir(parents=True, exist_ok=True)
-    write_text(result / NOTEBOOK, encode(notebook, "json"))
+    save_json(result / NOTEBOOK, notebook)

@@ -18,6 +18,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.store.checksums import require_good_archive, seal_archive
 
 if TYPE_CHECKING:
     from wafer_viewer.store.formats.strips import Strips
@@ -35,6 +36,7 @@ def write_npz(surface: HeightMap, path: Path) -> None:
     arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
     with path.open("wb") as file:
         np.savez(file, provenance=np.array(encode(surface.provenance, "json")), **arrays)
+    seal_archive(path)
 
 
 def write_npz_strips(strips: Strips, path: Path) -> None:
@@ -55,15 +57,34 @@ def write_npz_strips(strips: Strips, path: Path) -> None:
         for name, value in {**said, "pixel_um": strips.pixel_um}.items():
             with archive.open(f"{name}.npy", "w") as file:
                 np.lib.format.write_array(file, np.array(value))
+    seal_archive(path)
 
 
-def read_npz(path: str | Path) -> HeightMap:
+def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
     """Read a height map; its layers are mapped copy-on-write, so changing them does not change the file.
 
-    Raises DatasetError when the file is no ``.npz`` of a height map.
+    Parameters
+    ----------
+    path
+        The ``.npz``.
+    verify
+        Test the checksum of the file, for which all of it is read, once in a process as long as it does not change.
+        Without it only the place and the provenance are verified, not the layers.
+
+    Returns
+    -------
+    HeightMap
+        Heights in um; see `HeightMap`.
+
+    Raises
+    ------
+    DatasetError
+        When the file is no ``.npz`` of a height map, or its checksum differs.
     """
     place = Path(path)
     try:
+        if verify:
+            require_good_archive(place)
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
             there = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
             layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in there}

@@ -14,6 +14,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.stack import Image
+from wafer_viewer.store.checksums import crc32c
 from wafer_viewer.store.files import writing
 
 _UM_PER_CM = 1e4
@@ -85,6 +86,15 @@ def map_pages(path: Path, shape: PageShape) -> Image:
     """
     begin = _first_page(path, shape)
     return np.memmap(path, shape.dtype, "r", begin, (shape.n_pages, shape.rows, shape.cols))
+
+
+def tags_crc32c(path: Path, shape: PageShape) -> int:
+    """CRC-32C of all bytes of a file but its pages. Raises DatasetError as `map_pages` does."""
+    begin = _first_page(path, shape)
+    with path.open("rb") as file:
+        crc = crc32c(file.read(begin))
+        file.seek(begin + shape.n_pages * shape.page_bytes)
+        return crc32c(file.read(), crc)
 
 
 def _first_page(path: Path, shape: PageShape) -> int:

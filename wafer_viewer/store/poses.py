@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import tokenize
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
+from wafer_viewer.store.checksums import mend_of, require_good_archive, seal_archive
 from wafer_viewer.store.files import replacing
 
 POSES = "poses.npz"
@@ -20,23 +23,30 @@ PLACES = (
     *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
     *("u_x_um", "u_y_um", "u_z_um"),
 )
+_UNREADABLE = (
+    *(OSError, KeyError, ValueError, EOFError, TypeError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
 _TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": Seams, "form": Form}
 
 
 def write_poses(poses: Poses, path: Path) -> None:
     """Keep poses, in place of earlier ones."""
-    with replacing(path) as beside, beside.open("wb") as file:
-        np.savez(file, allow_pickle=False, **_flat(poses, ""))
+    with replacing(path) as beside:
+        with beside.open("wb") as file:
+            np.savez(file, allow_pickle=False, **_flat(poses, ""))
+        seal_archive(beside)
 
 
 def read_poses(path: Path) -> Poses:
     """Read poses back. Raises DatasetError when the file is damaged."""
     try:
+        require_good_archive(path)
         with path.open("rb") as file, np.load(file) as arrays:
             tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
             return _built(Poses, arrays, "", **tables)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as fault:
-        raise DatasetError(f"{path} holds no poses that can be read: stitch the fields again.") from fault
+    except _UNREADABLE as fault:
+        raise DatasetError(f"{path} holds no poses that can be read: {mend_of(path)}.") from fault
 
 
 def write_poses_csv(poses: Poses, path: Path) -> None:

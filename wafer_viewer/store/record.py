@@ -10,8 +10,8 @@ import msgspec
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.plan import Field, Job, ScanPlan
-from wafer_viewer.model.spec import Spec, Within, decode, encode
-from wafer_viewer.store.files import write_text
+from wafer_viewer.model.spec import Spec, Within, decode
+from wafer_viewer.store.checksums import Checksum, damaged, save_json, text_state, unsealed
 from wafer_viewer.store.pages import PageShape
 
 SCHEMA_VERSION = 1
@@ -22,7 +22,8 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     """The plan, the job, the rig and its calibration, the version of the program and of the format.
 
     bits: 8, or up to 16 kept in 16; taken: when the scan began, ISO 8601; imported_from: where the images came from
-    when they were not scanned here, else empty.
+    when they were not scanned here, else empty; frame_tags_crc32c: CRC-32C of all bytes
+    that are no page in the file of each field, in the order of the fields; none in datasets of older versions.
     """
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
@@ -37,6 +38,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     calibration: Calibration | None = None
     job: Job
     plan: ScanPlan
+    frame_tags_crc32c: tuple[int, ...] = ()
 
     @property
     def n_exposures(self) -> int:
@@ -65,6 +67,10 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
             return "what was imported carries no calibration" if self.imported_from else "the rig had no calibration"
         return self.calibration.problem(self.setup, today)
 
+    def tags_crc32c(self) -> dict[int, int]:
+        """CRC-32C of what is no page in the file of each field, by its number; none in datasets of older versions."""
+        return dict(zip((field.number for field in self.plan.fields), self.frame_tags_crc32c, strict=False))
+
     def page_of(self, k: int, exposure: int) -> int:
         """The page of a slot in its field's file."""
         return k * self.n_exposures + exposure
@@ -77,19 +83,21 @@ def frames_file(folder: Path, field: Field) -> Path:
 
 def write_record(folder: Path, record: ScanRecord) -> None:
     """Write ``scan.json``; from then on the folder is a dataset."""
-    write_text(folder / RECORD, encode(record, "json"))
+    save_json(folder / RECORD, record)
 
 
 def read_record(folder: Path) -> ScanRecord:
     """Read ``scan.json``. Raises DatasetError when the folder is no dataset, or one of a newer program."""
     text = _record_text(folder)
+    if text_state(text) is Checksum.DAMAGED:
+        raise damaged(folder / RECORD)
     version = _schema_version(text)
     if version > SCHEMA_VERSION:
         raise DatasetError(
             f"{folder} has format {version} and this program reads formats up to {SCHEMA_VERSION}: "
             "open it with a newer Wafer Viewer."
         )
-    return decode(text, ScanRecord, str(folder / RECORD), "json")
+    return decode(unsealed(text), ScanRecord, str(folder / RECORD), "json")
 
 
 def _record_text(folder: Path) -> bytes:
@@ -107,7 +115,7 @@ def _schema_version(text: bytes) -> int:
     """The version alone, so that a newer format is not taken for a damaged file; 0 when there is none to be read."""
     try:
         data: Any = msgspec.json.decode(text)
-    except msgspec.DecodeError:
+    except (msgspec.DecodeError, UnicodeDecodeError):
         return 0
     version = data.get("schema_version", 0) if isinstance(data, dict) else 0
     return version if isinstance(version, int) else 0

@@ -13,9 +13,10 @@ from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.spec import Spec, decode, encode
+from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface import HeightMap, Mosaic
-from wafer_viewer.store.files import replacing, write_text, writing
+from wafer_viewer.store.checksums import load_json, save_json
+from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import POSES, read_poses, write_poses
@@ -49,28 +50,39 @@ class Result:
 
     def recipe(self) -> Recipe:
         """The recipe it was made with. Raises DatasetError when none was saved."""
-        return decode(self._text(RECIPE), Recipe, str(self.path / RECIPE), "json")
+        return load_json(self.path / RECIPE, Recipe)
 
     def save_recipe(self, recipe: Recipe) -> None:
         """Keep the recipe; what one that makes other heights was settled to is forgotten."""
-        if (self.path / RECIPE).exists() and not recipe.makes_heights_of(self.recipe()):
+        if (self.path / RECIPE).exists() and not self.has_heights_of(recipe):
             (self.path / SETTLED).unlink(missing_ok=True)
         self._save(RECIPE, recipe)
 
+    def has_heights_of(self, recipe: Recipe) -> bool:
+        """Whether its surfaces are what a recipe makes; damaged files of its own recipe count as another one."""
+        try:
+            self.settled()
+            return recipe.makes_heights_of(self.recipe())
+        except DatasetError:
+            return False
+
     def settled(self) -> Recipe | None:
         """The recipe with what ``auto`` chose for the whole scan; None as long as no field spoke for it."""
-        return decode(self._text(SETTLED), Recipe, SETTLED, "json") if (self.path / SETTLED).exists() else None
+        return load_json(self.path / SETTLED, Recipe) if (self.path / SETTLED).exists() else None
 
     def save_settled(self, recipe: Recipe) -> None:
         """Let all fields that follow be made with this recipe."""
         self._save(SETTLED, recipe)
 
-    def surface(self, field: Field) -> HeightMap:
-        """The surface of a field, memory-mapped. Raises DatasetError when it was not reconstructed yet."""
+    def surface(self, field: Field, *, verify: bool = True) -> HeightMap:
+        """The surface of a field, memory-mapped; `verify`: test its checksum, for which all of it is read once.
+
+        Raises DatasetError when it was not reconstructed yet or is damaged.
+        """
         path = self._surface_file(field)
         if not path.exists():
             raise DatasetError(f"Result {self.name!r} has no surface of field {field.number}: reconstruct it first.")
-        return read_npz(path)
+        return read_npz(path, verify=verify)
 
     def save_surface(self, field: Field, surface: HeightMap) -> None:
         """Keep the surface of a field, in place of an earlier one."""
@@ -90,7 +102,7 @@ class Result:
 
     def comparison(self) -> Comparison:
         """What was compared and how it came out. Raises DatasetError when it is no comparison."""
-        return decode(self._text(COMPARISON), Comparison, str(self.path / COMPARISON), "json")
+        return load_json(self.path / COMPARISON, Comparison)
 
     @property
     def mosaic_path(self) -> Path:
@@ -144,7 +156,7 @@ class Result:
         """What was measured; nothing at first."""
         if not (self.path / FINDINGS).exists():
             return Findings()
-        return decode(self._text(FINDINGS), Findings, str(self.path / FINDINGS), "json")
+        return load_json(self.path / FINDINGS, Findings)
 
     def save_findings(self, findings: Findings) -> None:
         """Keep what was measured, in place of what was kept before."""
@@ -174,13 +186,7 @@ class Result:
 
     def _save(self, name: str, spec: Spec) -> None:
         self._make_folder(self.path)
-        write_text(self.path / name, encode(spec, "json"))
-
-    def _text(self, name: str) -> bytes:
-        try:
-            return (self.path / name).read_bytes()
-        except OSError as fault:
-            raise DatasetError(f"{self.path / name} cannot be read: {fault.strerror}.") from fault
+        save_json(self.path / name, spec)
 
     def _make_folder(self, folder: Path) -> None:
         with writing(folder):

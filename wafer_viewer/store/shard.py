@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.checksums import crc32c, damaged, mend_of
 from wafer_viewer.store.files import replacing
 
 ABSENT = 2**64 - 1
@@ -51,8 +52,16 @@ class Shards:
         except FileNotFoundError:
             return out
         except (OSError, ValueError, RuntimeError) as fault:
-            raise DatasetError(f"{path} is damaged: stitch the fields again.") from fault
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
         return out
+
+    def require_good(self, path: Path) -> None:
+        """Test the checksums of the index and of all chunks. Raises DatasetError when one differs."""
+        for chunk in self._kept(path).values():
+            try:
+                checked(chunk)
+            except ValueError as fault:
+                raise damaged(path) from fault
 
     def write(self, path: Path, layer: NDArray[Any], top: int, left: int, *, whole: bool) -> None:
         """Put a layer into the shard at `path`, from (top, left) on, where a chunk begins, up to the end of one.
@@ -83,7 +92,7 @@ class Shards:
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as beside, beside.open("wb") as file:
             file.writelines(chunks.values())
-            file.write(_summed(index.tobytes()))
+            file.write(summed(index.tobytes()))
 
     def _kept(self, path: Path) -> Chunks:
         """All chunks of a file as they are."""
@@ -95,13 +104,13 @@ class Shards:
         except FileNotFoundError:
             return {}
         except (OSError, ValueError) as fault:
-            raise DatasetError(f"{path} is damaged: stitch the fields again.") from fault
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
 
     def _index(self, file: IO[bytes]) -> NDArray[np.uint64]:
         """Offset and number of bytes of each chunk."""
         n = self.shard_px // self.chunk_px
         file.seek(-(16 * n * n + _SUM_BYTES), os.SEEK_END)
-        return np.frombuffer(_checked(file.read()), "<u8").reshape(n, n, 2)
+        return np.frombuffer(checked(file.read()), "<u8").reshape(n, n, 2)
 
     def _encoded(self, chunk: NDArray[Any]) -> bytes | None:
         """A chunk as it lies in a file; None when it holds nothing but the fill value."""
@@ -110,10 +119,10 @@ class Shards:
         size = self.chunk_px
         if chunk.shape != (size, size):
             chunk = np.pad(chunk, ((0, size - chunk.shape[0]), (0, size - chunk.shape[1])), constant_values=self.fill)
-        return _summed(_compressor().encode(np.ascontiguousarray(chunk)))
+        return summed(_compressor().encode(np.ascontiguousarray(chunk)))
 
     def _decoded(self, chunk: bytes) -> NDArray[Any]:
-        flat = np.frombuffer(_compressor().decode(_checked(chunk)), self.dtype)
+        flat = np.frombuffer(_compressor().decode(checked(chunk)), self.dtype)
         return flat.reshape(self.chunk_px, self.chunk_px)
 
 
@@ -129,7 +138,7 @@ class ShardedArray:
     def open(cls, folder: Path, shards: Shards, shape: tuple[int, int]) -> ShardedArray:
         """The array in a folder. Raises DatasetError when there is none."""
         if not (folder / "zarr.json").exists():
-            raise DatasetError(f"{folder} is missing or damaged: stitch the fields again.")
+            raise DatasetError(f"{folder} is missing or damaged: {mend_of(folder)}.")
         return cls(folder, shards, shape)
 
     def read(self, rows: slice, cols: slice) -> NDArray[Any]:
@@ -195,19 +204,15 @@ def codecs() -> list[Any]:
     return [BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()]
 
 
-def _summed(content: bytes) -> bytes:
+def summed(content: bytes) -> bytes:
     """Bytes with their checksum behind them."""
-    import google_crc32c
-
-    return content + google_crc32c.value(content).to_bytes(_SUM_BYTES, "little")
+    return content + crc32c(content).to_bytes(_SUM_BYTES, "little")
 
 
-def _checked(content: bytes) -> bytes:
+def checked(content: bytes) -> bytes:
     """Bytes without their checksum. Raises ValueError when it is not theirs."""
-    import google_crc32c
-
     body = content[:-_SUM_BYTES]
-    if google_crc32c.value(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
+    if crc32c(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
         raise ValueError("the checksum is wrong")
     return body
 

@@ -19,12 +19,13 @@ from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import PulseSummary
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import Job, Leg, ScanPlan, Shot
+from wafer_viewer.model.spec import replace
 from wafer_viewer.model.stack import Frame, FrameStatus, Image
 from wafer_viewer.store import journal
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import remove, require_space, writing
 from wafer_viewer.store.lock import Lock
-from wafer_viewer.store.pages import PageWriter, create_pages
+from wafer_viewer.store.pages import PageWriter, create_pages, tags_crc32c
 from wafer_viewer.store.record import FRAMES, JOURNAL, RESULTS, ScanRecord, frames_file, write_record
 
 OnFieldComplete = Callable[[int], None]
@@ -229,10 +230,12 @@ def _lay_out(folder: Path, record: ScanRecord) -> None:
         (folder / FRAMES).mkdir()
         (folder / RESULTS).mkdir()
         (folder / JOURNAL).touch()
+    tags: list[int] = []
     for field in record.plan.fields:
         path = frames_file(folder, field)
         create_pages(path, pages, record.pixel_um, _description(record, field.number))
-    write_record(folder, record)
+        tags.append(tags_crc32c(path, pages))
+    write_record(folder, replace(record, frame_tags_crc32c=tuple(tags)))
 
 
 def _description(record: ScanRecord, field_number: int) -> str:
