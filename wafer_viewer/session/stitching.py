@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.session.crew import Crew, Here
 from wafer_viewer.session.state import Box, SurfaceInfo
@@ -61,9 +62,15 @@ def bring_up_to_date(
     found = _find_poses(sheets, recipe, known, final, hands)
     poses, moved = held_still(found, known, outline.pixel_um, outline.corner_um)
     windows = None if known.poses is None else sheets.windows(known, poses, moved)
-    if final and not windows and windows is not None and not sheets.mosaic_is_good():
+    if final and windows is not None and not windows and not sheets.mosaic_is_good():
         windows = None
-    _draw(sheets, poses, recipe, windows, hands)
+    try:
+        _draw(sheets, poses, recipe, windows, hands)
+    except DatasetError:
+        if windows is None:
+            raise
+        windows = None  # what is to be drawn over is damaged
+        _draw(sheets, poses, recipe, windows, hands)
     return _summary(sheets, poses, recipe, windows)
 
 

@@ -22,6 +22,8 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.store.files import write_text
 
+SURFACES = "surfaces"
+"""The folder of the surfaces of fields in a result."""
 _KEY = b'"crc32c":'
 _SEAL = re.compile(rb',?\s*"crc32c": ?"([0-9a-f]{8})"[ \n}]*$')
 _TAIL_BYTES = 64
@@ -202,7 +204,7 @@ def mend_of(path: Path) -> str:
         return "compare the two surfaces again"
     if any(part.endswith(".zarr") for part in parts) or path.name == "poses.npz":
         return f"stitch the fields again ({again})"
-    if path.parent.name == "surfaces" or path.name in ("recipe.json", "settled.json"):
+    if path.parent.name == SURFACES or path.name in ("recipe.json", "settled.json"):
         return f"make the surface again ({again} --again)"
     if path.name.endswith(".golden.npz"):
         return "make it anew or take an older version"

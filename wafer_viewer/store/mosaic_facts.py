@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -125,11 +126,12 @@ def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
 
 def facts_state(path: Path) -> Checksum:
     """State of the checksum of one file of facts."""
-    content = path.read_bytes()
     try:
-        checked(content)
+        checked(path.read_bytes())
     except ValueError:
-        return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
+        with suppress(DatasetError):
+            return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
+        return Checksum.DAMAGED
     return Checksum.GOOD
 
 

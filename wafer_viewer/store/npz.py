@@ -18,7 +18,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Provenance
-from wafer_viewer.store.checksums import require_good_archive, seal_archive
+from wafer_viewer.store.checksums import SURFACES, mend_of, require_good_archive, seal_archive
 
 if TYPE_CHECKING:
     from wafer_viewer.store.formats.strips import Strips
@@ -98,7 +98,8 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
             f"{place} is no height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
         ) from fault
     except (zipfile.BadZipFile, ValueError, OSError, struct.error) as fault:
-        raise DatasetError(f"{place} cannot be read as .npz: give a file that Wafer Viewer wrote.") from fault
+        mend = mend_of(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
+        raise DatasetError(f"{place} cannot be read as .npz: {mend}.") from fault
     try:
         return HeightMap(**layers, **where, provenance=provenance)
     except WaferViewerError as fault:

@@ -22,7 +22,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     """The plan, the job, the rig and its calibration, the version of the program and of the format.
 
     bits: 8, or up to 16 kept in 16; taken: when the scan began, ISO 8601; imported_from: where the images came from
-    when they were not scanned here, else empty; frame_tags_crc32c: CRC-32C of all bytes
+    when they were not scanned here, else empty; frame_tag_checksums: CRC-32C of all bytes
     that are no page in the file of each field, in the order of the fields; none in datasets of older versions.
     """
 
@@ -38,7 +38,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
     calibration: Calibration | None = None
     job: Job
     plan: ScanPlan
-    frame_tags_crc32c: tuple[int, ...] = ()
+    frame_tag_checksums: tuple[int, ...] = ()
 
     @property
     def n_exposures(self) -> int:
@@ -69,7 +69,7 @@ class ScanRecord(Spec, frozen=True, kw_only=True):
 
     def tags_crc32c(self) -> dict[int, int]:
         """CRC-32C of what is no page in the file of each field, by its number; none in datasets of older versions."""
-        return dict(zip((field.number for field in self.plan.fields), self.frame_tags_crc32c, strict=False))
+        return dict(zip((field.number for field in self.plan.fields), self.frame_tag_checksums, strict=False))
 
     def page_of(self, k: int, exposure: int) -> int:
         """The page of a slot in its field's file."""

@@ -15,14 +15,14 @@ from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface import HeightMap, Mosaic
-from wafer_viewer.store.checksums import load_json, save_json
+from wafer_viewer.store.checksums import SURFACES, load_json, save_json
 from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import POSES, read_poses, write_poses
 
 RECIPE, SETTLED, FINDINGS, COMPARISON = "recipe.json", "settled.json", "findings.json", "comparison.json"
-SURFACES, THUMBNAILS, MOSAIC, DRAWING = "surfaces", "thumbnails", "mosaic.zarr", "poses-being-drawn.npz"
+THUMBNAILS, MOSAIC, DRAWING = "thumbnails", "mosaic.zarr", "poses-being-drawn.npz"
 
 
 @dataclass(frozen=True, slots=True)

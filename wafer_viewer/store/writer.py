@@ -235,7 +235,7 @@ def _lay_out(folder: Path, record: ScanRecord) -> None:
         path = frames_file(folder, field)
         create_pages(path, pages, record.pixel_um, _description(record, field.number))
         tags.append(tags_crc32c(path, pages))
-    write_record(folder, replace(record, frame_tags_crc32c=tuple(tags)))
+    write_record(folder, replace(record, frame_tag_checksums=tuple(tags)))
 
 
 def _description(record: ScanRecord, field_number: int) -> str:
