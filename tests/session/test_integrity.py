@@ -147,9 +147,7 @@ def test_no_number_is_made_of_a_file_with_a_flipped_bit(dataset):
                 if (sentence := refusal(dataset, name)) is None:
                     made.append(f"{name}, bit {bit}")
                 else:
-                    assert re.search(r"\.(json|jsonl|tif|npz|zarr).*: .+\.$", sentence), (
-                        f"no file or no mend: {sentence}"
-                    )
+                    assert re.search(r"\.(json|jsonl|tif|npz|zarr).*: .+\.$", sentence), f"no mend: {sentence}"
     assert not [f for f in made if not harmless_place(dataset, f)]
 
 

@@ -1,8 +1,14 @@
-"""KLARF 1.0 to 1.2 read: every record counted, units held against the sizes they must have."""
+"""KLARF 1.0 to 1.2 read: every record counted, units held against the sizes they must have.
+
+The format is free: line breaks are blanks, so numbers of a defect may go on in the next line. Defects may come in
+several lists (one for each image or inspection test), each under the columns named last before it.
+"""
 
 from __future__ import annotations
 
+import codecs
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +16,7 @@ from typing import Any, Literal
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.klarf import Klarf, KlarfDefect
+from wafer_viewer.model.spec import replace
 
 KlarfUnit = Literal["um", "nm", "mm"]
 UM_PER: dict[str, float] = {"um": 1.0, "nm": 1e-3, "mm": 1e3}
@@ -17,9 +24,14 @@ VERSIONS = ("1.0", "1.1", "1.2")
 NEEDED = ("DEFECTID", "XREL", "YREL", "XINDEX", "YINDEX")
 LEAST_PITCH_UM = 50.0
 """No die is smaller: a file that says so is in another unit."""
+_NEWER = re.compile(r'\s*Record\s+FileRecord\s+"([^"]*)"')
 _TOKEN = re.compile(r'"([^"]*)"|([^\s"]+)')
 _LENGTHS = {"width_um": "XSIZE", "height_um": "YSIZE", "size_um": "DSIZE"}
 _COUNTS = {"class_number": "CLASSNUMBER", "bin": "ROUGHBINNUMBER", "test": "TEST"}
+
+
+IMAGE_WORDS = 3
+"""At most of each image of a defect, in lines below it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +46,33 @@ class Record:
         return tuple(word for line in self.lines for word in line)
 
 
+@dataclass(frozen=True, slots=True)
+class DefectList:
+    """A list of defects with the columns that it is under."""
+
+    columns: tuple[str, ...]
+    lines: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """The records of a file by their keywords, in order; those that come again for each inspection test together."""
+
+    by_keyword: dict[str, tuple[Record, ...]]
+    lists: tuple[DefectList, ...]
+
+    def __contains__(self, keyword: str) -> bool:
+        return keyword in self.by_keyword
+
+    def __getitem__(self, keyword: str) -> Record:
+        """The last record of a keyword."""
+        return self.by_keyword[keyword][-1]
+
+    def all(self, keyword: str) -> tuple[Record, ...]:
+        """Every record of a keyword."""
+        return self.by_keyword.get(keyword, ())
+
+
 def read_klarf(path: str | Path, unit: KlarfUnit | None = None) -> Klarf:
     """Read a KLARF file of one wafer; `unit` of its lengths where the file does not say, um by default.
 
@@ -43,6 +82,7 @@ def read_klarf(path: str | Path, unit: KlarfUnit | None = None) -> Klarf:
     records = _records(place, _text(place))
     try:
         um, notes = _um_per_unit(records, unit)
+        notes += _notes(records)
         klarf = Klarf(**_facts(records, um), defects=tuple(_defects(records, um)), notes=notes)
         _require_all(records, klarf)
         _require_plausible(klarf)
@@ -55,20 +95,27 @@ def read_klarf(path: str | Path, unit: KlarfUnit | None = None) -> Klarf:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8", errors="replace")
+        content = path.read_bytes()
     except FileNotFoundError as fault:
         raise DatasetError(f"{path} does not exist: check the path.") from fault
     except OSError as fault:
         raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
 
 
-def _records(path: Path, text: str) -> dict[str, Record]:
-    """The records by their keywords; a keyword that comes again is kept as it came last, wafers apart."""
+def _records(path: Path, text: str) -> Records:
+    """All records. Raises DatasetError for another format, a file that is cut off, and one of several wafers."""
+    if (newer := _NEWER.match(text)) is not None:
+        raise DatasetError(
+            f"{path.name} is KLARF {newer[1]}, which has another syntax: export it as KLARF 1.2 (FileVersion 1 2)."
+        )
     if not text.lstrip().startswith("FileVersion"):
         raise DatasetError(f"{path.name} is no KLARF file: it does not begin with FileVersion.")
     if "EndOfFile" not in text[-200:]:
         raise DatasetError(f"{path.name} is cut off, it has no EndOfFile: copy or export it again.")
-    found: dict[str, Record] = {}
+    found: dict[str, list[Record]] = defaultdict(list)
+    lists: list[DefectList] = []
     for record in _split(text):
         lines = tuple(words for line in record.splitlines() if (words := _words(line)))
         if not lines:
@@ -76,8 +123,11 @@ def _records(path: Path, text: str) -> dict[str, Record]:
         keyword = lines[0][0]
         if keyword == "WaferID" and keyword in found:
             raise DatasetError(f"{path.name} holds several wafers: export one wafer to a file.")
-        found[keyword] = Record((lines[0][1:], *lines[1:]))
-    return found
+        found[keyword].append(Record((lines[0][1:], *lines[1:])))
+        if keyword == "DefectList":
+            columns = found["DefectRecordSpec"][-1].words[1:] if "DefectRecordSpec" in found else ()
+            lists.append(DefectList(columns, tuple(filter(None, found[keyword][-1].lines))))
+    return Records({keyword: tuple(of_it) for keyword, of_it in found.items()}, tuple(lists))
 
 
 def _split(text: str) -> Iterator[str]:
@@ -89,7 +139,7 @@ def _words(line: str) -> tuple[str, ...]:
     return tuple(quoted or plain for quoted, plain in _TOKEN.findall(line))
 
 
-def _um_per_unit(records: dict[str, Record], unit: KlarfUnit | None) -> tuple[float, tuple[str, ...]]:
+def _um_per_unit(records: Records, unit: KlarfUnit | None) -> tuple[float, tuple[str, ...]]:
     """How many um one of its units is; what it says itself goes before what was asked."""
     version = ".".join(records["FileVersion"].words[:2])
     if version not in VERSIONS:
@@ -103,24 +153,33 @@ def _um_per_unit(records: dict[str, Record], unit: KlarfUnit | None) -> tuple[fl
     return UM_PER[used], () if used == "um" else (f"Lengths were converted from {used} to um.",)
 
 
-def _facts(records: dict[str, Record], um: float) -> dict[str, Any]:
+def _notes(records: Records) -> tuple[str, ...]:
+    """Sentences on what was put together or converted."""
+    tests = len(records.all("InspectionTest"))
+    several = (f"It holds {tests} inspection tests: their dies and defects are shown together.",) if tests > 1 else ()
+    mirrored = ("Its coordinates are mirrored: x was mirrored back about the centre of the wafer.",)
+    return several + (mirrored if _is_mirrored(records) else ())
+
+
+def _facts(records: Records, um: float) -> dict[str, Any]:
     """The header; pitch and defects are needed, what else is left out stays empty."""
     for keyword in ("DiePitch", "DefectRecordSpec", "DefectList"):
         if keyword not in records:
             raise DatasetError(f"it has no record {keyword}: export it again.")
     pitch, center = _numbers(records, "DiePitch"), _numbers(records, "SampleCenterLocation") or (0.0, 0.0)
-    area, size = _numbers(records, "AreaPerTest") or (0.0,), _numbers(records, "SampleSize") or (0.0, 0.0)
+    origin, size = _numbers(records, "DieOrigin") or (0.0, 0.0), _numbers(records, "SampleSize") or (0.0, 0.0)
+    center_x = center[0] + origin[0]
     return {
         "version": ".".join(records["FileVersion"].words[:2]),
         **{name: _first(records, key) for name, key in _NAMES.items()},
         "notch": _first(records, "OrientationMarkLocation") or "DOWN",
-        "slot": int(_first(records, "Slot") or 0),
+        "slot": _whole(_first(records, "Slot") or "0"),
         "sample_mm": size[1],
         "pitch_x_um": pitch[0] * um,
         "pitch_y_um": pitch[1] * um,
-        "center_x_um": center[0] * um,
-        "center_y_um": center[1] * um,
-        "inspected_um2": area[0] * um**2,
+        "center_x_um": (pitch[0] - center_x if _is_mirrored(records) else center_x) * um,
+        "center_y_um": (center[1] + origin[1]) * um,
+        "inspected_um2": max((float(area.words[0]) for area in records.all("AreaPerTest")), default=0.0) * um**2,
         "classes": _classes(records),
         "dies": _pairs(records),
     }
@@ -129,53 +188,96 @@ def _facts(records: dict[str, Record], um: float) -> dict[str, Any]:
 _NAMES = {"lot": "LotID", "wafer": "WaferID", "device": "DeviceID", "setup": "SetupID", "step": "StepID"}
 
 
-def _first(records: dict[str, Record], keyword: str) -> str:
+def _first(records: Records, keyword: str) -> str:
     return records[keyword].words[0] if keyword in records and records[keyword].words else ""
 
 
-def _numbers(records: dict[str, Record], keyword: str) -> tuple[float, ...]:
+def _numbers(records: Records, keyword: str) -> tuple[float, ...]:
     return tuple(float(word) for word in records[keyword].words) if keyword in records else ()
 
 
-def _classes(records: dict[str, Record]) -> tuple[tuple[int, str], ...]:
+def _classes(records: Records) -> tuple[tuple[int, str], ...]:
     words = records["ClassLookup"].words[1:] if "ClassLookup" in records else ()
-    return tuple((int(n), name) for n, name in zip(words[::2], words[1::2], strict=False))
+    return tuple((_whole(n), name) for n, name in zip(words[::2], words[1::2], strict=False))
 
 
-def _pairs(records: dict[str, Record]) -> tuple[tuple[int, int], ...]:
-    """The dies of the test plan."""
-    words = records["SampleTestPlan"].words if "SampleTestPlan" in records else ("0",)
-    named = tuple((int(col), int(row)) for col, row in zip(words[1::2], words[2::2], strict=False))
-    if len(named) != int(words[0]):
-        raise DatasetError(f"its test plan names {len(named)} of {words[0]} dies: export it again.")
-    return named
+def _pairs(records: Records) -> tuple[tuple[int, int], ...]:
+    """The dies of the test plans of all inspection tests, each once."""
+    found: dict[tuple[int, int], None] = {}
+    for plan in records.all("SampleTestPlan"):
+        words = plan.words
+        named = [(_whole(col), _whole(row)) for col, row in zip(words[1::2], words[2::2], strict=False)]
+        if len(named) != _whole(words[0]):
+            raise DatasetError(f"its test plan names {len(named)} of {words[0]} dies: export it again.")
+        found |= dict.fromkeys(named)
+    return tuple((-col, row) if _is_mirrored(records) else (col, row) for col, row in found)
 
 
-def _defects(records: dict[str, Record], um: float) -> Iterator[KlarfDefect]:
-    columns = records["DefectRecordSpec"].words[1:]
-    if lacking := [name for name in NEEDED if name not in columns]:
-        raise DatasetError(f"its defects have no {lacking[0]}: export it with {', '.join(NEEDED)}.")
-    names, images = dict(_classes(records)), 0
-    least = len(columns) - ("IMAGELIST" in columns)
-    for n, words in enumerate(filter(None, records["DefectList"].lines), 1):
-        if len(words) < least:
-            if images:  # lines below a defect list its images
-                continue
-            raise DatasetError(f"line {n} of its defects has {len(words)} of {least} numbers: export it again.")
-        values = dict(zip(columns, words, strict=False))
-        images = int(values.get("IMAGECOUNT", 0))
-        yield _defect(values, names, um)
+def _is_mirrored(records: Records) -> bool:
+    """Whether x counts from right to left, as of the back of a wafer that is given as seen through its front."""
+    return _first(records, "CoordinatesMirrored").upper() in ("YES", "Y", "TRUE", "1")
 
 
-def _defect(values: dict[str, str], names: dict[int, str], um: float) -> KlarfDefect:
+def _whole(word: str) -> int:
+    """A whole number, which some programs write as ``0.000``. Raises ValueError for any other word."""
+    value = float(word)
+    if not value.is_integer():
+        raise ValueError(f"{word} is no whole number")
+    return int(value)
+
+
+def _defects(records: Records, um: float) -> Iterator[KlarfDefect]:
+    names, mirrored = dict(_classes(records)), _is_mirrored(records)
+    origin_um = tuple(part * um for part in _numbers(records, "DieOrigin") or (0.0, 0.0))
+    pitch_um = _numbers(records, "DiePitch")[0] * um
+    for listed in records.lists:
+        if lacking := [name for name in NEEDED if name not in listed.columns]:
+            raise DatasetError(f"its defects have no {lacking[0]}: export it with {', '.join(NEEDED)}.")
+        for values in _rows(listed):
+            found = _defect(values, names, um, origin_um)
+            if mirrored:
+                found = replace(found, col=-found.col, u_um=pitch_um - found.u_um)
+            yield found
+
+
+def _rows(listed: DefectList) -> Iterator[dict[str, str]]:
+    """The words of each defect by column; line breaks within them count as blanks."""
+    least = len(listed.columns) - ("IMAGELIST" in listed.columns)
+    pending: tuple[str, ...] = ()
+    n_image_words, begun = 0, 0
+    for n, words in enumerate(listed.lines, 1):
+        if not pending and len(words) <= n_image_words:  # lines below a defect list its images
+            n_image_words -= len(words)
+            continue
+        begun = begun if pending else n
+        joined, wrapped = pending + words, bool(pending)
+        pending = joined if len(joined) < least else ()
+        if pending:
+            continue
+        values = dict(zip(listed.columns, joined, strict=False))
+        images = _whole(values.get("IMAGECOUNT", "0"))
+        if wrapped and len(joined) > len(listed.columns) + IMAGE_WORDS * images:
+            raise DatasetError(_too_few(begun, len(joined) - len(words), least))
+        n_image_words = IMAGE_WORDS * images
+        yield values
+    if pending:
+        raise DatasetError(_too_few(begun, len(pending), least))
+
+
+def _too_few(line: int, n_words: int, least: int) -> str:
+    return f"line {line} of its defects has {n_words} of {least} numbers: export it again."
+
+
+def _defect(values: dict[str, str], names: dict[int, str], um: float, origin_um: tuple[float, ...]) -> KlarfDefect:
+    """A defect; its place counts from the origin of its die, which may lie off the lower left corner."""
     lengths = {field: float(values.get(name, 0)) * um for field, name in _LENGTHS.items()}
-    counts = {field: int(values[name]) for field, name in _COUNTS.items() if name in values}
+    counts = {field: _whole(values[name]) for field, name in _COUNTS.items() if name in values}
     return KlarfDefect(
-        number=int(values["DEFECTID"]),
-        col=int(values["XINDEX"]),
-        row=int(values["YINDEX"]),
-        u_um=float(values["XREL"]) * um,
-        v_um=float(values["YREL"]) * um,
+        number=_whole(values["DEFECTID"]),
+        col=_whole(values["XINDEX"]),
+        row=_whole(values["YINDEX"]),
+        u_um=float(values["XREL"]) * um + origin_um[0],
+        v_um=float(values["YREL"]) * um + origin_um[1],
         area_um2=float(values.get("DEFECTAREA", 0)) * um**2,
         class_name=names.get(counts.get("class_number", 0), ""),
         **lengths,
@@ -183,14 +285,15 @@ def _defect(values: dict[str, str], names: dict[int, str], um: float) -> KlarfDe
     )
 
 
-def _require_all(records: dict[str, Record], klarf: Klarf) -> None:
+def _require_all(records: Records, klarf: Klarf) -> None:
     """Raise DatasetError where the summary counts other defects than are listed."""
     if "SummaryList" not in records:
         return
-    width = int(_first(records, "SummarySpec") or 5)
+    width = _whole(_first(records, "SummarySpec") or "5")
     columns = records["SummarySpec"].words[1:] if "SummarySpec" in records else ("TESTNO", "NDEFECT")
-    counts = records["SummaryList"].words[columns.index("NDEFECT") :: width]
-    said, there = sum(int(float(count)) for count in counts), len(klarf.defects)
+    at = columns.index("NDEFECT")
+    said = sum(_whole(count) for summary in records.all("SummaryList") for count in summary.words[at::width])
+    there = len(klarf.defects)
     if said != there:
         raise DatasetError(f"its summary counts {said} defects and {there} are listed: export it again.")
 
@@ -218,7 +321,5 @@ def _require_plausible(klarf: Klarf) -> None:
 
 
 def _unchecked(klarf: Klarf) -> Klarf:
-    from wafer_viewer.model.spec import replace
-
     note = "The file has no summary: whether records are missing cannot be told."
     return replace(klarf, notes=(*klarf.notes, note))
