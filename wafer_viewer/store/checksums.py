@@ -25,6 +25,9 @@ from wafer_viewer.store.files import write_text
 SURFACES = "surfaces"
 """The folder of the surfaces of fields in a result."""
 _KEY = b'"crc32c":'
+_NEARLY_KEY = re.compile(b"|".join(_KEY[:i] + b"." + _KEY[i + 1 :] for i in range(len(_KEY))), re.DOTALL)
+"""The key with any one byte of it damaged."""
+_LINE_KEY, _LINE_END = b'"crc32c":"', b'"}'
 _SEAL = re.compile(rb',?\s*"crc32c": ?"([0-9a-f]{8})"[ \n}]*$')
 _TAIL_BYTES = 64
 _COMMENT = re.compile(rb"crc32c=([0-9a-f]{8})$")
@@ -78,11 +81,20 @@ def sealed_node(node: dict[str, Any]) -> str:
 
 
 def text_state(content: bytes) -> Checksum:
-    """State of the checksum of a JSON text or line."""
-    found = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
-    if found is not None:
+    """State of the checksum of a JSON text."""
+    tail = max(0, len(content) - _TAIL_BYTES)
+    if (found := _SEAL.search(content, tail)) is not None:
         return _compared(found[1], crc32c(content[: found.start(1)]))
-    return Checksum.DAMAGED if _nearly_sealed(content[-_TAIL_BYTES:]) else Checksum.NONE
+    return Checksum.DAMAGED if _NEARLY_KEY.search(content, tail) else Checksum.NONE
+
+
+def line_state(line: bytes) -> Checksum:
+    """State of the checksum of one line of a log: a few microseconds, for a journal may have a million."""
+    key = line[-20:-10]
+    if key == _LINE_KEY and line[-2:] == _LINE_END:
+        return _compared(line[-10:-2], crc32c(line[:-10]))
+    nearly = key[:5] == _LINE_KEY[:5] or key[5:] == _LINE_KEY[5:]  # one damaged byte leaves the other half
+    return Checksum.DAMAGED if nearly else Checksum.NONE
 
 
 def unsealed(content: bytes) -> bytes:
@@ -118,13 +130,6 @@ def require_json(content: bytes, name: str) -> None:
         msgspec.json.decode(content)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as fault:
         raise DatasetError(f"{name} is no JSON text ({fault}): restore it from a copy.") from fault
-
-
-def _nearly_sealed(tail: bytes) -> bool:
-    """Whether a text ends with the key of a checksum, as written or with one damaged byte."""
-    n = len(_KEY)
-    windows = (tail[i : i + n] for i in range(len(tail) - n + 1))
-    return any(sum(a != b for a, b in zip(window, _KEY, strict=True)) <= 1 for window in windows)
 
 
 # ------------------------------------------------------------------------------------------------ archives

@@ -16,7 +16,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store import mosaic_layout
-from wafer_viewer.store.checksums import Checksum, archive_state, damaged, mend_of, require_json, text_state
+from wafer_viewer.store.checksums import Checksum, archive_state, damaged, line_state, mend_of, require_json, text_state
 from wafer_viewer.store.files import natural
 from wafer_viewer.store.mosaic_facts import facts_state
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
@@ -127,12 +127,12 @@ def _journal_state(path: Path) -> Checksum:
     content = path.read_bytes()
     *lines, rest = content.split(b"\n")
     for number, line in enumerate(lines, 1):
-        if text_state(line) is Checksum.DAMAGED:
+        if line_state(line) is Checksum.DAMAGED:
             raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {mend_of(path)}.")
         require_json(line, f"{path}, line {number},")
     if rest:
         raise DatasetError(f"{path} ends within a line, which is ignored: continue the scan, or {mend_of(path)}.")
-    return Checksum.NONE if any(text_state(line) is Checksum.NONE for line in lines) else Checksum.GOOD
+    return Checksum.NONE if any(line_state(line) is Checksum.NONE for line in lines) else Checksum.GOOD
 
 
 def _shard_state(path: Path) -> Checksum:

@@ -14,7 +14,7 @@ import msgspec
 from wafer_viewer.model.devices import PulseSummary
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import Axis, Shot
-from wafer_viewer.store.checksums import Checksum, sealed_line, text_state
+from wafer_viewer.store.checksums import Checksum, line_state, sealed_line
 from wafer_viewer.store.files import writing
 
 
@@ -147,7 +147,7 @@ class JournalWriter:
 
 def _decoded(text: bytes) -> Line:
     """A line. Raises ValueError when it is damaged."""
-    if text_state(text) is Checksum.DAMAGED:
+    if line_state(text) is Checksum.DAMAGED:
         raise ValueError("its checksum differs")
     return _DECODER.decode(text)
 

@@ -250,16 +250,14 @@ def _rows(listed: DefectList) -> Iterator[dict[str, str]]:
             n_image_words -= len(words)
             continue
         begun = begun if pending else n
-        joined, wrapped = pending + words, bool(pending)
+        joined = pending + words
+        if pending and len(words) >= least and len(joined) > len(listed.columns):  # the next defect, whole by itself
+            raise DatasetError(_too_few(begun, len(pending), least))
         pending = joined if len(joined) < least else ()
-        if pending:
-            continue
-        values = dict(zip(listed.columns, joined, strict=False))
-        images = _whole(values.get("IMAGECOUNT", "0"))
-        if wrapped and len(joined) > len(listed.columns) + IMAGE_WORDS * images:
-            raise DatasetError(_too_few(begun, len(joined) - len(words), least))
-        n_image_words = IMAGE_WORDS * images
-        yield values
+        if not pending:
+            values = dict(zip(listed.columns, joined, strict=False))
+            n_image_words = IMAGE_WORDS * _whole(values.get("IMAGECOUNT", "0"))
+            yield values
     if pending:
         raise DatasetError(_too_few(begun, len(pending), least))
 

@@ -13,7 +13,7 @@ import msgspec
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.spec import Spec, decode
-from wafer_viewer.store.checksums import Checksum, sealed_line, text_state, unsealed
+from wafer_viewer.store.checksums import Checksum, line_state, sealed_line, unsealed
 from wafer_viewer.store.files import writing
 
 S = TypeVar("S", bound=Spec)
@@ -44,7 +44,7 @@ def read_lines(path: Path, kind: type[S]) -> tuple[S, ...]:
 
 
 def _decoded(line: bytes, kind: type[S], name: str) -> S:
-    if text_state(line) is Checksum.DAMAGED:
+    if line_state(line) is Checksum.DAMAGED:
         raise DatasetError(f"{name} is damaged, its checksum differs: restore it from a copy.")
     return decode(unsealed(line), kind, name, "json")
 
