@@ -161,6 +161,43 @@ def test_a_damaged_page_is_found(scan, tmp_path):
     assert "1 damaged" in checked.stdout
 
 
+def test_a_damaged_stitched_surface_is_neither_measured_nor_kept(scan, tmp_path):
+    import shutil
+
+    step = ("measure", "step", tmp_path / "copy.wafer", "--upper", 600, 560, 640, 600, "--lower", 700, 560, 740, 600)
+    copy = shutil.copytree(scan, tmp_path / "copy.wafer")
+    assert viewer("stitch", copy).returncode == 0
+    assert "Stitched surfaces: " in viewer("check", copy).stdout
+    shard = copy / "results/default/mosaic.zarr/z_raw_um/0/c/0/0"
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 3] ^= 32
+    shard.write_bytes(content)
+    checked = viewer("check", copy)
+    assert checked.returncode == 1
+    assert "z_raw_um/0/c/0/0 is damaged" in checked.stdout
+    measured = viewer(*step)
+    assert measured.returncode == 2
+    assert not measured.stdout
+    assert "is damaged: stitch the fields again (wafer-viewer stitch copy.wafer)" in " ".join(measured.stderr.split())
+    assert viewer("stitch", copy).returncode == 0
+    assert viewer("check", copy).returncode == 0
+    assert viewer(*step).returncode == 0
+
+
+def test_a_damaged_scan_record_is_named_by_check(scan, tmp_path):
+    import shutil
+
+    copy = shutil.copytree(scan, tmp_path / "copy.wafer")
+    record = (copy / "scan.json").read_text()
+    (copy / "scan.json").write_text(record.replace('"z_step_um": 4.0', '"z_step_um": 5.0'))
+    assert record != (copy / "scan.json").read_text()
+    checked = viewer("check", copy)
+    assert checked.returncode == 1
+    assert "scan.json is damaged, its checksum differs: restore it from a copy" in checked.stdout
+    assert "Journal: 1 good" in checked.stdout
+    assert viewer("stitch", copy).returncode == 2
+
+
 def test_a_scan_that_was_interrupted_goes_on(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN.format(frames=400).replace("z_step_um = 4.0", "z_step_um = 0.1"))
     first = start("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)
