@@ -21,7 +21,7 @@ from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.defects import read_inspection
 from wafer_viewer.store.integrity import UNKNOWN, check_files
 from wafer_viewer.store.mosaic_layout import FILLS, levels_of
-from wafer_viewer.store.notebook import read_notebook
+from wafer_viewer.store.notebook import read_notebook, write_notebook
 from wafer_viewer.store.result import Result
 
 FLIPS = 6
@@ -180,6 +180,20 @@ def test_a_damaged_summary_is_made_anew(dataset):
     text = (result.path / "surface.json").read_bytes()
     with flipped(result.path / "surface.json", 8 * text.index(b'"highest_um"') + 120):
         assert load_summary(result) is None
+
+
+def test_damaged_results_are_not_written_over(dataset):
+    result = Dataset.open(dataset).result()
+    findings, notebook = result.findings(), read_notebook(result.path)
+    for name, save in (
+        ("findings.json", lambda: result.save_findings(findings)),
+        ("notebook.json", lambda: write_notebook(result.path, notebook)),
+    ):
+        with flipped(result.path / name, 8 * 60):
+            before = (result.path / name).read_bytes()
+            with pytest.raises(DatasetError, match=f"{name} is damaged, its checksum differs: restore it from a copy"):
+                save()
+            assert (result.path / name).read_bytes() == before
 
 
 def test_files_of_older_versions_are_read_and_named(dataset, tmp_path):

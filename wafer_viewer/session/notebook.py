@@ -27,6 +27,7 @@ class NotebookKeeper:
         from wafer_viewer.store.notebook import read_notebook
 
         shown = self._desk.now.dataset
+        self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
         self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
         self._show()
 

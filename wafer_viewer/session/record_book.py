@@ -68,6 +68,7 @@ class RecordBook:
     def open(self) -> None:
         """Read the findings of the result being looked at; none without a dataset."""
         shown = self._desk.now.dataset
+        self._items.restart(())  # those of another dataset must not stay where these cannot be read
         self._items.restart(self._library.result.findings().items if shown is not None else ())
         pictured = self._library.result.highest_thumbnail() if shown is not None else 0
         self._highest = max((pictured, *(f.number for f in self._items.value)))

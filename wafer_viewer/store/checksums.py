@@ -113,6 +113,12 @@ def load_json(path: Path, kind: type[S]) -> S:
     return decode(verified_text(path), kind, str(path), "json")
 
 
+def require_good_json(path: Path) -> None:
+    """Raise DatasetError when there is a file whose checksum differs: what people entered is not written over."""
+    if path.exists():
+        verified_text(path)
+
+
 def verified_text(path: Path) -> bytes:
     """The JSON text of a file without its checksum. Raises DatasetError when it cannot be read or is damaged."""
     try:

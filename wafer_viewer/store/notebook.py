@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from wafer_viewer.model.notebook import Notebook
-from wafer_viewer.store.checksums import load_json, save_json
+from wafer_viewer.store.checksums import load_json, require_good_json, save_json
 from wafer_viewer.store.files import writing
 
 NOTEBOOK = "notebook.json"
@@ -18,7 +18,8 @@ def read_notebook(result: Path) -> Notebook:
 
 
 def write_notebook(result: Path, notebook: Notebook) -> None:
-    """Keep a notebook in place of the one before."""
+    """Keep a notebook in place of the one before. Raises DatasetError when that is damaged."""
     with writing(result):
         result.mkdir(parents=True, exist_ok=True)
+    require_good_json(result / NOTEBOOK)
     save_json(result / NOTEBOOK, notebook)

@@ -15,7 +15,7 @@ from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface import HeightMap, Mosaic
-from wafer_viewer.store.checksums import SURFACES, load_json, save_json
+from wafer_viewer.store.checksums import SURFACES, load_json, require_good_json, save_json
 from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.npz import read_npz, write_npz
@@ -159,7 +159,8 @@ class Result:
         return load_json(self.path / FINDINGS, Findings)
 
     def save_findings(self, findings: Findings) -> None:
-        """Keep what was measured, in place of what was kept before."""
+        """Keep what was measured, in place of what was kept before. Raises DatasetError when that is damaged."""
+        require_good_json(self.path / FINDINGS)
         self._save(FINDINGS, findings)
 
     def thumbnail(self, number: int) -> bytes | None:
