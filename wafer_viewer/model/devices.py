@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Axis, PulseTrain, ScanPlan
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.stack import FrameStatus, Image
 
 
@@ -266,4 +267,13 @@ class Rig(Protocol):
 
     def close(self) -> None:
         """Stop motion, disarm the box, let the ports go."""
+        ...
+
+
+@runtime_checkable
+class SampleChanger(Protocol):
+    """A rig that puts samples on its stage by itself, as the virtual one does."""
+
+    def load_sample(self, sample: Sample | None) -> bool:
+        """Load a sample, where the rig has it, else the one that it starts with; True where it is another one now."""
         ...

@@ -12,6 +12,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import MIN_FRAMES
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.comparing import ComparingKeeper
 from wafer_viewer.session.defect_files import DefectFilesKeeper
@@ -60,6 +61,7 @@ class Conductor:
         self.judge = Judge(desk, self.library, self.notices)
         reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
         self.rig = Instrument(desk, self.notices, config, reports)
+        self._sample: Sample | None = None
         self._scan_over: Future[None] = Future()
         self._asked = count(1)
 
@@ -67,6 +69,7 @@ class Conductor:
         """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
         self.rig.start()
         self.defects.watch()
+        self.desk.subscribe(lambda now: self.desk.note(self._load_sample) if _sample_of(now) != self._sample else None)
         self.drafting.price()
         self.library.refresh()
         self.jobs.refresh()
@@ -238,6 +241,11 @@ class Conductor:
         self.library.refresh()
         return path
 
+    def _load_sample(self) -> None:
+        """Have the sample of the plan on the stage, without a plan that of the open dataset."""
+        self._sample = _sample_of(self.desk.now)
+        self.rig.load(self._sample)
+
     def _sample_seen(self, event: SampleSeen) -> None:
         self.desk.change(overview=event.overview)
         self.reconstruction.compute.start()
@@ -281,6 +289,12 @@ class Conductor:
         if state not in (FieldState.TO_COME, FieldState.TAKING, FieldState.TO_REPEAT):
             return True
         return sum(shot.field == number for shot in self.library.dataset.arrived()) >= MIN_FRAMES
+
+
+def _sample_of(now: Snapshot) -> Sample | None:
+    if now.draft.job is not None:
+        return now.draft.job.sample
+    return now.dataset.job.sample if now.dataset is not None else None
 
 
 def _made(folder: Path) -> Path:

@@ -10,12 +10,14 @@ from typing import Any
 
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.link import Link
 from wafer_viewer.session.messages import (
     At,
     FieldComplete,
+    LoadSample,
     Move,
     Pause,
     Paused,
@@ -51,6 +53,8 @@ class Instrument:
     def __init__(self, desk: Desk, notices: Notices, config: RigConfig, reports: Reports) -> None:
         self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
         self._link: Link | None = None
+        self._sample: Sample | None = None
+        """What was to be loaded last."""
         self._moves = 0
         """How many were asked for and are not over."""
         self.n_stops = 0
@@ -73,7 +77,17 @@ class Instrument:
         if self._link is None or not self._link.alive:
             self._show(state="starting", message="")
             self._link = Link("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
+            if self._sample is not None:
+                self._link.ask(LoadSample(self._sample))
         return self._link
+
+    def load(self, sample: Sample | None) -> None:
+        """Have a rig that changes samples by itself load one; a rig that does not run loads it when it is started."""
+        if sample == self._sample:
+            return
+        self._sample = sample
+        if self._link is not None and self._link.alive:
+            self._link.ask(LoadSample(sample))
 
     def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
         """Move the stage; done on arrival, or with MotionStopped, also where more than `n_stops` have come since."""

@@ -11,6 +11,7 @@ from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview, Position
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Job, ScanPlan
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.session.state import LatestFrame, ScanProgress
 
 
@@ -21,6 +22,13 @@ class Move:
     x_um: float | None = None
     y_um: float | None = None
     z_um: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSample:
+    """Load the sample that a job names, on a rig that changes samples by itself. Answered once it lies on the stage."""
+
+    sample: Sample | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,24 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
-from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.devices import Rig, SampleChanger
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
 from wafer_viewer.model.plan import Axis
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.session.messages import At, Move, Pause, Resume, RigAbsent, RigReady, SampleSeen, Scan, Stop
+from wafer_viewer.session.messages import (
+    At,
+    LoadSample,
+    Move,
+    Pause,
+    Resume,
+    RigAbsent,
+    RigReady,
+    SampleSeen,
+    Scan,
+    Stop,
+)
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
 from wafer_viewer.session.tour import tour_of
@@ -108,6 +120,9 @@ class Operator:
                 self._scan(order, scan)
             case Move() as goal:
                 self._move(order, goal)
+            case LoadSample() as load:
+                self._load(load.sample)
+                self._end.answer(order.ask)
             case _:
                 self._end.answer(order.ask, order.n_stops <= self._heeded)
 
@@ -124,7 +139,13 @@ class Operator:
             self._tell_where()
         self._end.answer(order.ask)
 
+    def _load(self, sample: Sample | None) -> None:
+        """Load a sample where the rig does that by itself, and show what lies on the stage now."""
+        if isinstance(self._rig, SampleChanger) and self._rig.load_sample(sample):
+            self._end.tell(SampleSeen(self._rig.overview()))
+
     def _scan(self, order: Order, scan: Scan) -> None:
+        self._load(scan.job.sample)
         self._steering.reset()
         if self._stopped_since(order):
             self._steering.stop()

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.devices import Rig, SampleChanger
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.drafting import free_bytes, plan_of
@@ -50,6 +50,8 @@ def scan_to(
     else:
         scan = Scan(path, plan_of(job, rig.limits), job)
         ready(_look_round(scan, rig))
+    if isinstance(rig, SampleChanger):
+        rig.load_sample(job.sample)
     steering = Steering()
 
     def report(event: Any) -> None:

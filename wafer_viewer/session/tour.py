@@ -1,4 +1,8 @@
-"""The tour: a job filled in for the sample that a virtual rig brings along."""
+"""The tour: a job filled in for a sample that the virtual rig brings along.
+
+For the virtual wafer its grid, on the small camera, is 3 x 3 fields of 37 frames over the nine middle dies of the
+scene `tour_wafer`.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,17 @@ TOUR_FIELDS = 3
 
 
 def tour_of(rig: Rig, config: RigConfig) -> Job | None:
-    """A 3 x 3 grid where the virtual sample shows most, with its names; None for a real rig."""
+    """A grid where the virtual sample shows most, with its names; None for a real rig."""
     if config.kind != "virtual":
         return None
+    from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT
     from wafer_viewer.rigs.virtual.scene import scene
 
-    shown = scene(config.scene)
-    limits = rig.limits
-    grid = FieldGrid(
-        rows=TOUR_FIELDS, cols=TOUR_FIELDS, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um
-    )
+    shown = scene(scene(config.scene).tour_scene or config.scene)
+    size = {"field_width_um": rig.limits.field_width_um, "field_height_um": rig.limits.field_height_um}
+    grid = FieldGrid(rows=TOUR_FIELDS, cols=TOUR_FIELDS, **size)
+    if shown.tour_area_um is not None:
+        grid = FieldGrid.covering(*shown.tour_area_um, **size)
     return Job(
         product=shown.title,
         sample=Sample(
@@ -29,8 +34,8 @@ def tour_of(rig: Rig, config: RigConfig) -> Job | None:
             wafer_id=shown.name,
             product=shown.name,
             operator="tour",
-            mount="virtual stage",
-            notch="down" if shown.name == "wafer" else "none",
+            mount=VIRTUAL_MOUNT,
+            notch="down" if shown.dies is not None else "none",
             width_um=shown.width_um,
             height_um=shown.height_um,
         ),

@@ -12,6 +12,7 @@ from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.pulse_box import PulseBoxClient
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
@@ -28,6 +29,8 @@ U_Z_SCALE = 2e-4
 NUMERICAL_APERTURE, WAVELENGTH_UM = 0.28, 0.55
 SETUP = OpticalSetup(objective="10x/0.28 (simulated)", camera="virtual")
 OVERVIEW_PX = 1000
+VIRTUAL_MOUNT = "virtual stage"
+"""`Sample.mount` of the samples that the virtual rig brings along."""
 
 LATERAL = AxisLimits(
     low_um=-155_000.0,
@@ -99,7 +102,7 @@ class VirtualRig:
         renderer: Renderer | None = None,
     ) -> None:
         self._name = name
-        self._scene = scene
+        self._own_scene = self._scene = scene
         self._seed = seed
         self._real_time = real_time
         self._limits = limits or virtual_limits(*SIZES[size])
@@ -162,6 +165,21 @@ class VirtualRig:
     def overview(self) -> Overview:
         """The whole sample as a camera of low power sees it."""
         return scene_overview(self._scene)
+
+    def load_sample(self, sample: Sample | None) -> bool:
+        """Put a sample on the stage: the scene that is named by `sample.product` and mounted on the virtual stage.
+
+        Any other sample, and None, is the scene of the rig's configuration. Return True where the scene changed.
+        """
+        from wafer_viewer.rigs.virtual.scene import SCENES
+
+        virtual = sample is not None and sample.mount == VIRTUAL_MOUNT and sample.product in SCENES
+        wanted = sample.product if sample is not None and virtual else self._own_scene
+        if wanted == self._scene:
+            return False
+        self._scene, self._renderer = wanted, scene_renderer(wanted, self._limits)
+        self._camera.renderer = self._renderer
+        return True
 
     def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
         """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, stair, wafer
+from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, stair, tour_wafer, wafer
 from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
@@ -69,6 +69,8 @@ class Scene:
     """One sample: what it looks like, how large it is, and the tour that shows it best.
 
     Lengths are stage um; the sample is centred on (0, 0). `gain` is the exposure factor that shows it well lit.
+    `tour_area_um`: width and height that the fields of the tour cover, 3 x 3 fields where it is None. `tour_scene`: the
+    sample that is put on the stage for the tour, by default this one.
     """
 
     name: str
@@ -85,6 +87,8 @@ class Scene:
     tour_z_step_um: float
     tour_frames: int
     dies: DieLayout | None = None
+    tour_area_um: tuple[float, float] | None = None
+    tour_scene: str = ""
 
     @property
     def die_pitch_um(self) -> tuple[float, float] | None:
@@ -135,6 +139,24 @@ def wafer_dies() -> DieLayout:
     )
 
 
+def tour_wafer_dies() -> DieLayout:
+    """Every whole die of the tour's wafer."""
+    n_cols, n_rows = (
+        2 * math.ceil(tour_wafer.RADIUS_UM / um) + 1 for um in (tour_wafer.PITCH_X_UM, tour_wafer.PITCH_Y_UM)
+    )
+    first_col, first_row = -(n_cols // 2), -(n_rows // 2)
+    grid = [(column, row) for row in range(n_rows) for column in range(n_cols)]
+    return DieLayout(
+        pitch_x_um=tour_wafer.PITCH_X_UM,
+        pitch_y_um=tour_wafer.PITCH_Y_UM,
+        width_um=tour_wafer.WIDTH_UM,
+        height_um=tour_wafer.HEIGHT_UM,
+        x0_um=(first_col - 0.5) * tour_wafer.PITCH_X_UM,
+        y0_um=(first_row - 0.5) * tour_wafer.PITCH_Y_UM,
+        cells=tuple(at for at in grid if tour_wafer.is_whole_die(at[0] + first_col, at[1] + first_row)),
+    )
+
+
 SCENES: dict[str, Scene] = {
     "wafer": Scene(
         name="wafer",
@@ -151,6 +173,7 @@ SCENES: dict[str, Scene] = {
         tour_z_step_um=1.0,
         tour_frames=60,
         dies=wafer_dies(),
+        tour_scene="tour_wafer",
     ),
     "gauge_blocks": Scene(
         name="gauge_blocks",
@@ -211,6 +234,23 @@ SCENES: dict[str, Scene] = {
         tour_z_start_um=-15.0,
         tour_z_step_um=0.5,
         tour_frames=60,
+    ),
+    "tour_wafer": Scene(
+        name="tour_wafer",
+        title="A small diced wafer with a gel drop, a scratch and particles",
+        fill=tour_wafer.fill,
+        gain=1.12,
+        width_um=2 * tour_wafer.RADIUS_UM,
+        height_um=2 * tour_wafer.RADIUS_UM,
+        z_min_um=-5.0,
+        z_max_um=28.0,
+        outline_um=flatted_disc(tour_wafer.RADIUS_UM, tour_wafer.FLAT_UM),
+        tour_center_um=(0.0, 0.0),
+        tour_z_start_um=-6.0,
+        tour_z_step_um=1.0,
+        tour_frames=37,
+        dies=tour_wafer_dies(),
+        tour_area_um=(930.0, 700.0),
     ),
 }
 

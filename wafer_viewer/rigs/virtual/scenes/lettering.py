@@ -43,10 +43,10 @@ def product_letter(place: int) -> int:
 
 @fast_kernel
 def place_letter(place: int, column: int, row: int) -> int:
-    """The code of a letter of R07C06, the die's place on the wafer; digits are their own codes."""
+    """The code of a letter of R07C06, the die's place on the wafer; digits are their own codes. Row -1 has none."""
     number = row if place < 3 else column
     digit = place % 3
-    if place < 0 or place > 5:
+    if place < 0 or place > 5 or row < 0:
         return SPACE
     if digit == 0:
         return LETTER_R if place == 0 else LETTER_C

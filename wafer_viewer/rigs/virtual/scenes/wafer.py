@@ -158,6 +158,14 @@ def particle(x: float, y: float, footprint: float) -> tuple[float, float, float]
     radius = 1.6 + 4.6 * chance(i, j, PARTICLE_SIZE) ** 2
     across = x - (i + 0.1 + 0.8 * chance(i, j, PARTICLE_X)) * PARTICLE_CELL_UM
     along = y - (j + 0.1 + 0.8 * chance(i, j, PARTICLE_Y)) * PARTICLE_CELL_UM
+    return dust(x, y, across, along, radius, footprint)
+
+
+@fast_kernel
+def dust(
+    x: float, y: float, across: float, along: float, radius: float, footprint: float
+) -> tuple[float, float, float]:
+    """(share, height_um, radiance) of one grain of dust; (across, along) from its middle, (x, y) for its outline."""
     far2 = (across * across + along * along) / (radius * radius)
     if far2 > 2.3:
         return 0.0, 0.0, 0.0
@@ -172,16 +180,16 @@ def floor(x: float, y: float, u: float, v: float, from_wall: float, footprint: f
     edge = min(RADIUS_UM - math.sqrt(x * x + y * y), y - FLAT_UM)
     fine = grain(x / 1.5, y / 1.5, FINE)
     broad = grain(x / 170.0, y / 170.0, BROAD)
-    ground = FLOOR * (1.0 + 0.10 * fine + 0.05 * saw_marks(x, y, u, v) + 0.03 * broad)
-    ground *= (1.0 - 0.72 * printed(x, y, u, v, footprint)) * wall_shade(from_wall)
+    upright, level = u < 0.0 or u > WIDTH_UM, v < 0.0 or v > HEIGHT_UM
+    ground = FLOOR * (1.0 + 0.10 * fine + 0.05 * saw_marks(x, y, upright, level) + 0.03 * broad)
+    ground *= (1.0 - 0.72 * printed(x, y, u, v, footprint)) * wall_shade(from_wall, DEPTH_UM)
     tape = TAPE * (1.0 + 0.12 * fine + 0.2 * broad)
     return blend(tape, ground, inside(edge, footprint))
 
 
 @fast_kernel
-def saw_marks(x: float, y: float, u: float, v: float) -> float:
+def saw_marks(x: float, y: float, upright: bool, level: bool) -> float:
     """Streaks along the cut: upright in a column trench, level in a row trench, both where they cross."""
-    upright, level = u < 0.0 or u > WIDTH_UM, v < 0.0 or v > HEIGHT_UM
     marks = grain(x / 1.1, y / 70.0, UPRIGHT_CUT) * upright + grain(x / 70.0, y / 1.1, LEVEL_CUT) * level
     return marks / max(1.0, 1.0 * upright + level)
 
@@ -191,21 +199,27 @@ def printed(x: float, y: float, u: float, v: float, footprint: float) -> float:
     """What is printed in the trenches: a cross where they meet, barred test squares along the columns."""
     across = wrapped(x + PITCH_X_UM / 2, PITCH_X_UM) - PITCH_X_UM / 2
     along = wrapped(y + PITCH_Y_UM / 2, PITCH_Y_UM) - PITCH_Y_UM / 2
-    upright = rectangle(across, along, -2.0, 2.0, -15.0, 15.0, footprint)
-    level = rectangle(across, along, -15.0, 15.0, -2.0, 2.0, footprint)
-    squares = 0.0
+    cross, squares = crossing_mark(across, along, 15.0, footprint), 0.0
     if (u < 0.0 or u > WIDTH_UM) and 0.0 <= v <= HEIGHT_UM:
         square = rectangle(abs(across), wrapped(along - 20.0, 60.0), -1.0, 11.0, 0.0, 22.0, footprint)
         slits = bars(y, 5.5, 0.5, footprint) * bar(abs(across), -1.0, 8.5, footprint)
         squares = 0.8 * square * (1.0 - 0.75 * slits)
-    return max(upright, level, squares)
+    return max(cross, squares)
 
 
 @fast_kernel
-def wall_shade(from_wall: float) -> float:
+def crossing_mark(across: float, along: float, arm_um: float, footprint: float) -> float:
+    """A cross with arms of some length; (across, along) from its middle."""
+    upright = rectangle(across, along, -2.0, 2.0, -arm_um, arm_um, footprint)
+    level = rectangle(across, along, -arm_um, arm_um, -2.0, 2.0, footprint)
+    return max(upright, level)
+
+
+@fast_kernel
+def wall_shade(from_wall: float, depth_um: float) -> float:
     """Light left at a distance from a wall's foot: the wall cuts off part of the illumination's cone.
 
     Without it a trench's edge would bloom when it is out of focus, which no microscope shows.
     """
-    cut_off = 0.5 * math.erfc(max(from_wall, 0.0) / (0.14 * DEPTH_UM * math.sqrt(2.0)))
+    cut_off = 0.5 * math.erfc(max(from_wall, 0.0) / (0.14 * depth_um * math.sqrt(2.0)))
     return 1.0 - 0.7 * cut_off / (1.0 - cut_off)
