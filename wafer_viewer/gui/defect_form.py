@@ -25,7 +25,7 @@ from wafer_viewer.gui.defect_form_values import (
 )
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of
 from wafer_viewer.gui.edits import Edits
-from wafer_viewer.gui.guard import guarded
+from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defect_limits import DefectLimits
@@ -38,7 +38,7 @@ from wafer_viewer.session.state import Snapshot
 
 NOT_KEPT = "not kept"
 DIAL = "0 finds only what is plain, 1 all that might be something"
-FAILED = "Nothing was inspected"
+FAILED = "Inspection failed"
 
 
 class InspectionForm:
@@ -98,8 +98,15 @@ class InspectionForm:
         """Search by what stands on the form."""
         form, page = self._typed(), self._page
         asked = recipe_of(form, self._recipe)
-        page.ask(FAILED, page.session.defects.inspect(asked, dies_of(form), against_of(form)))
+        verb = page.session.defects.inspect(asked, dies_of(form), against_of(form))
+        verb.add_done_callback(self._tell_refusal)
         page.redraw()
+
+    def _tell_refusal(self, done: Future[Any]) -> None:
+        """Tell why a search was not begun; why one that was begun found nothing stands over the list already."""
+        fault = None if done.cancelled() else done.exception()
+        if fault is not None and str(fault) != self._page.session.snapshot.inspection.problem:
+            tell_failure(self._page, FAILED, fault)
 
     # --- building
 

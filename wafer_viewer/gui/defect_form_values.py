@@ -71,7 +71,9 @@ def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
     Raises MeasureError with the sentence to show when it makes none.
     """
     if form.compare == GOLDEN and not form.golden:
-        raise MeasureError("No golden die is chosen: choose one of the list, or compare die with die.")
+        raise MeasureError(
+            f"No golden die is chosen: choose one where the list has any, or compare {FORM[0].lower()}{FORM[1:]}."
+        )
     return changed(
         old,
         sensitivity=form.sensitivity,

@@ -61,7 +61,7 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
     if not mine:
-        return html.empty("No golden die is kept", "inspect die with die, then keep one.") + _lab(left)
+        return html.empty("No golden die is kept", "compare with the fitted form, or die with die.") + _lab(left)
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
     hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
     more = " and ".join(part for part in (hidden, left) if part)

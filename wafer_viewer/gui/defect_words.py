@@ -59,7 +59,7 @@ def per_mm2(count: float | None) -> str:
 def summary(state: InspectionState) -> str:
     """What is not known, and what stands against believing the list, as HTML."""
     inspection = state.inspection
-    problem = html.note("attention", "Nothing new is known", state.problem) if state.problem else ""
+    problem = html.note("attention", "Inspection failed", state.problem) if state.problem else ""
     if inspection is None:
         return problem
     stale = (

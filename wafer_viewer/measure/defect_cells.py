@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.defect_filters import spectrum_of
 from wafer_viewer.measure.defect_noise import Noise, noise_of
-from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of, unmeasured_of
+from wafer_viewer.measure.defect_pieces import Piece, Where, pieces_of
 from wafer_viewer.measure.defect_scores import (
     Mask,
     Residual,
@@ -25,6 +25,7 @@ from wafer_viewer.measure.defect_scores import (
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
 from wafer_viewer.measure.golden import LEAST_CONTRAST, Golden, registered, robust_sigma, spaced
 from wafer_viewer.measure.plain_picture import against_around, contrast_of, is_plain
+from wafer_viewer.measure.terraces import over_levels
 from wafer_viewer.measure.unevenness import kinds_of
 from wafer_viewer.model.defects import DefectRecipe
 
@@ -32,8 +33,6 @@ NOISE_CELLS = 24
 NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5
 """Their quotients are in memory together: of large cells so many pixels are taken, and so many cells at least."""
 LEAST_MEASURED = 0.02
-LISTED_FROM = 0.3
-"""Of a cell less measured, unmeasured areas are not listed one by one: the state of the die says it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +91,8 @@ def plainness_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -
     """Over a few cells: heights over the form, the picture against what is around each place."""
     sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
     read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
-    many = [(robust_sigma(cell[0]), *contrast_of(cell[1])) for cell in read if cell is not None]
+    over = ((over_levels(cell[0], source.levels_um), cell[1]) for cell in read if cell is not None)
+    many = [(robust_sigma(z if walls is None else z[~walls]), *contrast_of(grey)) for (z, walls), grey in over]
     z, grey, patterned = np.array(many).reshape(-1, 3).T
     return Plainness(max(1e-6, _usual(z)), max(LEAST_CONTRAST, _usual(grey)), is_plain(patterned))
 
@@ -110,9 +110,11 @@ def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] 
     cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
     if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
         return None
-    if not work.on_dies and work.recipe.evidence != "height":
-        cell = cell[0], against_around(cell[1])
-    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, work.excluded), shift
+    excluded = work.excluded
+    if not work.on_dies:
+        z_um, excluded = over_levels(cell[0], work.source.levels_um)
+        cell = z_um, against_around(cell[1]) if work.recipe.evidence != "height" else cell[1]
+    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, excluded), shift
 
 
 def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
@@ -124,16 +126,13 @@ def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
     where, counts = Where(work.cells, shift), new_counts()
     count(scores, work.recipe, work.cells.shape, counts)
     pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
-    n_compared = int(np.count_nonzero(np.isfinite(residual.z_um)))
-    if n_compared >= LISTED_FROM * residual.z_um.size:
-        pieces += unmeasured_of(residual, where)
     return CellResult(
         place,
         pieces,
         counts,
         residual.tilt,
         residual.offset_um,
-        n_compared,
+        int(np.count_nonzero(np.isfinite(residual.z_um))),
         int(np.count_nonzero(residual.missing)),
         _differs(residual.z_um, work.golden.z_spread_um),
     )

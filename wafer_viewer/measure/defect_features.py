@@ -39,7 +39,7 @@ def shape_of(
         steepness=_steepness(whole, height_um, outline),
         on_edge_fraction=_on_edge(whole, inside, cells) if on_dies else 0.0,
         die_fraction=min(1.0, outline.area_um2 / die_um2) if on_dies else 0.0,
-        unmeasured_fraction=1.0 if whole.first.unmeasured else float(np.isnan(whole.z_um).mean()),
+        unmeasured_fraction=float(np.isnan(whole.z_um).mean()),
         evidence=evidence_of(whole.peaks, recipe.threshold_sigma),
         height_score=whole.peaks.get("height", 0.0),
         picture_score=whole.peaks.get("picture", 0.0),

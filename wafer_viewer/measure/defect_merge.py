@@ -28,9 +28,7 @@ def merged(pieces: Sequence[Piece], pixel_um: float) -> list[list[Piece]]:
         else np.zeros((0, 2), int)
     )
     first, second = owner[pairs[:, 0]], owner[pairs[:, 1]]
-    alike = np.array([piece.unmeasured for piece in pieces])
-    joined = alike[first] == alike[second]
-    links = coo_array((np.ones(int(joined.sum())), (first[joined], second[joined])), shape=(len(pieces),) * 2)
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(len(pieces),) * 2)
     n, group = connected_components(links, directed=False)
     out: list[list[Piece]] = [[] for _ in range(int(n))]
     for piece, k in zip(pieces, group, strict=True):

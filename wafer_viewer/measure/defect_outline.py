@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -41,11 +41,6 @@ class Gathered(Pixels):
         """The pixels that stand out in the picture; None where these are too few to show a shape."""
         clear = self.clear > 0
         return clear if np.count_nonzero(clear) >= CLEAR_PX else None
-
-    @property
-    def pixels_wide(self) -> float:
-        """How many pixels wide a pixel of the list is: squares stand for unmeasured areas."""
-        return self.first.scale_px if self.first.unmeasured else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,14 +103,14 @@ def _peak(whole: Gathered, values: Floats) -> float:
 
 
 def outline_of(x_um: Floats, y_um: Floats, pixel_um: float) -> Outline:
-    """By moments; an own pixel has a moment too. Thin things are as long as they reach."""
+    """By moments; an own pixel has a moment too. Thin things are as long as they reach, and nothing is longer."""
     one = ellipse_of(x_um, y_um, np.ones(len(x_um)), pixel_um)
-    if one.major_um <= THIN * one.minor_um:
-        return one
     angle = math.radians(one.angle_deg)
     along = (x_um - one.x_um) * math.cos(angle) + (y_um - one.y_um) * math.sin(angle)
-    major = float(np.ptp(along)) + pixel_um
-    return Outline(one.x_um, one.y_um, major, min(one.minor_um, one.area_um2 / major), one.angle_deg, one.area_um2)
+    reach = float(np.ptp(along)) + pixel_um
+    if one.major_um <= THIN * one.minor_um:
+        return replace(one, major_um=min(one.major_um, reach), minor_um=min(one.minor_um, reach))
+    return replace(one, major_um=reach, minor_um=min(one.minor_um, one.area_um2 / reach))
 
 
 def ellipse_of(x_um: Floats, y_um: Floats, weight: Floats, pixel_um: float) -> Outline:

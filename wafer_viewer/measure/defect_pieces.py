@@ -38,8 +38,6 @@ SHOWN_FROM = 3.5
 """In deviations: what stands out so far and hangs together with a place that was found belongs to it."""
 CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
 """In deviations: from there on a pixel of the picture shows a shape, and no pixel counts for more than so many."""
-UNMEASURED_BIN, UNMEASURED_BINS = 4, 16
-"""An unmeasured area has at least so many squares of so many pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +70,6 @@ class Piece(Pixels):
     peaks: dict[str, float]
     scale_px: float
     noise_um: float = 0.0
-    unmeasured: bool = False
 
     @property
     def score(self) -> float:
@@ -101,34 +98,6 @@ def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: Defe
     boxes = enumerate(find_objects(labels), 1)
     found = (_piece(residual, scores, spread_um, labels, n, box, (shown, sought), where, recipe) for n, box in boxes)
     return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
-
-
-def unmeasured_of(residual: Residual, where: Where) -> list[Piece]:
-    """Areas of a cell that the reference has and the cell has not."""
-    from scipy.ndimage import find_objects, label
-
-    side = UNMEASURED_BIN
-    rows, cols = (n // side * side for n in residual.missing.shape)
-    share = residual.missing[:rows, :cols].reshape(rows // side, side, cols // side, side).mean(axis=(1, 3))
-    labels = np.zeros(share.shape, np.int32)
-    label(share > 0.8, output=labels)
-    found: list[Piece] = []
-    for n, box in enumerate(find_objects(labels), 1):
-        inside = labels[box] == n
-        if np.count_nonzero(inside) >= UNMEASURED_BINS:
-            r, c = np.nonzero(inside)
-            at = (r + box[0].start) * side + (side - 1) / 2, (c + box[1].start) * side + (side - 1) / 2
-            found.append(_unmeasured(residual, at, where))
-    return found
-
-
-def _unmeasured(residual: Residual, at: tuple[Floats, Floats], where: Where) -> Piece:
-    x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
-    u_um, v_um = where.cells.in_die(*at)
-    nothing, unclear = np.full(len(x_um), np.nan), np.zeros(len(x_um))
-    border = _at_border(at[0], at[1], residual.z_um.shape)
-    planes = nothing, nothing, nothing, unclear
-    return Piece(x_um, y_um, u_um, v_um, *planes, residual.place, border, {}, UNMEASURED_BIN, unmeasured=True)
 
 
 def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:

@@ -78,19 +78,22 @@ def residual_of(
     z_um, picture = cell[0] - golden.z_um, cell[1] - golden.picture
     missing = np.isnan(cell[0]) & np.isfinite(golden.z_um)
     sure = _sureness(z_um)
+    if excluded is not None:
+        missing &= ~excluded
     if not flatten:
-        return Residual(place, z_um, sure, picture, (0.0, 0.0), 0.0, missing)
+        return Residual(place, _less(z_um, excluded), sure, _less(picture, excluded), (0.0, 0.0), 0.0, missing)
     tilted = DiePlane.of(z_um)
     rows, cols = z_um.shape
     grey = picture[::4, ::4]
     grey = grey[np.isfinite(grey)]
     level = np.float32(np.median(grey)) if grey.size else np.float32(0)
     tilt = -tilted.down / pixel_um, tilted.right / pixel_um
-    z_um, picture = tilted.off(z_um), picture - level
-    if excluded is not None:
-        z_um[excluded] = picture[excluded] = np.nan
-        missing &= ~excluded
+    z_um, picture = (_less(plane, excluded) for plane in (tilted.off(z_um), picture - level))
     return Residual(place, z_um, sure, picture, tilt, tilted.at(rows / 2, cols / 2), missing)
+
+
+def _less(plane: Plane, excluded: Mask | None) -> Plane:
+    return plane if excluded is None else np.where(excluded, np.float32(np.nan), plane)
 
 
 def picture_quotient(residual: Residual, golden: Golden) -> Plane:

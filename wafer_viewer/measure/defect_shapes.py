@@ -36,21 +36,21 @@ def defect_of(
     """One defect from its pieces; on_dies: the cells are dies."""
     whole = Gathered.of(pieces)
     height_um, inside = height_of(whole, cells.pixel_um)
-    outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um * whole.pixels_wide)
+    outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um)
     shape = shape_of(whole, inside, outline, height_um, cells, recipe, on_dies)
     found = classify(shape, recipe.rules)
-    unseen = found.kind == "unmeasured" and not whole.first.unmeasured
+    unseen = found.kind == "unmeasured"
     if unseen:
         found = classify(replace(shape, unmeasured_fraction=0.0), recipe.rules)
-    resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um or whole.first.unmeasured
+    resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um
     narrow = _narrow(reading, outline) if height_um else ()
     return Defect(
         **reading.told("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
         center=Point(x_um=outline.x_um, y_um=outline.y_um),
         outline=_region(outline, cells.pixel_um),
-        kind="unmeasured" if whole.first.unmeasured else found.kind,
-        reasons=("no height was measured here",) if whole.first.unmeasured else found.reasons,
-        confidence=1.0 if whole.first.unmeasured else confidence(whole.first.score, recipe, found.confidence),
+        kind=found.kind,
+        reasons=found.reasons,
+        confidence=confidence(whole.first.score, recipe, found.confidence),
         **_place(outline, cells, on_dies),
         **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
         mean_height_um=shape.mean_height_um,

@@ -25,10 +25,11 @@ from wafer_viewer.measure.golden import LEAST_DIES, Golden, golden_die, golden_o
 from wafer_viewer.measure.golden_streets import streets_known, with_own_streets
 from wafer_viewer.measure.plain_picture import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.reading import Reading
+from wafer_viewer.measure.terraces import SEVERAL_LEVELS, WALL_PX, terraced
 from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
 from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Reference
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.golden import GoldenDie
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
@@ -53,12 +54,14 @@ def inspect(
     progress: Progress | None = None,
     should_stop: Callable[[], bool] | None = None,
     rows_by: RowsBy | None = None,
+    no_dies: str = "No grid of dies",
 ) -> Inspection:
     """The defects of a surface, strongest first, with what was inspected.
 
     grid: where its dies lie; fewer than five measured dies, or no grid: compared with the fitted form. golden: a stored
     golden die to compare with instead, which shows what repeats in every die. progress: told the part done, 0 to 1.
-    rows_by: who compares the rows of dies, this thread by default; whoever does, what comes of it is the same.
+    rows_by: who compares the rows of dies, this thread by default; whoever does, what comes of it is the same. no_dies:
+    why there is no grid, for the notes.
 
     Raises MeasureError where hardly anything is measured, the grid lies beside the surface, the golden die is of
     something else, or the work was stopped.
@@ -67,7 +70,7 @@ def inspect(
     source = source_of(surface, reading.layer, recipe.form_order)
     dies = statuses(surface, grid) if grid is not None else ()
     on_dies = without_bare_rim(grid, dies) if grid is not None else None
-    work, reference, notes = _work(source, on_dies, recipe, golden)
+    work, reference, notes = _work(source, on_dies, recipe, golden, no_dies)
     places = work.cells.grid.places
     noise = noise_over(work, places)
     rows = work.cells.side_by_side(places)
@@ -97,13 +100,15 @@ def golden_of_surface(
 
 
 def _work(
-    source: Source, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None
+    source: Source, grid: DieGrid | None, recipe: DefectRecipe, golden: GoldenDie | None, no_dies: str
 ) -> tuple[Work, Reference, tuple[str, ...]]:
     """What cells are compared with: a stored golden die, the typical one of the dies, or the form."""
     if grid is None:
         if golden is not None:
-            raise MeasureError("A golden die is compared die by die: say where the dies lie, or find them.")
-        return _by_form(source, recipe, "No grid of dies: compared with the fitted form.")
+            raise MeasureError(
+                "A golden die is compared die by die: say where the dies lie, or compare with the fitted form."
+            )
+        return _by_form(source, recipe, no_dies)
     cells = CellGrid.of(grid, source.surface.pixel_um)
     places, excluded = _on_surface(source, cells), excluded_of(recipe.excluded, cells)
     if golden is not None:
@@ -112,9 +117,13 @@ def _work(
         stored, notes = with_own_streets(Golden.stored(golden, cells, source.dark), source, cells, places)
         return Work(source, cells, stored, recipe, True, excluded), "golden", notes
     if len(places) < LEAST_DIES:
-        few = f"Fewer than {LEAST_DIES} dies ({len(places)}): compared with the fitted form."
-        return _by_form(source, recipe, few)
-    return Work(source, cells, golden_of(source, cells, places), recipe, True, excluded), "dies", ()
+        dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
+        return _by_form(source, recipe, f"{dies} found, {LEAST_DIES} needed to compare die with die")
+    try:
+        median = golden_of(source, cells, places)
+    except DiesNotFound as few:
+        return _by_form(source, recipe, few.brief)
+    return Work(source, cells, median, recipe, True, excluded), "dies", ()
 
 
 def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Reference, tuple[str, ...]]:
@@ -135,10 +144,15 @@ def _by_form(source: Source, recipe: DefectRecipe, why: str) -> tuple[Work, Refe
         cols=n_cols,
     )
     cells = CellGrid.of(tiles, surface.pixel_um)
+    source = terraced(source, recipe.form_order)
     by = plainness_over(source, cells, tiles.places)
-    notes = (why, LOOKED_AT if by.plain else LEFT_OUT) if recipe.evidence != "height" else (why,)
+    notes = [f"{why}: compared with the fitted form."]
+    if recipe.evidence != "height":
+        notes.append(LOOKED_AT if by.plain else LEFT_OUT)
+    if len(source.levels_um) > 1:
+        notes.append(SEVERAL_LEVELS.format(len(source.levels_um), WALL_PX))
     seen = recipe if by.plain else replace(recipe, evidence="height")
-    return Work(source, cells, Golden.nothing(cells.shape, by.z_um, by.grey), seen, False), "form", notes
+    return Work(source, cells, Golden.nothing(cells.shape, by.z_um, by.grey), seen, False), "form", tuple(notes)
 
 
 def _of_the_rim(grid: DieGrid | None, on_dies: DieGrid | None) -> tuple[str, ...]:
@@ -198,7 +212,7 @@ def _defects(
     together = merged(pieces, work.cells.pixel_um)
     strongest = sorted(together, key=lambda group: -max(piece.score for piece in group))[:MOST_DEFECTS]
     single = [defect_of(group, work.cells, reading, work.recipe, work.on_dies) for group in strongest]
-    ordered = sorted([*whole.values(), *single], key=lambda d: (d.kind == "unmeasured", -d.score))
+    ordered = sorted([*whole.values(), *single], key=lambda d: -d.score)
     return tuple(replace(defect, number=n, name=f"Defect {n}") for n, defect in enumerate(ordered, 1))
 
 
@@ -243,5 +257,5 @@ def _missing_px(result: CellResult, cells: CellGrid) -> int:
 
 def _with_defects(dies: Sequence[DieStatus], defects: Sequence[Defect], streets: bool) -> tuple[DieStatus, ...]:
     """How many defects lie on every die; streets: whether these were looked at."""
-    on = Counter(defect.die for defect in defects if defect.kind != "unmeasured")
+    on = Counter(defect.die for defect in defects)
     return tuple(replace(die, defects=on[die.name], street_inspected=streets) for die in dies)

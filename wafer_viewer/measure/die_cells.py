@@ -99,12 +99,16 @@ class Read(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Source:
-    """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm."""
+    """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm.
+
+    levels_um: heights over the form at which most of the surface lies, where it is compared with these.
+    """
 
     surface: Mosaic
     layer: Layer
     form: Datum
     dark: float = 1.0
+    levels_um: tuple[float, ...] = ()
 
     def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
         """Heights and picture of a part of a cell; None where the surface has nothing of it."""
@@ -161,10 +165,10 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
 
     Raises MeasureError where too little is measured to find it.
     """
-    points, grey = _sample(surface, layer)
+    points, grey = sample_of(surface, layer)
     if len(points) < 100:
         raise MeasureError("The surface has hardly any measured pixels: there is nothing to inspect for defects.")
-    powers = tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
+    powers = form_powers(order)
     center = float(points.x_um.mean()), float(points.y_um.mean())
     u, v = points.x_um - center[0], points.y_um - center[1]
     fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
@@ -173,7 +177,12 @@ def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
     return Source(surface, layer, datum, max(1.0, DARK_SHARE * grey))
 
 
-def _sample(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
+def form_powers(order: int) -> tuple[tuple[int, int], ...]:
+    """The exponents of x and y of a polynomial of some order."""
+    return tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
+
+
+def sample_of(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
     """About FORM_POINTS measured pixels of the whole surface, and their usual grey."""
     pixels = surface.shape[0] * surface.shape[1]
     level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))

@@ -12,7 +12,7 @@ from wafer_viewer.measure.die_evidence import CellLattice, Cells, Evidence, boun
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.level import robust_fit
 from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.numerics.arrays import Bools, Float32s
@@ -93,10 +93,12 @@ def cells_of(
     read = {at: source.read(grid, at, lattice) for at in places}
     cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
     if len(cells) < 2:
-        raise MeasureError(
-            f"Dies seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and {len(cells)} of them lie "
-            "whole and measured on the surface where two are needed: scan more dies, or give pitch, origin and size of "
-            "the dies instead."
+        lie, whole = ("lies", "die") if len(cells) == 1 else ("lie", "dies")
+        raise DiesNotFound(
+            f"Dies seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and {len(cells)} of them "
+            f"{lie} whole and measured on the surface where two are needed: scan more dies, or give pitch, origin and "
+            "size of the dies instead.",
+            f"{len(cells)} whole {whole} found, 2 needed",
         )
     return cells
 
@@ -169,12 +171,13 @@ def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) 
     return shifts
 
 
-def not_alike(how_many: str, lattice: CellLattice) -> MeasureError:
+def not_alike(how_many: str, lattice: CellLattice) -> DiesNotFound:
     """What to say where something repeats and it is not dies."""
     width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
-    return MeasureError(
+    return DiesNotFound(
         f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
-        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead."
+        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead.",
+        "No dies found: what repeats does not look alike",
     )
 
 

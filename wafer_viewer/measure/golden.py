@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place, Plane, Read, Shift, Source
 from wafer_viewer.measure.die_plane import DiePlane
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
 from wafer_viewer.numerics.filters import relief
@@ -93,9 +93,10 @@ def golden_of(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Gol
     chosen = spaced(places, MOST_DIES)
     poses = found_poses(source, cells, chosen)
     if len(poses) < LEAST_DIES:
-        raise MeasureError(
+        raise DiesNotFound(
             f"Only {len(poses)} dies are measured in their middle: a golden die takes {LEAST_DIES}; "
-            "give a stored one, or inspect without a grid."
+            "give a stored one, or compare with the fitted form.",
+            f"{len(poses)} dies measured in their middle, {LEAST_DIES} needed",
         )
     rows, cols = cells.shape
     layers = [np.full((rows, cols), np.nan, np.float32) for _ in range(4)]

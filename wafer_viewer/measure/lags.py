@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.measure.heights import Floats
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.autocorrelation import autocorrelation
 from wafer_viewer.numerics.likeness import contrast
@@ -44,7 +44,7 @@ def alike_of(layers: Sequence[Float32s], size: int) -> Floats:
     """The mean autocorrelation of the layers that show any contrast, for lags up to half of the sides."""
     found = [autocorrelation(detail) for layer in layers if (detail := _detail(layer, size)) is not None]
     if not found:
-        raise MeasureError(f"The surface shows no contrast that dies could be found by: {MEND}.")
+        raise DiesNotFound(f"The surface shows no contrast that dies could be found by: {MEND}.")
     return np.mean(found, axis=0)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.lags import LEAST_ALIKE, MEND, Peak, alike_of, cone, lasting, part_of, peaks_of, shortest
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.numerics.arrays import Float32s
 
 LIMIT_DEG = 5.0
@@ -96,9 +96,10 @@ def settled(periods: Sequence[Peak], axis: str) -> Peak:
     """The period along an axis. Raises MeasureError where a part of it is nearly as much alike."""
     period, part = shortest(periods), part_of(periods)
     if part is not None:
-        raise MeasureError(
+        raise DiesNotFound(
             f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
-            f"neighbours are {100 * part.alike / period.alike:.0f} % as much alike: {MEND}."
+            f"neighbours are {100 * part.alike / period.alike:.0f} % as much alike: {MEND}.",
+            f"No dies found: their pitch along {axis} is ambiguous",
         )
     return period
 
@@ -161,7 +162,7 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
     if abs(turn_x - turn_y) > OFF_SQUARE_RAD + 2 / math.hypot(*across) + 2 / math.hypot(*up):
         if askew is not None:
             raise turned_too_far(askew.turn_deg)
-        raise MeasureError(
+        raise DiesNotFound(
             f"What repeats along x and y is {math.degrees(abs(turn_x - turn_y)):.1f} degrees off square and dies are "
             f"not: {MEND}."
         )
@@ -172,15 +173,16 @@ def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Period
     return Periods(*lengths, angle, alike)
 
 
-def turned_too_far(angle_deg: float) -> MeasureError:
+def turned_too_far(angle_deg: float) -> DiesNotFound:
     """What to say of a wafer that lies askew."""
-    return MeasureError(
+    return DiesNotFound(
         f"The dies are turned by {angle_deg:.1f} degrees and at most {LIMIT_DEG:g} can be found: turn the wafer, or "
-        f"{MEND}."
+        f"{MEND}.",
+        f"No dies found: turned by {angle_deg:.1f} degrees",
     )
 
 
-def nothing_repeats(layers: Sequence[Float32s]) -> MeasureError:
+def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
     """What to say where no lattice is found: along which axis, or that it is turned too far."""
     alike = alike_of(layers, max(3, min(layers[0].shape) // 6))
     peaks = peaks_of(alike)
@@ -188,9 +190,10 @@ def nothing_repeats(layers: Sequence[Float32s]) -> MeasureError:
     if (askew := _askew(alike, peaks)) is not None:
         return turned_too_far(askew.turn_deg)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
-    return MeasureError(
+    return DiesNotFound(
         f"No dies are found, for nothing repeats along {axes} within half of the surface, and at least two dies are "
-        f"needed along each axis: scan more dies, or {MEND}."
+        f"needed along each axis: scan more dies, or {MEND}.",
+        f"No dies found: nothing repeats along {axes}",
     )
 
 

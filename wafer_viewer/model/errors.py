@@ -52,5 +52,16 @@ class MeasureError(WaferViewerError):
     """A measurement that the surface does not allow."""
 
 
+class DiesNotFound(MeasureError):
+    """A surface on which no lattice of dies can be found.
+
+    brief: the reason in a few words, as a note on a result that was compared without dies.
+    """
+
+    def __init__(self, message: str, brief: str = "No dies found") -> None:
+        super().__init__(message)
+        self.brief = brief
+
+
 class HeldByAnother(WaferViewerError):
     """What only the holder of the controls may ask for."""

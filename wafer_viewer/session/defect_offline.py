@@ -16,7 +16,8 @@ from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.defect_rows import RowHands
-from wafer_viewer.session.given_dies import GivenDies
+from wafer_viewer.session.defect_work import NOT_BY_DIES
+from wafer_viewer.session.given_dies import GivenDies, dies_or_why
 from wafer_viewer.session.offline import Hire, is_dataset, measured_surface
 from wafer_viewer.store.dataset import Dataset
 
@@ -64,16 +65,26 @@ def inspected(
 ) -> Inspection:
     """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.
 
-    Raises MeasureError where nothing repeats, or nothing can be said.
+    Where no dies are found it is compared with the fitted form, and a note says why. Raises MeasureError where nothing
+    can be said.
     """
     from wafer_viewer.measure.defects import inspect
     from wafer_viewer.store.defects import carry_over
 
     known = replace(recipe, product=recipe.product or wafer.sample.product)
-    grid = None if against == "form" else dies_on(wafer, given)
+    grid, no_dies = None, NOT_BY_DIES
+    if against != "form":
+        grid, no_dies = dies_or_why(lambda: dies_on(wafer, given), needed=golden is not None)
     with _rows_by(wafer, hire) as rows_by:
         found = inspect(
-            wafer.surface, grid, known, golden, calibration_valid=wafer.calibrated, progress=tell, rows_by=rows_by
+            wafer.surface,
+            grid,
+            known,
+            golden,
+            calibration_valid=wafer.calibrated,
+            progress=tell,
+            rows_by=rows_by,
+            no_dies=no_dies,
         )
     return found if wafer.before is None else carry_over(wafer.before, found)
 

@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.crew import Crew, Here
 from wafer_viewer.session.defect_rows import RowHands
-from wafer_viewer.session.given_dies import GivenDies
+from wafer_viewer.session.given_dies import GivenDies, dies_or_why
 from wafer_viewer.session.library import today
 from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
@@ -28,6 +28,7 @@ Against = Literal["dies", "form"]
 Dies = DieGrid | Literal["found"] | None
 """Where the dies lie: as given, as they are found on the surface, or None: as the job says, else as found."""
 MARK_DIGITS = 16
+NOT_BY_DIES = "As asked"
 
 
 def inspect_dataset(
@@ -44,8 +45,10 @@ def inspect_dataset(
     """Look for defects on the stitched surface of a dataset; nothing is kept of it.
 
     dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. crew: who compares
-    the rows of dies, this process by default; what is found is the same. Raises MeasureError where no dies are found or
-    nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
+    the rows of dies, this process by default; what is found is the same. Where no dies are found it is compared with the
+    fitted form, and a note says why.
+
+    Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects import inspect
     from wafer_viewer.store.dataset import Dataset
@@ -55,8 +58,10 @@ def inspect_dataset(
     kept = data.result(result)
     surface, mark, job = kept.mosaic(), mosaic_mark(kept), data.scan.job
     recipe = replace(recipe, product=recipe.product or job.product or job.sample.product)
-    grid = _laid(dies, data, surface) if against == "dies" else None
     golden = golden_named(dataset.parent / FOLDER, recipe.golden, recipe.product) if recipe.golden else None
+    grid, no_dies = None, NOT_BY_DIES
+    if against == "dies":
+        grid, no_dies = dies_or_why(lambda: _laid(dies, data, surface), needed=golden is not None)
     with _until_stopped(should_stop):
         found = inspect(
             surface,
@@ -67,6 +72,7 @@ def inspect_dataset(
             progress=progress,
             should_stop=should_stop,
             rows_by=RowHands.of(crew or Here(), data.path, kept.path, should_stop),
+            no_dies=no_dies,
         )
     return replace(found, mark=mark)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from wafer_viewer.model.alignment import Alignment
 from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.surface import Mosaic
 
@@ -90,6 +91,19 @@ class GivenDies:
                 )
             return DieGrid.of(job.dies, own.alignment)
         return DieGrid.of(job.dies, job.alignment or Alignment())
+
+
+def dies_or_why(find: Callable[[], DieGrid], *, needed: bool) -> tuple[DieGrid | None, str]:
+    """The dies that `find` answers with, or None and the reason in a few words where it finds none.
+
+    Raises MeasureError where they are needed, as they are for a golden die.
+    """
+    try:
+        return find(), ""
+    except DiesNotFound as fault:
+        if needed:
+            raise MeasureError(f"A golden die needs dies. {fault} Or compare with the fitted form.") from fault
+        return None, fault.brief
 
 
 def dies_of_job(job: Job | None) -> DieGrid | None:

@@ -51,19 +51,19 @@ RADIUS_UM, FLAT_UM, EDGE_EXCLUSION_UM = 1500.0, -1350.0, 30.0
 DROP_X_UM, DROP_Y_UM, DROP_RADIUS_UM, DROP_HEIGHT_UM = 46.0, 8.0, 34.0, 8.0
 SCRATCH_LEFT_UM, SCRATCH_RIGHT_UM, SCRATCH_LOWER_UM, SCRATCH_SLOPE = -405.0, 95.0, -285.0, 0.2
 SCRATCH_HALF_UM, SCRATCH_DEPTH_UM = 1.5, 1.3
-PARTICLE_ASPECT = 0.6
+PARTICLE_ASPECT = 0.8
 """Of the height of the dust on the larger wafer, which is 1.2 radii."""
 PARTICLES = np.array([
     (-352.0, 262.0, 7.0),
-    (-215.0, 185.0, 5.0),
+    (-215.0, 185.0, 5.6),
     (36.0, 268.0, 6.2),
     (250.0, 205.0, 8.5),
-    (390.0, 290.0, 4.4),
-    (-330.0, -20.0, 5.6),
+    (390.0, 290.0, 5.2),
+    (-330.0, -20.0, 6.2),
     (345.0, 30.0, 6.6),
-    (-62.0, -55.0, 4.8),
+    (-62.0, -55.0, 5.6),
     (362.0, -262.0, 7.6),
-    (60.0, -290.0, 5.4),
+    (60.0, -290.0, 6.0),
     (151.0, 62.0, 6.6),
 ])  # fmt: skip
 """x, y and radius of each, um; the last one lies in a street."""
@@ -195,7 +195,7 @@ def scratch(x: float, y: float, footprint: float) -> tuple[float, float]:
         return 0.0, 0.0
     fade = min(1.0, (x - SCRATCH_LEFT_UM) / 60.0, (SCRATCH_RIGHT_UM - x) / 60.0)
     half_width = SCRATCH_HALF_UM * (1.0 + 0.3 * grain(x / 14.0, 0.5, SCRATCH_WIDTH)) * fade
-    touching = inside((grain(x / 22.0, 0.7, SCRATCH_SKIPS) + 1.4) * 8.0, footprint)
+    touching = inside((grain(x / 22.0, 0.7, SCRATCH_SKIPS) + 2.4) * 8.0, footprint)
     groove = inside(half_width - away, footprint)
     lip = inside(half_width + 1.1 - away, footprint) - groove
     return groove * touching, lip * touching
