@@ -91,15 +91,12 @@ def test_a_clean_wafer_has_no_defects_and_says_how_much_was_looked_at() -> None:
     assert inspection.expected_false_per_mm2 is not None
 
 
-def test_an_area_without_heights_is_unmeasured_and_no_defect() -> None:
+def test_an_area_without_heights_is_counted_and_is_no_row_of_the_list() -> None:
     clean = made(5, ())
     z = clean.surface.z_um.copy()
     z[160:200, 180:240] = np.nan
     inspection = inspected(dataclasses.replace(clean, surface=with_heights(clean.surface, z)))
-    assert inspection.found == ()
-    (hole,) = inspection.defects
-    assert hole.kind == "unmeasured"
-    assert hole.area.value == pytest.approx(40 * 60 * PIXEL_UM**2, rel=0.2)
+    assert inspection.defects == ()
     assert inspection.unmeasured_mm2 >= 40 * 60 * PIXEL_UM**2 / 1e6
 
 

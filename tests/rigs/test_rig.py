@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from wafer_viewer.model.plan import PulseTrain
-from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+from wafer_viewer.model.sample import Sample
+from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT, VirtualRig, virtual_limits
 
 ON_COMMAND = PulseTrain(axis="z", first_count=0, counts_per_frame=100, n_frames=100, direction=1)
 
@@ -70,3 +71,15 @@ def test_a_closed_rig_is_at_rest(stair):
     stair.close()
     stair.stage.wait()
     assert stair.stage.position().x_um < 100.0
+
+
+def test_it_loads_the_sample_that_a_job_for_it_names_and_else_its_own(stair):
+    own = stair.overview().title
+    tour = Sample(product="cone", mount=VIRTUAL_MOUNT)
+    assert stair.load_sample(tour)
+    assert not stair.load_sample(tour), "it lies there already"
+    assert stair.overview().title != own
+    assert float(stair.truth_for_tests(0.0, 0.0)) == pytest.approx(120.0)
+    assert stair.load_sample(Sample(product="cone", mount="chuck")), "a sample of somebody else's"
+    assert stair.overview().title == own
+    assert not stair.load_sample(None)

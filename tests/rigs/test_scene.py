@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.noise import grain
 from wafer_viewer.rigs.virtual.scene import SCENES, Window, scene
+from wafer_viewer.rigs.virtual.scenes.tour_wafer import planted
 
 FAR = st.floats(-3000, 3000)
 
@@ -67,8 +68,25 @@ def test_the_die_layout_says_where_the_dies_are():
     assert np.all(wafer.truth(middle_x, middle_y) - wafer.truth(beside_x, beside_y) > 25)
 
 
-def test_no_die_lies_on_the_edge_of_the_wafer():
-    wafer = scene("wafer")
+def test_nine_dies_of_the_tour_lie_whole_on_its_fields_and_carry_what_is_planted():
+    tour = scene("tour_wafer")
+    assert tour.dies is not None
+    assert tour.tour_area_um is not None
+    half_x, half_y = (um / 2 for um in tour.tour_area_um)
+    boxes = [tour.dies.rectangle_um(*cell) for cell in tour.dies.cells]
+    inside = [box for box in boxes if -half_x < box[0] and box[2] < half_x and -half_y < box[1] and box[3] < half_y]
+    assert len(inside) == 9
+    on_dies = [one for one in planted() if any(a < one.x_um < c and b < one.y_um < d for a, b, c, d in inside)]
+    assert len(on_dies) >= len(planted()) - 2, "one particle lies in a street, and the middle of the scratch"
+    for one in planted():
+        if one.kind != "scratch":
+            rise = tour.truth(one.x_um, one.y_um) - tour.truth(one.x_um + 0.8 * one.length_um, one.y_um)
+            assert rise == pytest.approx(one.height_um, abs=1.2)
+
+
+@pytest.mark.parametrize("name", ["wafer", "tour_wafer"])
+def test_no_die_lies_on_the_edge_of_the_wafer(name):
+    wafer = scene(name)
     assert wafer.dies is not None
     for cell in wafer.dies.cells:
         left, lower, right, upper = wafer.dies.rectangle_um(*cell)

@@ -13,12 +13,13 @@ from wafer_viewer.measure.heights import Floats, heights, layer_of, pictured_win
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.pictured import picture_of
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.filters import blurred
 
 Evidence = Literal["height", "picture", "both"]
+LEVEL_PIXELS = 1_000_000
 COARSE_PIXELS = 400_000
 """The whole surface is read as about so many pixels at most."""
 SOFT_PX, PAD_PX = 1.0, 4
@@ -84,6 +85,26 @@ def bounds_of(surface: Mosaic) -> tuple[float, float, float, float]:
     rows, cols = surface.shape
     low_x, high_y = surface.x0_um - half, surface.y0_um + half
     return low_x, high_y - rows * surface.pixel_um, low_x + cols * surface.pixel_um, high_y
+
+
+def scanned_bounds(surface: Mosaic) -> tuple[float, float, float, float]:
+    """(x low, y low, x high, y high) of what fields cover of a surface, whose rectangle may reach further."""
+    level = coarse_level(surface)
+    part = surface.window(None, level)
+    rows, cols = (np.flatnonzero((part.origin != Origin.NOT_COVERED).any(axis=axis)) for axis in (1, 0))
+    low_x, low_y, high_x, high_y = bounds_of(surface)
+    if not rows.size:
+        return low_x, low_y, high_x, high_y
+    half = part.pixel_um / 2
+    left, right = (part.x0_um + float(col) * part.pixel_um for col in (cols[0], cols[-1]))
+    upper, lower = (part.y0_um - float(row) * part.pixel_um for row in (rows[0], rows[-1]))
+    return max(low_x, left - half), max(low_y, lower - half), min(high_x, right + half), min(high_y, upper + half)
+
+
+def coarse_level(surface: Mosaic) -> int:
+    """The level of a surface's pyramid that has a million pixels or so."""
+    rows, cols = surface.shape
+    return min(surface.levels - 1, max(0, math.ceil(math.log(max(1.0, rows * cols / LEVEL_PIXELS), 4))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,21 +7,21 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.measure.die_evidence import Coarse, Evidence, bounds_of, read_coarse
+from wafer_viewer.measure.die_evidence import Coarse, Evidence, read_coarse, scanned_bounds
 from wafer_viewer.measure.die_registration import Registered, cells_over, not_alike, refined
 from wafer_viewer.measure.die_streets import Street, street_of
 from wafer_viewer.measure.periodicity import Periods, periods_of
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.quantities import Length
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 
 SURE_DIES = 9
 """Fewer that no street parts may be any few places that are alike."""
-ACROSS = 9
-"""A die lies on the surface when one of so many places across and up does."""
+ACROSS, LEAST_ON_SURFACE = 10, 0.1
+"""A die lies on the surface when so much of it does, by so many places across and up: less is no die."""
 NO_STREET = "No street stands out along {}: a die is taken as large as its pitch, and where it begins is open."
 
 
@@ -32,16 +32,30 @@ def find_dies(surface: Mosaic, *, evidence: Evidence = "both") -> DieGrid:
     all-in-focus picture or both. u_pitch_um and u_origin_um say how well the lattice fits the surface, without the
     pixel scale.
 
-    Raises MeasureError where nothing repeats along an axis, fewer than two whole dies lie on the surface, a few places
-    are alike that no street parts, it is open whether a pitch or a part of it is meant, or dies are turned by more than
-    5 degrees.
+    Raises DiesNotFound where nothing repeats along an axis, fewer than two whole dies lie on the surface, a few places
+    are alike that no street parts, streets part them along one axis only, as in a single row of dies with pads, it is
+    open whether a pitch or a part of it is meant, or dies are turned by more than 5 degrees.
     """
     coarse = read_coarse(surface, evidence)
     found = refined(surface, rough_grid(coarse, periods_of(coarse.layers)), evidence, coarse.pixel_um)
     grid = with_streets(found)
+    _require_crossing_streets(grid)
     if found.n_dies < SURE_DIES and grid.street_x_um == grid.street_y_um == 0:
         raise not_alike(f"Only {found.n_dies}", found.lattice)
     return on_surface(grid, surface)
+
+
+def _require_crossing_streets(grid: DieGrid) -> None:
+    """Raise DiesNotFound where streets are seen along one axis only: across them, pads or bumps repeat, not dies."""
+    if (grid.street_x_um > 0) == (grid.street_y_um > 0):
+        return
+    along, across, pitch_um = ("x", "y", grid.pitch_y_um) if grid.street_x_um > 0 else ("y", "x", grid.pitch_x_um)
+    what = "row" if along == "x" else "column"
+    raise DiesNotFound(
+        f"Streets part the dies along {along} only, and what repeats every {pitch_um:.1f} um along {across} may be "
+        f"pads: scan at least two dies along {across}, or give pitch, origin and size of the dies instead.",
+        f"One {what} of dies found, 2 needed",
+    )
 
 
 def pitches(surface: Mosaic, grid: DieGrid, *, calibration_valid: bool = True) -> tuple[Length, Length]:
@@ -124,13 +138,16 @@ def over_surface(grid: DieGrid, surface: Mosaic) -> DieGrid:
 
 
 def touching(grid: DieGrid, surface: Mosaic) -> tuple[np.ndarray, np.ndarray]:
-    """Columns and rows of the dies that lie on the surface in part at least. Raises MeasureError where none does."""
-    low_x, low_y, high_x, high_y = bounds_of(surface)
+    """Columns and rows of the dies of which at least a tenth lies on what was scanned of the surface.
+
+    Raises MeasureError where none does.
+    """
+    low_x, low_y, high_x, high_y = scanned_bounds(surface)
     cols, rows = cells_over(grid, (low_x, low_y, high_x, high_y))
-    share = np.linspace(0, 1, ACROSS)
+    share = (np.arange(ACROSS) + 0.5) / ACROSS
     u, v = grid.width_um * np.tile(share, ACROSS), grid.height_um * np.repeat(share, ACROSS)
     x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
-    on = ((x_um > low_x) & (x_um < high_x) & (y_um > low_y) & (y_um < high_y)).any(axis=1)
+    on = ((x_um > low_x) & (x_um < high_x) & (y_um > low_y) & (y_um < high_y)).mean(axis=1) >= LEAST_ON_SURFACE
     if not on.any():
         raise MeasureError("No die of the lattice lies on the surface: give an origin and a pitch that fit it.")
     return cols[on], rows[on]

@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.die_evidence import CellLattice, bounds_of, median_of
+from wafer_viewer.measure.die_evidence import CellLattice, bounds_of, coarse_level, median_of
 from wafer_viewer.measure.heights import Floats, layer_of, pictured_window
 from wafer_viewer.measure.level import least_squares
 from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
@@ -24,7 +24,6 @@ DIE_PX = 200
 """The shorter pitch is read at a level that gives it about as many pixels."""
 PLACES = 32
 """Of a cell along its longer side, at which it is looked at."""
-COARSE_PIXELS = 1_000_000
 WINDOW_PIXELS = 4_000_000
 """Rows of dies are read in pieces of so many pixels at most."""
 MEDIAN_OF = 200
@@ -108,8 +107,7 @@ def _beside(at: tuple[int, int]) -> tuple[tuple[int, int], ...]:
 def not_scanned_mm2(surface: Mosaic) -> float:
     """How much of the rectangle that a surface fills no field covers, at a level of a million pixels or so."""
     rows, cols = surface.shape
-    level = min(surface.levels - 1, max(0, math.ceil(math.log(max(1.0, rows * cols / COARSE_PIXELS), 4))))
-    share = float((surface.window(None, level).origin == Origin.NOT_COVERED).mean())
+    share = float((surface.window(None, coarse_level(surface)).origin == Origin.NOT_COVERED).mean())
     return share * rows * cols * (surface.pixel_um / 1000) ** 2
 
 

@@ -23,11 +23,13 @@ LEAST_TILT_PX = 6.0
 REPEATS_FROM = 0.5
 NEAR_PX = 6.0
 LEAST_TO_TELL = 4
+LEAST_COMPARED = 0.5
+"""Of what is usually compared of a die: of less it is not said how it lies."""
 
 
 def whole_die_defects(results: Sequence[CellResult], work: Work, reading: Reading, noise: Noise) -> dict[str, Defect]:
     """By name: dies that lie lower, higher or at another tilt than the others."""
-    seen = [result for result in results if result.compared_px]
+    seen = _measured_enough(results)
     if len(seen) < LEAST_TO_TELL:
         return {}
     offsets = np.array([result.offset_um for result in seen])
@@ -46,6 +48,13 @@ def whole_die_defects(results: Sequence[CellResult], work: Work, reading: Readin
         name = work.cells.grid.name(*seen[k].place)
         found[name] = _whole(seen[k], work, reading, height_um, float(tilt_off[k]) * 1e3, float(score))
     return found
+
+
+def _measured_enough(results: Sequence[CellResult]) -> list[CellResult]:
+    """Cells that are compared as well as usual: a plane through the sliver of a die tilts by chance."""
+    known = [result for result in results if result.compared_px]
+    usual = float(np.median([result.compared_px for result in known])) if known else 0.0
+    return [result for result in known if result.compared_px >= LEAST_COMPARED * usual]
 
 
 def marked_repeats(defects: Sequence[Defect], n_dies: int, pixel_um: float) -> tuple[Defect, ...]:

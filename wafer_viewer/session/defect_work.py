@@ -45,8 +45,8 @@ def inspect_dataset(
     """Look for defects on the stitched surface of a dataset; nothing is kept of it.
 
     dies: a lattice that is given goes over all of the surface, whatever columns and rows it names. crew: who compares
-    the rows of dies, this process by default; what is found is the same. Where no dies are found it is compared with the
-    fitted form, and a note says why.
+    the rows of dies, this process by default; what is found is the same. Where no dies are found it is compared
+    with the fitted form, and a note says why.
 
     Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
