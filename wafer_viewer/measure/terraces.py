@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +101,7 @@ def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask 
     known = np.isfinite(z_um)
     if not known.any():
         return z_um, None
-    at = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    at: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
     on = _without_islands(nearest(z_um[tuple(at)], levels_um), len(levels_um)).astype(np.uint8)
     side = 2 * WALL_PX + 1
     walls = maximum_filter(on, side) != minimum_filter(on, side)
