@@ -25,7 +25,7 @@ class InspectionState:
 
     @property
     def defects(self) -> tuple[Defect, ...]:
-        """All that differs, areas without heights among it."""
+        """All that was found."""
         return self.inspection.defects if self.inspection is not None else ()
 
     def defect(self, number: int) -> Defect | None:
