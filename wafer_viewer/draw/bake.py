@@ -7,12 +7,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import ELSEWHERE, origin_table, table
+from wafer_viewer.draw.clipping import depth_shade
+from wafer_viewer.draw.colours import BRUSH, ELSEWHERE, origin_table, rgb, table
 from wafer_viewer.draw.look import Form, Light, Look, Plane, Quantity
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
 from wafer_viewer.model.surface import HeightMap, Origin
 
 Picture = NDArray[np.uint8]
+_BRUSH_SHARE = 0.86
+"""Of a brushed point's colour."""
 
 
 def plane_um(part: HeightMap, plane: Plane) -> NDArray[np.float32]:
@@ -68,7 +71,11 @@ def bake(part: HeightMap, look: Look, light: Light, filled_um: NDArray[np.float3
     """
     heights = without_gaps(part.z_um) if filled_um is None else filled_um
     colour = _with_image(_coloured(part, look, light, heights), part, look.all_in_focus)
+    colour = _with_brush(colour, part.z_um, look.brush_um)
     lit = _lit(colour, shade(heights, part.pixel_um, light.gain, light.span_um), look.hillshade)
+    if look.depth_shade > 0:
+        darkened = 1 - depth_shade(heights, part.pixel_um, light.gain)
+        lit = lit * (1 - np.float32(look.depth_shade) * darkened)[..., None]
     shown = np.isfinite(part.z_um) if look.colour_by != "origin" else part.origin != Origin.NOT_COVERED
     return np.dstack([lit.astype(np.uint8), np.where(shown, 255, 0).astype(np.uint8)])
 
@@ -96,6 +103,16 @@ def _with_image(colour: NDArray[np.float32], part: HeightMap, share: float) -> N
         return colour
     tint = np.float32(0.35) + np.float32(0.9) * grey_image(part)[..., None] ** np.float32(0.8)
     return (colour * (1 - share + share * tint)).astype(np.float32)
+
+
+def _with_brush(
+    colour: NDArray[np.float32], z_um: NDArray[np.float32], brush_um: tuple[float, float] | None
+) -> NDArray[np.float32]:
+    """The colours with those heights lit up that are brushed; a little of their own colour stays."""
+    if brush_um is None:
+        return colour
+    lit = np.float32(_BRUSH_SHARE) * np.array(rgb(BRUSH), np.float32) + np.float32(1 - _BRUSH_SHARE) * colour
+    return np.where(((z_um >= brush_um[0]) & (z_um <= brush_um[1]))[..., None], lit, colour)
 
 
 def _lit(colour: NDArray[np.float32], shading: Shading, strength: float) -> NDArray[np.float32]:

@@ -35,6 +35,9 @@ DIVERGING = "vik"
 PROFILE_COLOURS = ("#E8590C", "#7B2CBF", "#0B7285", "#C2255C")
 """Of the lines A B C D: apart from one another for colour-blind eyes too, and readable over every map."""
 
+BRUSH = "#C2255C"
+"""Points of a brushed range of heights: stands off every colour map."""
+
 ELSEWHERE: Rgb = (150, 158, 167)
 """The surface where the quantity that colours it is not to be had: a grey that no colour map has at an end."""
 

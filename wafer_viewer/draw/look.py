@@ -31,7 +31,10 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1)."""
+    """What the operator chose: the quantity, its colour map and range, the strengths of light and image (0 ... 1).
+
+    depth_shade: strength of the shade that hollows get in a point cloud, 0 ... 1; brush_um: heights that light up.
+    """
 
     colour_by: Quantity = "height"
     colours: str = "mako"
@@ -39,6 +42,8 @@ class Look:
     high: float = 1.0
     hillshade: float = 0.8
     all_in_focus: float = 0.0
+    depth_shade: float = 0.0
+    brush_um: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

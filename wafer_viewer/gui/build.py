@@ -44,6 +44,7 @@ from wafer_viewer.gui.report_panel import ReportPanel
 from wafer_viewer.gui.review_panel import ReviewPanel
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.scene import SceneView
+from wafer_viewer.gui.shown_statistics import ShownStatistics
 from wafer_viewer.gui.status_strip import StatusStrip
 from wafer_viewer.gui.stopping import NOT_STOPPED, stop
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
@@ -136,9 +137,9 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     ear.on_motion(scene.let_fly)
     viewpoint, drawing = Viewpoint(page, scene), Drawing(scene)
     page.show_first([frame, viewpoint, drawing])
-    curves = Curves(page)
+    curves, statistics = Curves(page), ShownStatistics(page, scene.seen_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
-    surface, measure = SurfacePanel(page, poses, scene.range_in_view), MeasurePanel(page, scene, curves)
+    surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
     gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
     beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
@@ -150,6 +151,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             frame,
             ear,
             header,
+            statistics,
             plan,
             acquire,
             surface,
@@ -245,3 +247,4 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
     scene.on_pick(picked)
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
+    scene.on_points(page.show_points)

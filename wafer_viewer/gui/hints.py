@@ -44,6 +44,12 @@ FIELDS: dict[str, str] = {
     # Surface
     "Show": "The stitched surface, or one field",
     "Colour by": "What the colours mean",
+    "Size, px": "Of a point on the screen, at the place looked at",
+    "Depth shade, %": "Shade in hollows, so that points of one colour show their relief; 0 draws none",
+    "Confidence from": "Points with less are not drawn; 0 draws all",
+    "Brush, µm": "Heights that light up in scene, map and profile, µm",
+    "Clip, µm": "Heights that are drawn, µm",
+    "Numbers of": "All of what is shown, what is in view, or the selection",
     "Colours": "Monotonic in lightness; all but Viridis and Cividis keep their light end on the surface",
     "Range": "Between which values the colours run",
     "By hand": "Lowest and highest value of the colours",

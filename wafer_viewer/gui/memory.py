@@ -18,7 +18,10 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state import Fault
 
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
-EVERYWHERE = ("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark")
+EVERYWHERE = (
+    *("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark"),
+    *("point_px", "depth_shade"),
+)
 """What holds for every dataset; the rest of a view belongs to the one it was chosen for."""
 OF = "of"
 WAIT_S = 15.0
@@ -117,11 +120,17 @@ def keep_standpoint(client: viser.ClientHandle, standpoint: Standpoint) -> None:
 
 
 def changed(view: View, **changes: Any) -> View:
-    """A view with some choices changed; unknown names raise TypeError."""
+    """A view with some choices changed; unknown names raise TypeError.
+
+    Ranges of heights hold for the surface and the zero that they were chosen on.
+    """
     unknown = set(changes) - {f.name for f in fields(View)}
     if unknown:
         raise TypeError(f"A view has no {', '.join(sorted(unknown))}.")
-    return replace(view, **changes)
+    after = replace(view, **changes)
+    if (after.show, after.levelling) == (view.show, view.levelling):
+        return after
+    return replace(after, brush_um=changes.get("brush_um"), clip=replace(after.clip, heights_um=None))
 
 
 @cache

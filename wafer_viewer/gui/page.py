@@ -19,7 +19,7 @@ from wafer_viewer.gui.html import Tone, icon, micro, note, pick, read_picks, saf
 from wafer_viewer.gui.memory import Remembered, Self
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
-from wafer_viewer.session.paint_request import Scale
+from wafer_viewer.session.paint_request import Scale, Statistics
 from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Fault, Snapshot
 
@@ -59,6 +59,9 @@ class Page:
         self.notices: tuple[Fault, ...] = ()
         self.as_of_s = 0.0
         self.scale: Scale | None = None
+        self.on_show: OnShow | None = None
+        self.statistics: Statistics | None = None
+        self.drawn_points = 0
         self.has_overlaps = False
         self._parts: Sequence[Part] = ()
         self._picks: dict[str, Callable[[Any], Any]] = {}
@@ -131,11 +134,19 @@ class Page:
 
     def show_scale(self, on_show: OnShow | None) -> None:
         """Take over what the colours of the scene mean: the colour bar and the range say so."""
+        if on_show != self.on_show:
+            self.on_show = on_show
+            self._due.set()
         scale = on_show.scale if on_show is not None else None
         overlaps = on_show is not None and on_show.facts.has_overlaps
         if (scale, overlaps) != (self.scale, self.has_overlaps):
             self.scale, self.has_overlaps = scale, overlaps
             self._due.set()
+
+    def show_points(self, drawn: int) -> None:
+        """Take over how many points the scene draws."""
+        self.drawn_points = drawn
+        self._due.set()
 
     def coloured_by(self, view: View) -> ColourBy:
         """What colours the surface on show: its height where it does not have what was chosen."""

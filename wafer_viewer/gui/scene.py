@@ -23,6 +23,7 @@ from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.stage import NotYet, Stage
 from wafer_viewer.gui.steady import Steady
 from wafer_viewer.gui.surface_scene import marked, only_grew, source_of, surface_contents
+from wafer_viewer.gui.tiles import PointTile
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.levelling import LevelBy, Levelling
@@ -75,6 +76,8 @@ class SceneView:
         self._camera_listener: Callable[[], object] = lambda: None
         self._moves = Latest("camera")
         self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
+        self._points_listener: Callable[[int], None] = lambda drawn: None
+        self._drawn_points = 0
         client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
         client.camera.on_update(lambda _: self._moves.ask(self._camera_moved))
         threading.Thread(target=self._run, name="scene", daemon=True).start()
@@ -142,6 +145,10 @@ class SceneView:
     def on_scale(self, callback: Callable[[OnShow | None], None]) -> None:
         """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
         self._scale_listener = callback
+
+    def on_points(self, callback: Callable[[int], None]) -> None:
+        """Call back when another number of points is drawn."""
+        self._points_listener = callback
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
         """Call back with the stage x, y in um of a click on the surface."""
@@ -269,12 +276,23 @@ class SceneView:
         self._scale_listener(contents.on_show)
         seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
         whole = self._stage.show((*seen, *contents.items), contents.stretch)
+        self._tell_points(view)
         self._stage.settle(self._eye.um_per_pixel() * 1e-3)
         handled = view, marked(snapshot, view), contents.on_show
         if whole or handled != self._handled:  # handles do not wait for the last tile
             self._tools.show(view, contents.on_show, self._book, handled[1])
             self._handled = handled
         return whole and not contents.awaits_more
+
+    def _tell_points(self, view: View) -> None:
+        """Have all points of one size, and tell how many are drawn."""
+        tiles = self._stage.each(PointTile)
+        for tile in tiles:
+            tile.size_px = view.point_px
+        drawn = sum(tile.n_points for tile in tiles)
+        if drawn != self._drawn_points:
+            self._drawn_points = drawn
+            self._points_listener(drawn)
 
     @property
     def _finer(self) -> float:

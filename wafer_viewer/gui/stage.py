@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import viser
 
 from wafer_viewer.gui.gate import Gate
 from wafer_viewer.session.paint_request import PaintRequest
 
+T = TypeVar("T")
 Handle = Any
 """A viser scene node handle; the kinds share `remove`, and those that are stretched `scale`."""
 Make = Callable[[viser.SceneApi, str, bytes], Handle]
@@ -143,6 +144,10 @@ class Stage:
         for drawn in self._drawn.values():
             if isinstance(drawn.handle, Settling):
                 drawn.handle.settle(mm_per_pixel)
+
+    def each(self, kind: type[T]) -> list[T]:
+        """What is drawn of one kind."""
+        return [drawn.handle for drawn in self._drawn.values() if isinstance(drawn.handle, kind)]
 
     def tidy(self) -> float | None:
         """Remove what has had its grace; seconds until there is more to remove, None when there is not."""

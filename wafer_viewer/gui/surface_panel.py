@@ -12,16 +12,22 @@ from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.exchange_dialogs import export_dialog
+from wafer_viewer.gui.heights_section import HeightsSection
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.points_section import PointsSection
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.recipe_section import RecipeSection
+from wafer_viewer.gui.shown_statistics import ShownStatistics, name_of
 from wafer_viewer.gui.slice_section import SliceSection
 from wafer_viewer.gui.stitching_section import StitchingSection
+from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.verdict_section import VerdictSection
-from wafer_viewer.gui.view import ColourBy, View
+from wafer_viewer.gui.view import ColourBy, Counted, View
+from wafer_viewer.session.paint_request import Statistics
 from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
+COUNTED: tuple[tuple[Counted, str], ...] = (("all", "All"), ("view", "In view"), ("selection", "Selection"))
 LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))
 COLOUR_BY: dict[str, ColourBy] = {
     "Height": "height",
@@ -46,8 +52,8 @@ InView = Callable[[Callable[[tuple[float, float]], None]], None]
 class SurfacePanel:
     """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
 
-    def __init__(self, page: Page, poses: PoseBook, in_view: InView) -> None:
-        self._page, self._in_view = page, in_view
+    def __init__(self, page: Page, poses: PoseBook, in_view: InView, statistics: ShownStatistics) -> None:
+        self._page, self._in_view, self._statistics = page, in_view, statistics
         self._poses = poses
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -59,15 +65,19 @@ class SurfacePanel:
         set_prop(self._folder, "visible", there)
         if not there:
             return
-        data, info = snapshot.dataset, snapshot.surface
-        self._title.show(html.title("Surface", _below(data, info, view)))
+        data, info, told = snapshot.dataset, snapshot.surface, self._page.statistics
+        self._title.show(html.title("Surface", _below(data, info, told, view)))
         self._notes.show(self._page.notes(snapshot))
         self._verdict.show(snapshot)
         self._show_look(data, view)
-        self._show_colour(info, view)
+        self._points.show(view)
+        self._show_colour(view)
+        self._heights.show(view)
         self._show_light(view)
         self._slice.show(snapshot, view)
-        self._numbers.show(_numbers(data, info) if view.show >= 0 else "")
+        self._counted.show(view.counted)
+        self._head.show(html.head(name_of(view), data.results[0] if data and len(data.results) == 1 else ""))
+        self._numbers.show(self._numbers_of(data, info, view))
         self._stitching.show(snapshot, view)
         self._recipe.show(snapshot)
         set_prop(self._measure, "disabled", info is None)
@@ -94,9 +104,13 @@ class SurfacePanel:
         self._verdict = VerdictSection(page)
         self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
+        self._points = PointsSection(page)
         self._build_colour()
+        self._heights = HeightsSection(page)
         self._build_light()
         self._slice = SliceSection(page)
+        self._head = Cell(gui)
+        self._counted = Choice(gui, "Numbers of", COUNTED, self._count)
         self._numbers = Cell(gui)
         self._stitching = StitchingSection(page, self._poses)
         self._recipe = RecipeSection(page)
@@ -139,6 +153,10 @@ class SurfacePanel:
 
     # --- choices
 
+    def _count(self, key: Counted) -> None:
+        """Count all, what is in view, or the selection; without one the next drag over the scene selects."""
+        self._page.change(counted=key, selecting=key == "selection" and self._page.view.selection is None)
+
     def _choose_shown(self, text: str) -> None:
         if text == COMPARED:
             return
@@ -151,7 +169,7 @@ class SurfacePanel:
             self._page.change(range_um=(low, high))
 
     def _whole_range(self) -> None:
-        whole = self._whole(self._page.session.snapshot.surface, self._page.view)
+        whole = self._whole(self._page.view)
         if whole is not None and whole[1] > whole[0]:
             self._page.change(range_um=whole)
 
@@ -171,14 +189,26 @@ class SurfacePanel:
         if shown in options:
             self._shown.show(shown)
 
-    def _show_colour(self, info: SurfaceInfo | None, view: View) -> None:
+    def _numbers_of(self, data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
+        told = self._page.statistics
+        if told is not None:
+            return _numbers(data, info if view.show == 0 and view.counted == "all" else None, told)
+        if view.counted == "selection" and view.selection is None:
+            return html.empty("Drag a rectangle over the surface:", "its numbers come here.")
+        if self._statistics.problem:
+            return html.empty(html.micro(self._statistics.problem))
+        if info is None and not view.show:
+            return html.empty("The numbers of the surface come", "when its fields are stitched.")
+        return html.empty("Counting …")
+
+    def _show_colour(self, view: View) -> None:
         scale, by = self._page.scale, self._page.coloured_by(view)
         set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps))
         self._by.show(TITLES_OF_COLOUR_BY[by])
         self._colours.show(COLOUR_MAPS[view.colours])
         in_colours = view.colour_by not in ("grey", "origin")
-        self._colours.enable(in_colours and by != "difference")
-        whole = self._whole(info, view)
+        self._colours.enable(in_colours and by not in OWN_COLOURS)
+        whole = self._whole(view)
         ranged = in_colours and whole is not None and scale is not None
         for widget in (self._range, self._by_hand):
             widget.enable(ranged)
@@ -198,11 +228,11 @@ class SurfacePanel:
         set_prop(self._by_hand.handle, "precision", decimals)
         self._by_hand.show((round(low, decimals) + 0.0, round(high, decimals) + 0.0))  # no zero has a sign
 
-    def _whole(self, info: SurfaceInfo | None, view: View) -> tuple[float, float] | None:
+    def _whole(self, view: View) -> tuple[float, float] | None:
         """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
-        scale = self._page.scale
-        if view.colour_by == "height" and view.show == 0 and view.levelling.by == "stage" and info is not None:
-            return info.lowest_um, info.highest_um
+        scale, told = self._page.scale, self._page.statistics
+        if self._page.coloured_by(view) == "height" and told is not None and told.lowest_um is not None:
+            return min(told.lowest_um, told.span_um[0]), max(told.highest_um or 0.0, told.span_um[1])
         if scale is None:
             return None
         spare = (scale.own_high - scale.own_low) / 2
@@ -213,6 +243,7 @@ class SurfacePanel:
         self._height.show(view.exaggeration)
         self._height.enable(view.look != "plan")
         self._shade.show(round(100 * view.hillshade, 3))
+        set_prop(self._shade.handle, "visible", view.look != "points")
         self._focus.show(round(100 * view.all_in_focus, 3))
 
 
@@ -221,35 +252,47 @@ def _quantities(overlaps: bool) -> tuple[str, ...]:
     return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
 
 
-def _below(data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
+def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics | None, view: View) -> str:
+    """What is shown, in a line: its name, how many points it has, and what of it is measured."""
     if data is None:
         return "Open a dataset, or scan one."
     calibrated = "" if data.calibration_problem is None else " · uncalibrated"
-    if info is None:
+    if view.show == 0 and info is None:
         return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
-    if not data.fields:
-        calibrated = f" · from a file{calibrated}"
-    size = f"{number(info.cols, 0)} × {number(info.rows, 0)} points"
-    fields = "" if not data.fields else "1 field · " if info.n_fields == 1 else f"{info.n_fields} fields · "
-    return f"{fields}{size} · {share(info.measured_fraction)} measured{calibrated}"
+    name = name_of(view)
+    if view.show == 0 and view.counted == "all" and info is not None:
+        name = "From a file" if not data.fields else "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
+    if told is None:
+        return f"{name}{calibrated}"
+    size = f"{number(told.cols, 0)} × {number(told.rows, 0)} points"
+    return f"{name} · {size} · {share(told.measured_fraction)} measured{calibrated}"
 
 
-def _numbers(data: OpenDataset | None, info: SurfaceInfo | None) -> str:
-    head = html.head("Surface", data.results[0] if data and len(data.results) == 1 else "")
-    if info is None:
-        return head + html.empty("The numbers of the surface come", "when its fields are stitched.")
+def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> str:
+    """The numbers of what is counted; `info`: of the whole stitched surface, where that is it."""
     rows = [
-        ("Highest", with_unit(info.highest_um, 2, signed=True)),
-        ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
-        ("Not measured", share(1 - info.measured_fraction - info.filled_fraction)),
-        *((f"– {words}", share(part)) for words, part in info.unmeasured if part > 0),
-        ("Filled", share(info.filled_fraction)),
+        ("Highest", with_unit(told.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(told.lowest_um, 2, signed=True)),
     ]
-    if info.overlap_rms_um is not None and info.stitching is None:
+    if told.mean_um is not None:
+        rows.append(("Mean", with_unit(told.mean_um, 2, signed=True)))
+        rows.append(("Spread (1 σ)", with_unit(told.spread_um, 2)))
+    if told.counts and told.n_points != told.n_heights:
+        rows.append(("Points drawn", f"{share(told.n_points / max(1, told.n_heights))} of {number(told.n_heights, 0)}"))
+    elif told.counts:
+        rows.append(("Points", number(told.n_heights, 0)))
+    rows += [
+        ("Not measured", share(1 - told.measured_fraction - told.filled_fraction)),
+        *((f"– {words}", share(part)) for words, part in told.unmeasured if part > 0),
+        ("Filled", share(told.filled_fraction)),
+    ]
+    if info is not None and info.overlap_rms_um is not None and info.stitching is None:
         rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    blocks = f"Heights are means of {told.block_px} × {told.block_px} points." if told.block_px > 1 else ""
+    note = f'<div class="wv-lab">{blocks}</div>' if blocks else ""
     problem = data.calibration_problem if data else None
     why = f'<div class="wv-lab" style="margin-top:5px">uncalibrated: {html.safe(problem)}</div>' if problem else ""
-    return head + html.pairs(rows) + why
+    return html.pairs(rows) + note + why
 
 
 def _slider_step(low: float, high: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import viser
 
@@ -27,11 +28,13 @@ MOST_TILES: dict[Way, int] = {"surface": 34, "points": 9, "plan": 34}
 """No texel in sight is larger on the screen, as far as so many tiles go."""
 _STEP, _FLAT_STEP = 8, 64
 """Pixels from vertex to vertex, of a tile in its own level."""
-OWN_COLOURS = {"grey": "grey", "difference": DIVERGING}
+OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis"}
 """The map of a quantity that has one of its own."""
 LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
 """How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
 _TILE_PX = 320
+_NEARLY = 0.96, 1.04
+"""Points are given another size where it differs by more than that."""
 READ_AROUND_PX = 16
 """The painter reads a little more than a tile, for light to go on across its edge."""
 _SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
@@ -92,8 +95,18 @@ def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
 def look_of(view: View, scale: Scale) -> Look:
     """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
     colours = OWN_COLOURS.get(view.colour_by, view.colours)
-    shade = view.hillshade * LIGHT_ON.get(view.colour_by, 1.0)
-    return Look(view.colour_by, colours, scale.low, scale.high, shade, view.all_in_focus)
+    light = LIGHT_ON.get(view.colour_by, 1.0)
+    points = view.look == "points"
+    return Look(
+        view.colour_by,
+        colours,
+        scale.low,
+        scale.high,
+        hillshade=0.0 if points else view.hillshade * light,
+        all_in_focus=view.all_in_focus,
+        depth_shade=view.depth_shade * light if points else 0.0,
+        brush_um=view.brush,
+    )
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -138,7 +151,7 @@ def _base(shown: Shown, look: Look, view: View, z0_um: float) -> PaintRequest:
     """What all tiles of a surface have in common."""
     return PaintRequest(
         shown.source, _SHAPES[view.look], look=look, light=shown.facts.light, z0_um=z0_um, dark=view.dark,
-        datum=shown.datum,
+        datum=shown.datum, clip=view.clipped,
     )  # fmt: skip
 
 
@@ -188,14 +201,18 @@ class TiledSurface:
 
 
 def _cut_out(base: PaintRequest, leaf: Leaf, facts: Facts) -> PaintRequest:
-    """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little."""
+    """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little.
+
+    Points have no seams to hide, and each is drawn once.
+    """
     node = leaf.node
     level = max(0, node.level if leaf.seen else node.level + DRAFT_LEVELS)
     side = node.side_px >> level
     step = max(1, _STEP >> max(0, -node.level)) if leaf.seen else _STEP
     window = [_at_level(span, level) for span in _window(facts)]
+    more = 0 if base.what == "points" else 1
     rows, cols = (
-        (max(first, at * side - 1), max(min(end, (at + 1) * side + 1), max(first, at * side - 1) + 2))
+        (max(first, at * side - more), max(min(end, (at + 1) * side + more), max(first, at * side - more) + 1 + more))
         for at, (first, end) in zip((node.row, node.col), window, strict=True)
     )
     inner = (rows[1] < window[0][1], rows[0] > window[0][0], cols[0] > window[1][0], cols[1] < window[1][1])
@@ -262,6 +279,32 @@ def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 
 
+class PointTile:
+    """Points of a tile, of one size on the screen at the point looked at. size_px: what they are to be."""
+
+    def __init__(self, handle: Any, n_points: int) -> None:
+        self._handle, self.n_points, self.size_px = handle, n_points, 3.0
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Be so large that a point has its size for a pixel of this size."""
+        size = self.size_px * mm_per_pixel
+        if not _NEARLY[0] < size / self._handle.point_size < _NEARLY[1]:
+            self._handle.point_size = size
+
+    @property
+    def scale(self) -> Any:
+        """How it is stretched."""
+        return self._handle.scale
+
+    @scale.setter
+    def scale(self, scale: Any) -> None:
+        self._handle.scale = scale
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._handle.remove()
+
+
 def _add_points(scene: viser.SceneApi, name: str, data: bytes, request: PaintRequest, facts: Facts) -> Handle:
     """Points stand relative to the middle of their window: float16 would be too coarse from the stage's origin."""
     places, colours = unpack_points(data)
@@ -269,7 +312,8 @@ def _add_points(scene: viser.SceneApi, name: str, data: bytes, request: PaintReq
     first = (2**request.level - 1) / 2 * facts.pixel_um * 1e-3
     x = facts.x0_um * 1e-3 + first + (sum(request.cols) - 1) / 2 * pixel
     y = facts.y0_um * 1e-3 - first - (sum(request.rows) - 1) / 2 * pixel
-    return scene.add_point_cloud(
+    cloud = scene.add_point_cloud(
         name, places, colours, point_size=pixel * 1.15, point_shape="square", point_shading="flat",
         precision="float16", position=(x, y, 0.0),
     )  # fmt: skip
+    return PointTile(cloud, len(places))

@@ -7,6 +7,7 @@ from typing import Literal
 
 from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.plot_view import PlotView
+from wafer_viewer.model.clipping import Box, Clip, Span
 from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
@@ -19,6 +20,7 @@ ColourBy = Literal["height", "confidence", "slope", "deviation", "form", "overla
 Tool = Literal["none"] | ToolName
 ReviewFilter = Literal["all", "open", "accepted", "rejected"]
 Sheet = Literal["none", "beside", "stack"]
+Counted = Literal["all", "view", "selection"]
 Below = Literal["none", "profile", "why", "gauge", "defect"]
 
 OF_DEFECT = "defect "
@@ -44,6 +46,10 @@ class View:
     are listed.
     sheet: what lies over the scene in a review: the defect beside its like, or all dies stacked onto one.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
+    counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a drag
+    over the scene selects. brush_um: the range of heights that lights up.
+    clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
+    strength of the shade in hollows.
     """
 
     step: Step = "plan"
@@ -75,11 +81,28 @@ class View:
     defects: DefectListing = DefectListing()
     sheet: Sheet = "none"
     everything: bool = False
+    counted: Counted = "all"
+    selection: Box | None = None
+    selecting: bool = False
+    brush_um: Span | None = None
+    clip: Clip = Clip()
+    point_px: float = 3.0
+    depth_shade: float = 0.6
 
     @property
     def on_surface(self) -> bool:
         """Whether the step is one in which the surface is looked at."""
         return self.step not in ("plan", "acquire")
+
+    @property
+    def brush(self) -> Span | None:
+        """The range of heights that lights up in this step."""
+        return self.brush_um if self.step in ("surface", "measure") else None
+
+    @property
+    def clipped(self) -> Clip:
+        """What of the points is drawn; only a point cloud is clipped."""
+        return self.clip if self.look == "points" and self.step != "gauge" else Clip()
 
     @property
     def shows_fields(self) -> bool:

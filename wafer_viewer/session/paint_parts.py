@@ -9,6 +9,7 @@ from scipy import ndimage
 from wafer_viewer.draw import ground as grounds
 from wafer_viewer.draw import mesh
 from wafer_viewer.draw.bake import Picture, bake
+from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes
 from wafer_viewer.draw.glb import painted
 from wafer_viewer.draw.shade import without_gaps
 from wafer_viewer.model.surface import HeightMap
@@ -17,6 +18,7 @@ from wafer_viewer.session.shelf import Shelf, at_level, levelled
 
 _BRIDGED_PX = 9
 """A wall runs on over this many pixels round a measured one."""
+_PALE = {False: 226.0, True: 64.0}
 _MARGIN_PX = 14
 """Read round a tile, so that light and hollows go on across its edge."""
 
@@ -54,14 +56,23 @@ def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, req
 
 
 def points(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A point for each measured pixel: see `pack_points`."""
+    """A point for each pixel with a height that the clip leaves: see `pack_points`."""
     part, heights, picture = _baked(shelf, request)
-    rows, cols = np.nonzero(np.isfinite(part.z_um))
+    codes = clip_codes(part, request.clip)
+    slab = request.clip.slab
+    pale = codes == CODES["slab"] if slab is not None and slab.before == "pale" else np.zeros(part.shape, bool)
+    rows, cols = np.nonzero(np.isfinite(part.z_um) & ((codes == DRAWN) | pale))
     xyz = np.stack([
         (part.x_um - part.x_um.mean())[cols], (part.y_um - part.y_um.mean())[rows], heights[rows, cols] - request.z0_um
     ], axis=1)  # fmt: skip
-    colours = picture[rows, cols, :3]
-    return pack_points((xyz * 1e-3).astype(np.float16), colours)
+    colours = np.where(pale[rows, cols, None], _pale(picture[rows, cols, :3], request.dark), picture[rows, cols, :3])
+    return pack_points((xyz * 1e-3).astype(np.float16), colours.astype(np.uint8))
+
+
+def _pale(colours: NDArray[np.uint8], dark: bool) -> NDArray[np.float32]:
+    """What has been cut away: grey, near to the ground's colour, with a trace of its shade."""
+    shade = colours.mean(axis=1, keepdims=True, dtype=np.float32) / np.float32(255)
+    return np.broadcast_to(np.float32(_PALE[dark]) * (np.float32(0.8) + np.float32(0.2) * shade), colours.shape)
 
 
 def walls(shelf: Shelf, request: PaintRequest) -> bytes:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.look import Form, Light, Look
 from wafer_viewer.draw.mesh import Skirts
+from wafer_viewer.model.clipping import Clip, LeftOut, Span
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.session.like_place import LikePlace
 
 Kind = Literal[
-    "facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture", "beside", "die"
-]
+    "facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture", "beside", "die",
+    "statistics",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,9 @@ class PaintRequest:
     neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all. like: what a place
     is shown ``beside``, and which dies ``die`` is the usual of.
     `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
-    quantity's own; `box_um` for ``picture``: x low, y low, x high, y high; `side_px`: its longer side, 0 the usual.
+    quantity's own; `box_um` for ``picture`` and ``statistics``: x low, y low, x high, y high; `side_px`: the longer
+    side of a picture, 0 the usual. clip: which points are drawn and counted. brush_um: the heights, over the datum, of
+    which ``statistics`` tells apart how many there are and where.
     """
 
     source: Source
@@ -63,6 +67,8 @@ class PaintRequest:
     skirts: Skirts = (False, False, False, False)
     side: int | None = None
     like: LikePlace | None = None
+    clip: Clip = Clip()
+    brush_um: Span | None = None
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -126,6 +132,52 @@ class Relief(msgspec.Struct, frozen=True):
     y0_um: float
     z_um: bytes
     there: bytes
+
+
+class Brushed(msgspec.Struct, frozen=True):
+    """The points of some heights: how many, their mean and standard deviation, and the places where they lie together.
+
+    fraction: of the points that are counted. n_places: groups of points that touch; places: x low, y low, x high,
+    y high in um of the largest of them, the largest first.
+    """
+
+    n_points: int
+    fraction: float
+    mean_um: float | None
+    spread_um: float | None
+    n_places: int
+    places: tuple[tuple[float, float, float, float], ...] = ()
+
+
+class Statistics(msgspec.Struct, frozen=True):
+    """What is shown of a surface in numbers, answer to ``statistics``.
+
+    rows, cols: of the part that is counted, in points of `pixel_um`. n_heights: points with a height; n_points: those
+    that the clip leaves; left_out: the others, by reason. Fractions are of the points that fields cover. lowest, highest,
+    mean, spread (one standard deviation): of the points that the clip leaves; None where there is none.
+    ends_um, counts: histogram of all heights; the outermost bins hold what lies beyond. span_um: the lowest and the
+    highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would be
+    too many to read.
+    """
+
+    rows: int
+    cols: int
+    pixel_um: float
+    n_heights: int
+    n_points: int
+    measured_fraction: float
+    filled_fraction: float
+    unmeasured: tuple[tuple[str, float], ...]
+    lowest_um: float | None
+    highest_um: float | None
+    mean_um: float | None
+    spread_um: float | None
+    left_out: dict[LeftOut, int] = {}
+    ends_um: tuple[float, float] = (0.0, 0.0)
+    counts: tuple[int, ...] = ()
+    span_um: tuple[float, float] = (0.0, 0.0)
+    block_px: int = 1
+    brushed: Brushed | None = None
 
 
 def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.session import paint_frames, paint_like, paint_parts, paint_pictures, paint_whole
+from wafer_viewer.session import paint_frames, paint_like, paint_parts, paint_pictures, paint_statistics, paint_whole
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf
 
@@ -21,6 +21,7 @@ PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
     "picture": paint_pictures.picture,
     "beside": paint_like.beside,
     "die": paint_like.die,
+    "statistics": paint_statistics.statistics,
 }
 
 

@@ -49,7 +49,7 @@ def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None =
         lowest_um=facts.lowest_um if facts.has_heights else 0.0,
         measured_fraction=float(facts.counts[Origin.MEASURED]) / covered,
         filled_fraction=float(facts.counts[Origin.FILLED]) / covered,
-        unmeasured=_reasons(facts.counts, covered),
+        unmeasured=unmeasured_reasons(facts.counts, covered),
         overlap_rms_um=_rms_um(facts.overlaps_um),
         low_um=low_um,
         high_um=high_um,
@@ -97,7 +97,7 @@ def _colour_range(heights_um: NDArray[np.float32]) -> tuple[float, float]:
     return float(low_um), float(high_um)
 
 
-def _reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
+def unmeasured_reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
     """Why covered pixels are unmeasured, the most frequent reason first."""
     codes = [o for o in Origin if o >= UNMEASURED_FROM and o != Origin.NOT_COVERED and counts[o] > 0]
     return tuple((ORIGIN_TITLES[o], float(counts[o]) / covered) for o in sorted(codes, key=lambda o: -int(counts[o])))
