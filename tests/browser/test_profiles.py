@@ -13,10 +13,14 @@ from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.measuring_session import MeasuringSession
-from tests.browser.steps import numbers, press, put, set_numbers
+from tests.browser.steps import eventually, numbers, press, put, set_numbers
 from wafer_viewer.gui.app import start
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+
+ROW_OF_HOLE = 398
+"""A row through what is not measured in the die."""
 
 
 @pytest.fixture
@@ -123,3 +127,39 @@ def test_lines_come_back_after_a_reload(cutting: Page):
     page.reload()
     expect(curve(page, "B")).to_have_count(1)
     expect(head(page).get_by_label("Line B")).to_have_attribute("aria-pressed", "true")
+
+
+def test_a_cursor_stands_where_it_reads_beside_a_gap(cutting: Page):
+    """Fields, grips, lines and the numbers say one distance: that of the nearest measured point."""
+    page = cutting
+    put(page, numbers(page, "Row").first, str(ROW_OF_HOLE))
+    expect(head(page)).to_contain_text(re.compile(r"336.µm long"))
+    wanted_um = 125.0  # in the hole, which begins at about 116 um
+    set_numbers(page, "Cursors, µm", 20, wanted_um)
+    grips = page.locator(".wv-slide")
+    expect(grips).to_have_count(2)
+    eventually(lambda: 112 < float(grips.nth(1).input_value()) < 119, "the grip at the edge of the hole")
+    fields = numbers(page, "Cursors, µm")
+    eventually(lambda: float(fields.nth(1).input_value()) < 119, "the field as the grip")
+    first, second = (float(fields.nth(k).input_value()) for k in (0, 1))
+    assert second == pytest.approx(float(grips.nth(1).input_value()), abs=0.051)
+    shown = re.search(r"Δx (\S+)", head(page).inner_text().replace("\n", " "))
+    assert shown is not None
+    assert float(shown[1]) == pytest.approx(second - first, abs=0.101)
+    across = page.locator("path.wv-cursor").nth(1).get_attribute("d")
+    assert across is not None
+    assert float(across.removeprefix("M").split()[0]) / 8000 * 336.0 == pytest.approx(second, abs=0.3)
+
+
+def test_keys_take_a_cursor_over_a_gap(cutting: Page):
+    page = cutting
+    put(page, numbers(page, "Row").first, str(ROW_OF_HOLE))
+    expect(head(page)).to_contain_text(re.compile(r"336.µm long"))
+    set_numbers(page, "Cursors, µm", 20, 125.0)
+    grip = page.locator(".wv-slide").nth(1)
+    eventually(lambda: 112 < float(grip.input_value()) < 119, "the grip at the edge of the hole")
+    grip.press("ArrowRight")
+    eventually(lambda: 138 < float(grip.input_value()) < 144, "the grip beyond the hole")
+    expect(grip).to_be_focused()
+    grip.press("ArrowLeft")
+    eventually(lambda: 112 < float(grip.input_value()) < 119, "the grip before the hole")

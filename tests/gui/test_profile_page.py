@@ -11,7 +11,7 @@ from tests.draw.made_up_sections import hill, section_of
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.memory import changed
-from wafer_viewer.gui.plot_pointer import told_cursor, told_shares
+from wafer_viewer.gui.plot_pointer import CursorMove, told_cursor, told_shares
 from wafer_viewer.gui.plot_view import PlotView, with_cursor
 from wafer_viewer.gui.profile_words import head
 from wafer_viewer.gui.view import View
@@ -159,7 +159,8 @@ def test_what_is_typed_and_told_stays_on_the_line_and_on_the_plot():
     assert plot.cursors == (0.0, 1.0)
     assert with_cursor(plot, 1, 0.4).cursors == (0.0, 0.4)
     assert told_shares("-0.1:1.4") == (0.0, 1.0)
-    assert told_cursor("1:23.5") == (1, 23.5)
+    assert told_cursor("1:23.5::") == CursorMove(1, 23.5, by_key=False, released=False)
+    assert told_cursor("0:4:key:end") == CursorMove(0, 4.0, by_key=True, released=True)
 
 
 def test_the_head_names_every_line_and_reads_the_cursors():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import viser
@@ -88,12 +89,13 @@ class Frame:
 class Drawing:
     """The 3D scene as a part of the page."""
 
-    def __init__(self, scene: SceneView) -> None:
-        self._scene = scene
+    def __init__(self, scene: SceneView, curves: Curves) -> None:
+        self._scene, self._curves = scene, curves
 
     def show(self, snapshot: Snapshot, view: View) -> None:
-        """Have the scene drawn; it works on its own thread."""
-        self._scene.draw(snapshot, in_scene(view, snapshot.surface))
+        """Have the scene drawn; it works on its own thread. Cursors stand there where they stand on the curve."""
+        plot = replace(view.plot, cursors=self._curves.cursor_shares(view))
+        self._scene.draw(snapshot, in_scene(replace(view, plot=plot), snapshot.surface))
 
 
 class PossibleStep:
@@ -135,9 +137,10 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
     poses.on_arrival(page.redraw)
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     ear.on_motion(scene.let_fly)
-    viewpoint, drawing = Viewpoint(page, scene), Drawing(scene)
+    curves = Curves(page)
+    viewpoint, drawing = Viewpoint(page, scene), Drawing(scene, curves)
     page.show_first([frame, viewpoint, drawing])
-    curves, statistics = Curves(page), ShownStatistics(page, scene.seen_um)
+    statistics = ShownStatistics(page, scene.seen_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
     gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)

@@ -10,6 +10,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.cuts import Gap, gap
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.findings import Profile
 from wafer_viewer.model.sections import Section, SectionAsked
@@ -57,6 +58,20 @@ class Curves:
     def active(self) -> Section | None:
         """The active line's own curve."""
         return next((s for s in self.sections if s.asked.place == self._line and not s.asked.is_second), None)
+
+    @property
+    def gap(self) -> Gap | None:
+        """What the cursors read on the active line's curve, and where they stand: on its nearest measured points."""
+        active = self.active
+        return None if active is None else gap(active.curve, self._page.view.plot.cursors)
+
+    def cursor_shares(self, view: View) -> tuple[float, float]:
+        """Where the cursors stand, as shares of the active line's length; where they are wished without a curve."""
+        read, active = self.gap, self.active
+        if read is None or active is None or view.tool != "profile":
+            return view.plot.cursors
+        length_um = float(active.curve.distance_um[-1])
+        return read.at_um[0] / length_um, read.at_um[1] / length_um
 
     @property
     def answer(self) -> CurveAnswer:

@@ -6,6 +6,7 @@ viser tells nothing of clicks on its plots: these elements lie over the curves a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from wafer_viewer.gui import html
 
@@ -25,7 +26,7 @@ _UP = (
     f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
 )
 _WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
-_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
+_KEYS = "if(event.key.startsWith('Arrow')){event.stopPropagation();this.dataset.by='key'}"
 """Or the arrows would move the camera too."""
 
 
@@ -38,11 +39,13 @@ def zoom_area() -> str:
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
     """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
-    tell = "this.dataset.k=this.name+':'+this.value;" + html.pick_script(CURSOR, latest_only=True)
+    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'')+':{end}';"
+    tell += html.pick_script(CURSOR, latest_only=True)
+    moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
     return "".join(
         f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
         f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
-        f'oninput="{html.safe(tell)}" onkeydown="{_KEYS}">'
+        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'\'" onkeydown="{_KEYS}">'
         for k, at in enumerate(at_um)
         if ends_um[0] <= at <= ends_um[1]
     )
@@ -54,7 +57,23 @@ def told_shares(key: str) -> tuple[float, float]:
     return first, last
 
 
-def told_cursor(key: str) -> tuple[int, float]:
-    """The cursor that a slider told of, and its distance along the line in um."""
-    number, at_um = key.split(":")
-    return int(number), float(at_um)
+@dataclass(frozen=True, slots=True)
+class CursorMove:
+    """What a slider told: its cursor, its distance along the line in um, whether a key moved it, or it was let go."""
+
+    number: int
+    at_um: float
+    by_key: bool
+    released: bool
+
+
+def told_cursor(key: str) -> CursorMove:
+    """What a slider told of its cursor."""
+    number, at_um, by, end = key.split(":")
+    return CursorMove(int(number), float(at_um), by == "key", end == "end")
+
+
+def focused(number: int) -> str:
+    """Has the slider of a cursor take the focus again: it was made anew under the keys."""
+    script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
+    return f'<img src="data:," alt="" hidden onerror="{script}">'

@@ -17,7 +17,7 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plot_view import with_cursor
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.cuts import Gap, gap
+from wafer_viewer.model.cuts import Gap, gap, next_measured
 from wafer_viewer.model.sections import Section
 from wafer_viewer.session.state import Snapshot
 
@@ -38,6 +38,7 @@ class ProfileDock:
         self._changed_s = 0.0
         self._slid: tuple[float, float] | None = None
         self._slider = (self._frame.x_um, (0.0, 1.0))
+        self._focused: int | None = None
         self._panel = BottomPanel(page, "profile")
         with self._panel.tab:
             self._plot = Cell(page.gui)
@@ -63,13 +64,13 @@ class ProfileDock:
                 self._sliders.show("")
                 return
             self._frame = self._framed(sections, view.plot.span_um)
-            read = gap(active.curve, view.plot.cursors) if active is not None else None
+            read = self._curves.gap
             at_um = read.at_um if read is not None else ()
             plot = profile_plot_html(sections, self._frame, at_um)
             self._show_below(self._head(view, read) + plot)
             # Always the same, and so never put in anew under the pointer that drags on it.
             self._over.show(pointer.zoom_area())
-            self._show_sliders(view, active)
+            self._show_sliders(view, active, read)
 
     def _show_below(self, content: str) -> None:
         self._plot.show(f'<div class="wv-below">{content}</div>')
@@ -87,18 +88,17 @@ class ProfileDock:
         zoomed = view.plot.span_um is not None
         return words.head(self._curves.sections, self._curves.problems, len(view.lines), view.line, read, zoomed)
 
-    def _show_sliders(self, view: View, active: Section | None) -> None:
+    def _show_sliders(self, view: View, active: Section | None, read: Gap | None) -> None:
         """Sent anew only where something else than a slider moved a cursor: it would slip out of the hand."""
-        if active is None:
+        if active is None or read is None:
             self._sliders.show("")
             return
-        length_um = float(active.curve.distance_um[-1])
         if view.plot.cursors != self._slid or self._slider[0] != self._frame.x_um:
-            self._slid, self._slider = None, (self._frame.x_um, view.plot.cursors)
-        ends_um, shares = self._slider
-        step_um = length_um / max(1, len(active.curve.z_um) - 1)
-        sliders = pointer.cursor_sliders([share * length_um for share in shares], ends_um, step_um)
-        self._sliders.show(f'<div class="wv-slides">{sliders}</div>')
+            self._slid, self._slider = None, (self._frame.x_um, read.at_um)
+        ends_um, at_um = self._slider
+        sliders = pointer.cursor_sliders(at_um, ends_um, _step_um(active))
+        focused = pointer.focused(self._focused) if self._focused is not None else ""
+        self._sliders.show(f'<div class="wv-slides">{sliders}{focused}</div>')
 
     # ---------------------------------------------------------------- what the operator does
 
@@ -123,12 +123,26 @@ class ProfileDock:
             self._put_cursor(0 if abs(first - share) <= abs(second - share) else 1, share, slid=False)
 
     def _slide(self, key: str) -> None:
-        number, at_um = pointer.told_cursor(key)
-        active = self._curves.active
-        if active is not None:
-            self._put_cursor(number, at_um / float(active.curve.distance_um[-1]), slid=True)
+        """A grip is moved. Let go where nothing is measured it goes to the nearest point, by keys over the gap."""
+        told, active, before = pointer.told_cursor(key), self._curves.active, self._curves.gap
+        if active is None or before is None:
+            return
+        length_um = float(active.curve.distance_um[-1])
+        stands_um = gap(active.curve, (told.at_um / length_um,) * 2).at_um[0]
+        beside = abs(stands_um - told.at_um) > _step_um(active) / 2
+        self._focused = told.number if told.by_key else None
+        if told.by_key and told.released and beside:
+            forward = told.at_um > before.at_um[told.number]
+            stands_um = next_measured(active.curve, before.at_um[told.number], forward)
+        resting = beside and told.released
+        self._put_cursor(told.number, (stands_um if resting else told.at_um) / length_um, slid=not resting)
 
     def _put_cursor(self, number: int, share: float, *, slid: bool) -> None:
         plot = with_cursor(self._page.view.plot, number, share)
         self._slid = plot.cursors if slid else None
         self._page.change(plot=plot)
+
+
+def _step_um(section: Section) -> float:
+    """From one point of a curve to the next."""
+    return float(section.curve.distance_um[-1]) / max(1, len(section.curve.z_um) - 1)

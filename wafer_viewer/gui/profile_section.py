@@ -53,7 +53,7 @@ class ProfileSection:
         set_prop(self._remove, "disabled", len(view.lines) < 2)
         self._width.show(line.width_um if line is not None else 0.0)
         self._show_numbers(snapshot, view)
-        self._show_cursors(view)
+        self._show_cursors()
         self._compare.show(_compared(view.plot))
         for handle in self._files:
             set_prop(handle, "disabled", not self._curves.sections)
@@ -108,12 +108,12 @@ class ProfileSection:
         text = f"Rows 0 to {rows - 1}, columns 0 to {cols - 1} of {where}."
         self._numbers.show(f'<div class="wv-lab">{html.safe(text)}</div>')
 
-    def _show_cursors(self, view: View) -> None:
-        active = self._curves.active
-        length_um = float(active.curve.distance_um[-1]) if active is not None else 0.0
-        first, second = view.plot.cursors
-        self._cursors.enable(active is not None)
-        self._cursors.show((round(first * length_um, 2), round(second * length_um, 2)))
+    def _show_cursors(self) -> None:
+        """Where the cursors stand, which is where lines, grips and figures have them."""
+        read = self._curves.gap
+        self._cursors.enable(read is not None)
+        first, second = read.at_um if read is not None else (0.0, 0.0)
+        self._cursors.show((round(first, 2), round(second, 2)))
 
     def _list_others(self, snapshot: Snapshot) -> None:
         """The surfaces to compare with, read from the disk when the list of datasets has changed."""

@@ -46,8 +46,8 @@ class View:
     are listed.
     sheet: what lies over the scene in a review: the defect beside its like, or all dies stacked onto one.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
-    counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a drag
-    over the scene selects. brush_um: the range of heights that lights up.
+    counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a
+    drag over the scene selects. brush_um: the range of heights that lights up.
     clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
     strength of the shade in hollows.
     """

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import ProfileCurve
@@ -16,6 +17,7 @@ from wafer_viewer.model.surface import Outline
 MOST_LINES = 4
 """Lines that are cut at once: as many as have a colour that every eye tells from the others."""
 LETTERS = "ABCD"
+_SAME_UM = 1e-6
 Along = Literal["row", "column"]
 
 
@@ -97,13 +99,28 @@ def gap(curve: ProfileCurve, shares: tuple[float, float]) -> Gap:
 
     Raises MeasureError for a curve without a measured point.
     """
-    known = np.flatnonzero(np.isfinite(curve.z_um))
-    if known.size == 0:
-        raise MeasureError("The curve has no measured point for a cursor to stand on: move the line.")
+    known = _measured(curve)
     wanted = np.array(shares)[:, None] * curve.distance_um[-1]
     first, second = known[np.abs(curve.distance_um[known] - wanted).argmin(axis=1)]
     at_um = float(curve.distance_um[first]), float(curve.distance_um[second])
     return Gap(at_um, at_um[1] - at_um[0], float(curve.z_um[second] - curve.z_um[first]))
+
+
+def next_measured(curve: ProfileCurve, from_um: float, forward: bool) -> float:
+    """The distance of the next measured point from a place on, or `from_um` where there is none that way.
+
+    Raises MeasureError for a curve without a measured point.
+    """
+    places = curve.distance_um[_measured(curve)]
+    beyond = places[places > from_um + _SAME_UM] if forward else places[places < from_um - _SAME_UM][::-1]
+    return float(beyond[0]) if beyond.size else from_um
+
+
+def _measured(curve: ProfileCurve) -> NDArray[np.intp]:
+    known = np.flatnonzero(np.isfinite(curve.z_um))
+    if known.size == 0:
+        raise MeasureError("The curve has no measured point for a cursor to stand on: move the line.")
+    return known
 
 
 def _within(number: int, count: int, what: str) -> int:

@@ -153,11 +153,11 @@ class Statistics(msgspec.Struct, frozen=True):
     """What is shown of a surface in numbers, answer to ``statistics``.
 
     rows, cols: of the part that is counted, in points of `pixel_um`. n_heights: points with a height; n_points: those
-    that the clip leaves; left_out: the others, by reason. Fractions are of the points that fields cover. lowest, highest,
-    mean, spread (one standard deviation): of the points that the clip leaves; None where there is none.
+    that the clip leaves; left_out: the others, by reason. Fractions are of the points that fields cover.
+    lowest, highest, mean, spread (one standard deviation): of the points that the clip leaves, None without any.
     ends_um, counts: histogram of all heights; the outermost bins hold what lies beyond. span_um: the lowest and the
-    highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would be
-    too many to read.
+    highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would
+    be too many to read.
     """
 
     rows: int
