@@ -12,7 +12,7 @@ from tests.truth.field_grid import SMALL, Made, make
 from wafer_viewer.model.surface import HeightMap, Origin
 
 FIELD = 5
-PILLAR_UM = 400.0
+PILLAR_UM = 120.0
 HOLE_PX, PILLAR_PX = 90, 40
 
 

@@ -14,7 +14,7 @@ from wafer_viewer.model.clipping import Clip, Slab
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface import HeightMap, Origin, PartOfMosaic
 from wafer_viewer.session import paint_statistics
 from wafer_viewer.session.paint_request import PaintRequest, Source, Statistics
 from wafer_viewer.session.painting import paint
@@ -108,3 +108,14 @@ def test_before_a_slab_is_the_right_hand_of_its_way(surface: HeightMap):
     assert counted(surface, clip=Clip(slab=Slab(line, "show"))).left_out["slab"] == 0
     turned = Region.line(70.0, y, 0.0, y, 4 * PIXEL)
     assert counted(surface, clip=Clip(slab=Slab(turned, "pale"))).left_out["slab"] == there[:48].sum()
+
+
+def test_a_part_of_a_surface_is_a_surface(surface: HeightMap):
+    part = PartOfMosaic(surface, Region.rectangle(30 * PIXEL, -39 * PIXEL, 49 * PIXEL, -20 * PIXEL))
+    whole = part.window()
+    assert part.shape == whole.shape == (20, 20)
+    assert (part.x0_um, part.y0_um) == (whole.x0_um, whole.y0_um) == (15.0, -10.0)
+    assert (whole.z_um == 20.0).all()
+    strip = part.window(Region.rectangle(15.0, -12.0, 24.5, -11.0))
+    assert strip.shape == (3, 20)
+    assert strip.y0_um == -11.0

@@ -12,6 +12,8 @@ from wafer_viewer.draw.wafer_map import Frame, Outline
 _LEAST_SEEN_PX = 5.0
 """A view narrower than this is drawn as a cross: its frame would be a dot."""
 
+_LEAST_AREA_PX = 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class Mark:
@@ -26,12 +28,33 @@ class Mark:
     shape: str = "disc"
 
 
-def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark]) -> str:
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A rectangle on the map, x low, y low, x high, y high in stage um, in a colour; dashed it is not filled."""
+
+    box_um: tuple[float, float, float, float]
+    colour: str
+    name: str
+    dashed: bool = False
+
+
+def map_marks_svg(frame: Frame, seen_um: Outline, marks: Sequence[Mark], areas: Sequence[Area] = ()) -> str:
     """A drawing of the same size as the map's; `seen_um` are the corners of the ground that the camera sees."""
-    shapes = [*_seen(frame, seen_um), *(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
+    shapes = [*(_area(frame, area) for area in areas), *_seen(frame, seen_um)]
+    shapes += [*(_mark(frame, mark) for mark in sorted(marks, key=lambda mark: mark.chosen))]
     w, h = f"{frame.width_px:.0f}", f"{frame.height_px:.0f}"
     size = f'width="{w}" height="{h}" viewBox="0 0 {w} {h}"'
     return f'<svg {size} class="wv-map-marks" style="display:block">{"".join(shapes)}</svg>' if shapes else ""
+
+
+def _area(frame: Frame, area: Area) -> str:
+    x0, y0, x1, y1 = area.box_um
+    left, top = frame.x(x0), frame.y(y1)
+    width, height = (max(_LEAST_AREA_PX, v) for v in (frame.x(x1) - left, frame.y(y0) - top))
+    look = f'fill="none" stroke="{area.colour}" stroke-width="1.8" stroke-dasharray="5 3"'
+    look = look if area.dashed else f'fill="{area.colour}" fill-opacity=".75"'
+    place = f'x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}"'
+    return f"<rect {place} {look}><title>{html.escape(area.name, quote=True)}</title></rect>"
 
 
 def _seen(frame: Frame, corners_um: Outline) -> list[str]:

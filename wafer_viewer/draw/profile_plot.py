@@ -7,11 +7,12 @@ SVG and words beside it in shares of its sides, so the drawing is as wide as its
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
+from wafer_viewer.draw.colours import BRUSH, PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.profile_frame import ProfileFrame, digits, runs
 from wafer_viewer.model.sections import Section
@@ -22,10 +23,17 @@ _SIDE = 8000
 _DASHES = 'stroke-dasharray="5 3"'
 
 
-def profile_plot_html(sections: Sequence[Section], frame: ProfileFrame, cursors_um: Sequence[float]) -> str:
-    """The plot, as wide and as high as its place."""
+def profile_plot_html(
+    sections: Sequence[Section],
+    frame: ProfileFrame,
+    cursors_um: Sequence[float],
+    brush_um: tuple[float, float] | None = None,
+) -> str:
+    """The plot, as wide and as high as its place. brush_um: a range of heights that lights up on the curves."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
     curves = "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
+    if brush_um is not None:
+        curves = _band(frame, brush_um) + curves + "".join(_brushed(section, frame, brush_um) for section in sections)
     drawn = f"{_grid(frame)}<g>{curves}</g>{''.join(_cursor(frame, at) for at in cursors_um)}"
     return (
         f'<div class="wv-plot wv-profiles"><div style="position:absolute;{place}">'
@@ -46,6 +54,21 @@ def _curve(section: Section, frame: ProfileFrame) -> str:
         f'<path class="wv-curve" data-curve="{section.asked.letter}{"+" if second else ""}" d="{d}" '
         f'stroke="{colour}" stroke-width="{1.4 if second else 1.8}" stroke-linecap="round" {more}/>'
     )
+
+
+def _band(frame: ProfileFrame, brush_um: tuple[float, float]) -> str:
+    """The brushed range behind the curves."""
+    top, foot = np.clip(_SIDE * frame.down(np.array([brush_um[1], brush_um[0]])), 0, _SIDE)
+    return f'<path d="M0 {top:.0f}H{_SIDE}V{foot:.0f}H0Z" fill="{BRUSH}" fill-opacity=".09" stroke="none"/>'
+
+
+def _brushed(section: Section, frame: ProfileFrame, brush_um: tuple[float, float]) -> str:
+    """The parts of a curve that lie in the brushed range."""
+    z = section.curve.z_um
+    curve = replace(section.curve, z_um=np.where((z >= brush_um[0]) & (z <= brush_um[1]), z, np.nan))
+    d = "".join(f"M{_points(x, down)}" for x, down in runs(replace(section, curve=curve), frame))
+    look = f'stroke="{BRUSH}" stroke-width="2.6" stroke-linecap="round"'
+    return f'<path class="wv-brushed" d="{d}" {look}/>' if d else ""
 
 
 def _points(x: NDArray[np.float64], down: NDArray[np.float64]) -> str:

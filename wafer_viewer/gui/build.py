@@ -36,6 +36,8 @@ from wafer_viewer.gui.overlays import Legend, ReadOutBox, ScaleBar
 from wafer_viewer.gui.page import Page, Part
 from wafer_viewer.gui.palette import Palette
 from wafer_viewer.gui.plan_panel import PlanPanel
+from wafer_viewer.gui.plot_view import with_cursor
+from wafer_viewer.gui.point_count import PointCount
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.pose_legend import PoseLegend
 from wafer_viewer.gui.print_picture import PrintPicture
@@ -166,6 +168,7 @@ def build_page(client: viser.ClientHandle, session: Session) -> Page:
             why,
             left,
             Toolbar(page),
+            PointCount(page),
             Legend(page),
         ),
         *(
@@ -219,12 +222,14 @@ def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: Meas
     left.results.on_chosen(scene.fly_to)
     left.defects.on_chosen(scene.fly_to)
     left.map.on_seen(scene.seen_um)
+    left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
     left.dies.on_seen(scene.seen_um)
     MapClicks(page, scene)
     page.on_pick("dismiss", page.dismiss)
     page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
     page.on_pick("tool", measure.use)
     page.on_pick("look", scene.look_from)
+    page.on_pick("select", lambda _: page.change(selecting=not page.view.selecting))
 
 
 def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
@@ -232,7 +237,11 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
         page.change(lines=lines, line=line, selected=None)
         curves.follow()
 
+    def cursor_moved(number: int, share: float) -> None:
+        page.change(plot=with_cursor(page.view.plot, number, share))
+
     scene.on_lines(guarded(page, "The surface was not read")(moved))
+    scene.on_cursor(guarded(page, "The cursor stays")(cursor_moved))
 
 
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
@@ -248,6 +257,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
         clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um))
 
     scene.on_pick(picked)
+    scene.on_select(guarded(page, failed)(lambda box: page.change(selection=box, counted="selection", selecting=False)))
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
     scene.on_points(page.show_points)

@@ -121,3 +121,14 @@ def screen_axes(direction: Vector) -> tuple[Vector, Vector]:
 def near_mm(pose: Pose) -> float:
     """Nothing nearer to a camera than this is drawn."""
     return max(NEAR_MM, NEAR_SHARE * float(np.linalg.norm(pose.position - pose.look_at)))
+
+
+def pixel_ray(pose: Pose, fov_rad: float, aspect: float, u: float, v: float) -> Vector:
+    """The direction in which a place of the picture is seen.
+
+    fov_rad: the vertical field of view; aspect: width by height; u, v: shares of the width and the height, 0 at the
+    left and at the top.
+    """
+    right, up = screen_axes(pose.direction)
+    tall = np.tan(fov_rad / 2)
+    return -pose.direction + (2 * u - 1) * aspect * tall * right + (1 - 2 * v) * tall * up

@@ -12,9 +12,10 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog, existing, open_surface, put_down, unless_there
 from wafer_viewer.gui.kit import Cell, outlined
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.shown_statistics import name_of
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import FORMATS, MESH_POINTS, READ, Reading, every_for
-from wafer_viewer.session.state import SurfaceInfo
+from wafer_viewer.model.region import Region
 
 _TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != ".tiff"}
 _FILES = ", ".join(ending for ending in READ if ending != ".tiff")
@@ -70,47 +71,49 @@ def export_dialog(page: Page) -> None:
     snapshot, field = page.session.snapshot, page.view.show or None
     data, info = snapshot.dataset, snapshot.surface if field is None else None
     stem = data.path.stem if data else "surface"
-    what = "the comparison" if field and field < 0 else f"field {field}" if field else "the stitched surface"
-    dialog = Dialog(page, "Export the surface", f"Writes {what}.")
+    told, box_um = page.statistics, page.counted_um
+    part = Region.rectangle(*box_um) if box_um is not None else None
+    dialog = Dialog(page, "Export the surface", f"Writes: {name_of(page.view)}.")
+    size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
     with dialog.modal:
         first = next(iter(_TITLES.values()))
         path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{_ending_of(field)}{first}"))
         kind = page.gui.add_dropdown("Format", tuple(_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
-        said = Cell(page.gui, _said(first, 1, info))
+        said = Cell(page.gui, _said(first, 1, size))
 
     @kind.on_update
     def _(_: Any) -> None:
         ending = _TITLES[kind.value]
         path.value = str(Path(path.value).with_suffix(ending))
-        every.value = every_for((info.rows, info.cols), MESH_POINTS) if info and FORMATS[ending].is_mesh else 1
-        said.show(_said(ending, every.value, info))
+        every.value = every_for(size[:2], MESH_POINTS) if size and FORMATS[ending].is_mesh else 1
+        said.show(_said(ending, every.value, size))
 
     @every.on_update
     def _(_: Any) -> None:
-        said.show(_said(_TITLES[kind.value], every.value, info))
+        said.show(_said(_TITLES[kind.value], every.value, size))
 
     def write() -> None:
         target = Path(path.value).expanduser()
         unless_there(page, target, lambda: export(target))
 
     def export(target: Path) -> None:
-        done = page.session.export_surface(target, field, int(every.value))
+        done = page.session.export_surface(target, field, int(every.value), part)
         page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
 
     dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
 
 
-def _said(ending: str, every: float, info: SurfaceInfo | None) -> str:
-    """How much is written, and what the format cannot hold."""
-    size = ""
-    if info is not None:
+def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:
+    """How much is written of a surface of so many rows, columns and µm a pixel, and what the format cannot hold."""
+    written = ""
+    if size is not None:
         step = max(1, int(every))
-        cols, rows = -(-info.cols // step), -(-info.rows // step)
-        pixel_um = number(info.pixel_um * step, 3)
-        size = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
+        rows, cols = (-(-n // step) for n in size[:2])
+        pixel_um = number(size[2] * step, 3)
+        written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
     loses = FORMATS[ending].loses or "The file holds all there is of the surface."
-    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(size + loses))}</div>'
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(written + loses))}</div>'
 
 
 def _label(text: str) -> str:

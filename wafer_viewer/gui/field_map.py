@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from wafer_viewer.draw.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.colours import BRUSH
+from wafer_viewer.draw.map_marks import Area, Mark, map_marks_svg
 from wafer_viewer.draw.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_other import other_marks
@@ -17,6 +18,7 @@ from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_items import review_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.plan import Field
+from wafer_viewer.session.paint_request import Brushed
 from wafer_viewer.session.state import Snapshot
 
 MOST_MARKS = 400
@@ -32,12 +34,17 @@ class FieldMap:
         self._marks = Cell(gui)
         self._map = Cell(gui)
         self._seen: Callable[[], Outline | None] = lambda: None
+        self._brushed: Callable[[], Brushed | None] = lambda: None
         self._of: tuple[object, ...] | None = None
         self._frame: Frame | None = None
 
     def on_seen(self, seen_um: Callable[[], Outline | None]) -> None:
         """Ask this for the part of the ground that the camera sees."""
         self._seen = seen_um
+
+    def on_brushed(self, brushed: Callable[[], Brushed | None]) -> None:
+        """Ask this for the brushed points."""
+        self._brushed = brushed
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring map and marks up to date."""
@@ -48,7 +55,8 @@ class FieldMap:
         if self._frame is None or not view.on_surface:
             self._marks.show("")
             return
-        drawing = map_marks_svg(self._frame, self._seen() or (), _marks(snapshot, view))
+        areas = _areas(view, self._brushed())
+        drawing = map_marks_svg(self._frame, self._seen() or (), _marks(snapshot, view), areas)
         self._marks.show(drawing and f'<div class="wv-over-map">{drawing}</div>')
 
     def _draw(self, snapshot: Snapshot, view: View) -> None:
@@ -112,6 +120,14 @@ def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     job, limits = snapshot.draft.job, snapshot.rig.limits
     of_data = (data.fields, data.states, data.plan) if data is not None else (job, limits, None)
     return (*of_data, snapshot.overview, view.on_surface, view.show, snapshot.scanning, snapshot.rig.state == "ready")
+
+
+def _areas(view: View, brushed: Brushed | None) -> list[Area]:
+    """Where brushed heights are, the selection, and the lines of profiles are drawn as results are."""
+    areas = [Area(box, BRUSH, "brushed heights") for box in brushed.places] if brushed and view.brush else []
+    if view.selection is not None and view.step == "surface":
+        areas.append(Area(view.selection, "var(--accent)", "selection", dashed=True))
+    return areas
 
 
 def _marks(snapshot: Snapshot, view: View) -> list[Mark]:

@@ -18,6 +18,7 @@ Dragged = Callable[[str, np.ndarray, bool], None]
 """Called with a handle's name, the scene point under the pointer and whether it was let go there, in order."""
 
 _WHITE: Rgb = (255, 255, 255)
+_SELECTION: Rgb = (11, 110, 153)
 
 
 class Knob:
@@ -97,3 +98,21 @@ class PlaceMark:
     def remove(self) -> None:
         """Take it out of the scene."""
         self._knob.remove()
+
+
+class DrapedOutline:
+    """A rectangle that lies on the surface."""
+
+    def __init__(self, scene: viser.SceneApi) -> None:
+        self.box_um = (0.0, 0.0, 0.0, 0.0)
+        self._line = CasedLine(scene, "selection", _SELECTION, 2.4)
+
+    def draw(self, land: Land, gaze: Gaze) -> None:
+        """Lie on the surface as it is drawn now."""
+        x0, y0, x1, y1 = self.box_um
+        corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+        self._line.lay(land.laid_round(corners, 2 * gaze.mm_per_pixel), None, 1.6 * gaze.mm_per_pixel)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._line.remove()

@@ -243,12 +243,21 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
             page.change(sheet="none")
         elif page.view.lists_some:
             page.change(defects=page.view.defects.widened)
+        elif page.view.selecting:
+            page.change(selecting=False)
+        elif page.view.step == "surface" and page.view.brush_um is not None:
+            page.change(brush_um=None)
+        elif page.view.step == "surface" and page.view.selection is not None:
+            page.change(selection=None, counted="all")
+        elif page.view.tool == "none" and page.view.selected is None:
+            page.change(brush_um=None)
         else:
             page.change(tool="none", selected=None)
 
     def in_use(_: Snapshot, view: View) -> bool:
         """Escape is pressed for many things: where there is nothing to leave it is not ours."""
-        narrowed = view.lists_some or view.sheet_over != "none"
+        selects = view.step == "surface" and (view.selecting or view.selection is not None)
+        narrowed = view.lists_some or view.sheet_over != "none" or selects or view.brush is not None
         return view.explains or narrowed or view.tool != "none" or view.selected is not None
 
     return [

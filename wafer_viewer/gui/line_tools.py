@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -19,7 +20,10 @@ from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.region import Region
 
 _CURSOR = rgb("15202B")
+_CURSOR_PX = 6.0
 _SIGN_PX, _BESIDE_PX = 26, 15
+CursorMoved = Callable[[int, float], None]
+"""Called with a cursor's number and the share of the active line's length at which it is wanted."""
 Told = Callable[[tuple[Region, ...], int], None]
 """Called with all lines and the number of the active one."""
 
@@ -59,10 +63,10 @@ class LineTool:
 
 
 class Cursors:
-    """The plot's cursors on the active line; one that stands at an end is that end's handle."""
+    """The plot's cursors on the active line, dragged along it; one that stands at an end is that end's handle."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged) -> None:
+        self._scene, self._dragged = scene, dragged
         self._knobs: dict[int, Knob] = {}
         self.line, self.shares = 0, (0.0, 1.0)
 
@@ -75,7 +79,7 @@ class Cursors:
                 self._take_away(number)
                 continue
             if number not in self._knobs:
-                self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, 5.0)
+                self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, _CURSOR_PX, self._dragged)
             self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
 
     def remove(self) -> None:
@@ -96,7 +100,8 @@ class LineTools:
         self._tools: list[LineTool] = []
         self._had_lines = False
         self._echoes = Echoes[tuple[Region, ...]]()
-        self._cursors = Cursors(scene)
+        self._cursors = Cursors(scene, dragged)
+        self._cursor_moved: CursorMoved = lambda number, share: None
 
     def show(self, view: View, land: Land, near: Place) -> None:
         """Have the lines of a view; one that has none gets a first one near a place."""
@@ -116,6 +121,33 @@ class LineTools:
         if int(place) < len(self._tools):
             self._tools[int(place)].drag(int(end), to)
             self._told(int(place))
+
+    def on_cursor(self, callback: CursorMoved) -> None:
+        """Call back when a cursor was moved in the scene."""
+        self._cursor_moved = callback
+
+    def drag_cursor(self, name: str, to: Place) -> None:
+        """Move the cursor of that name, ``cursor/NUMBER``, to the place of the active line nearest to another."""
+        line = self._active
+        if line is not None:
+            self._cursor_moved(int(name.split("/")[1]), nearest_share(line, to)[0])
+
+    def put_cursor(self, at: Place, within_um: float) -> bool:
+        """Put the cursor that stands nearer to a place on the active line there; whether the place lies on it."""
+        line = self._active
+        if line is None:
+            return False
+        share, away_um = nearest_share(line, at)
+        if away_um > within_um:
+            return False
+        first, second = (abs(share - stands) for stands in self._cursors.shares)
+        self._cursor_moved(0 if first <= second else 1, share)
+        return True
+
+    @property
+    def _active(self) -> Region | None:
+        place = self._cursors.line
+        return self._tools[place].line if place < len(self._tools) else None
 
     def draw(self, land: Land, gaze: Gaze) -> None:
         """Lie on the surface as it is drawn now, all of them."""
@@ -143,3 +175,12 @@ class LineTools:
 
     def _told(self, active: int) -> None:
         self._tell(self._echoes.tell(tuple(tool.line for tool in self._tools)), active)
+
+
+def nearest_share(line: Region, to: Place) -> tuple[float, float]:
+    """The place of a line nearest to another: its share of the line's length, 0 ... 1, and how far away it is in um."""
+    a, b = line.points
+    dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
+    along = ((to[0] - a.x_um) * dx + (to[1] - a.y_um) * dy) / max(dx * dx + dy * dy, 1e-12)
+    share = min(max(along, 0.0), 1.0)
+    return share, math.hypot(to[0] - a.x_um - share * dx, to[1] - a.y_um - share * dy)

@@ -19,6 +19,7 @@ from wafer_viewer.gui.html import Tone, icon, micro, note, pick, read_picks, saf
 from wafer_viewer.gui.memory import Remembered, Self
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
+from wafer_viewer.model.clipping import Box
 from wafer_viewer.session.paint_request import Scale, Statistics
 from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Fault, Snapshot
@@ -61,6 +62,7 @@ class Page:
         self.scale: Scale | None = None
         self.on_show: OnShow | None = None
         self.statistics: Statistics | None = None
+        self.counted_um: Box | None = None
         self.drawn_points = 0
         self.has_overlaps = False
         self._parts: Sequence[Part] = ()

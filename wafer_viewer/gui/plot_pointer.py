@@ -26,7 +26,7 @@ _UP = (
     f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
 )
 _WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
-_KEYS = "if(event.key.startsWith('Arrow')){event.stopPropagation();this.dataset.by='key'}"
+_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
 """Or the arrows would move the camera too."""
 
 
@@ -39,13 +39,14 @@ def zoom_area() -> str:
 
 def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
     """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
-    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'')+':{end}';"
+    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
     tell += html.pick_script(CURSOR, latest_only=True)
     moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
+    released += ";delete this.dataset.by"
     return "".join(
         f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
         f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
-        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'\'" onkeydown="{_KEYS}">'
+        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{_KEYS}">'
         for k, at in enumerate(at_um)
         if ends_um[0] <= at <= ends_um[1]
     )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import viser
+
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
-from wafer_viewer.gui.kit import Cell, Field, set_prop
+from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import LeftOut
+from wafer_viewer.model.clipping import Box, LeftOut
 from wafer_viewer.session.paint_request import Statistics
 
 FAILED = "The points stay"
@@ -26,18 +29,26 @@ WORDS: dict[LeftOut, str] = {
 class PointsSection:
     """Shown where the surface is drawn as points."""
 
-    def __init__(self, page: Page) -> None:
-        self._page = page
+    def __init__(self, page: Page, seen_um: Callable[[], Box | None]) -> None:
+        self._page, self._seen_um = page, seen_um
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
             self._count = Cell(gui)
             size = gui.add_slider("Size, px", 1.0, 8.0, 0.5, 3.0)
             self._size = self._field(size, lambda px: page.change(point_px=float(px)))
-            shade = gui.add_slider("Depth shade, %", 0.0, 100.0, 5.0, 60.0)
+            shade = gui.add_slider("Shade, %", 0.0, 100.0, 5.0, 60.0)
             self._shade = self._field(shade, lambda percent: page.change(depth_shade=percent / 100))
-            least = gui.add_slider("Confidence from", 0.0, 1.0, 0.05, 0.0)
+            least = gui.add_slider("At least", 0.0, 1.0, 0.05, 0.0)
             self._least = self._field(least, self._set_least)
+            clip = [
+                button(gui, "Clip to view", viser.Icon.EYE, lambda _: self._clip_to(self._seen_um())),
+                button(gui, "To selection", viser.Icon.MARQUEE_2, lambda _: self._clip_to(page.view.selection)),
+                button(gui, "No box", viser.Icon.X, lambda _: self._clip_to(None)),
+            ]
+            in_a_row(gui, clip, 30)
+            self._to_selection, self._no_box = clip[1:]
+            self._box = Cell(gui)
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
@@ -50,10 +61,16 @@ class PointsSection:
         self._size.show(view.point_px)
         self._shade.show(round(100 * view.depth_shade, 3))
         self._least.show(view.clip.least_confidence)
+        set_prop(self._to_selection, "disabled", view.selection is None)
+        set_prop(self._no_box, "disabled", view.clip.box_um is None)
+        self._box.show(_box_words(view.clip.box_um))
 
     def _set_least(self, least: float) -> None:
         clip = self._page.view.clip
         self._page.change(clip=replace(clip, least_confidence=round(float(least), 3)))
+
+    def _clip_to(self, box_um: Box | None) -> None:
+        self._page.change(clip=replace(self._page.view.clip, box_um=box_um))
 
     def _field(self, handle: Any, act: Any) -> Field[Any]:
         return Field(handle, lambda event: act(event.target.value), self._page, FAILED)
@@ -78,6 +95,13 @@ def amount(n: float) -> str:
     if n >= 0.9995 * _MEGA:
         return f"{number(n / _MEGA, 1)} M"
     return f"{number(n / _KILO, 0 if n >= 9950 else 1)} k" if n >= _KILO else number(n, 0)
+
+
+def _box_words(box_um: Box | None) -> str:
+    if box_um is None:
+        return ""
+    x0, y0, x1, y1 = (number(v, 0) for v in box_um)
+    return f'<div class="wv-lab">Box x {x0} … {x1}, y {y0} … {y1} µm</div>'
 
 
 def _shares(told: Statistics, drawn: int) -> str:

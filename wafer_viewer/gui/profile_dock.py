@@ -39,6 +39,7 @@ class ProfileDock:
         self._slid: tuple[float, float] | None = None
         self._slider = (self._frame.x_um, (0.0, 1.0))
         self._focused: int | None = None
+        self._rests = 0
         self._panel = BottomPanel(page, "profile")
         with self._panel.tab:
             self._plot = Cell(page.gui)
@@ -66,7 +67,7 @@ class ProfileDock:
             self._frame = self._framed(sections, view.plot.span_um)
             read = self._curves.gap
             at_um = read.at_um if read is not None else ()
-            plot = profile_plot_html(sections, self._frame, at_um)
+            plot = profile_plot_html(sections, self._frame, at_um, view.brush)
             self._show_below(self._head(view, read) + plot)
             # Always the same, and so never put in anew under the pointer that drags on it.
             self._over.show(pointer.zoom_area())
@@ -98,7 +99,7 @@ class ProfileDock:
         ends_um, at_um = self._slider
         sliders = pointer.cursor_sliders(at_um, ends_um, _step_um(active))
         focused = pointer.focused(self._focused) if self._focused is not None else ""
-        self._sliders.show(f'<div class="wv-slides">{sliders}{focused}</div>')
+        self._sliders.show(f'<div class="wv-slides" data-rests="{self._rests}">{sliders}{focused}</div>')
 
     # ---------------------------------------------------------------- what the operator does
 
@@ -128,13 +129,14 @@ class ProfileDock:
         if active is None or before is None:
             return
         length_um = float(active.curve.distance_um[-1])
-        stands_um = gap(active.curve, (told.at_um / length_um,) * 2).at_um[0]
+        stands_um = gap(active.curve, (told.at_um / length_um, 0.0)).at_um[0]
         beside = abs(stands_um - told.at_um) > _step_um(active) / 2
         self._focused = told.number if told.by_key else None
         if told.by_key and told.released and beside:
             forward = told.at_um > before.at_um[told.number]
             stands_um = next_measured(active.curve, before.at_um[told.number], forward)
         resting = beside and told.released
+        self._rests += resting  # a grip that goes back to where it was is sent all the same
         self._put_cursor(told.number, (stands_um if resting else told.at_um) / length_um, slid=not resting)
 
     def _put_cursor(self, number: int, share: float, *, slid: bool) -> None:

@@ -11,19 +11,22 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui.curves import Curves
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, set_prop
+from wafer_viewer.gui.kit import Cell, Choice, Field, button, duo, in_a_row, set_prop
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plot_view import PlotView, with_cursor
 from wafer_viewer.gui.view import View
 from wafer_viewer.model import cuts
+from wafer_viewer.model.clipping import BeforeSlab
 from wafer_viewer.model.cuts import MOST_LINES
 from wafer_viewer.model.sections import OtherSurface
 from wafer_viewer.session.state import Snapshot
 
 ALONE, CLEANED = "nothing", "raw and cleaned heights"
 HINT = "A second curve along the active line: its other heights, or those of another surface"
+BEFORE: tuple[tuple[BeforeSlab, str], ...] = (("show", "Show"), ("pale", "Pale"), ("hide", "Hide"))
+"""What becomes of points before the slab along the active line, where points are drawn."""
 FAILED = "The line stays"
 ICON = viser.Icon
 
@@ -54,6 +57,8 @@ class ProfileSection:
         self._width.show(line.width_um if line is not None else 0.0)
         self._show_numbers(snapshot, view)
         self._show_cursors()
+        set_prop(self._cut_folder, "visible", view.look == "points")
+        self._before.show(view.before)
         self._compare.show(_compared(view.plot))
         for handle in self._files:
             set_prop(handle, "disabled", not self._curves.sections)
@@ -71,6 +76,9 @@ class ProfileSection:
         self._column = self._number("Column", lambda number: verbs.cut_at("column", round(number)), step=1)
         self._numbers = Cell(gui)
         self._width = self._number("Width, µm", verbs.widen, step=0.5)
+        self._cut_folder = gui.add_folder(None, visible=False)
+        with self._cut_folder:
+            self._before = Choice(gui, "Before it", BEFORE, lambda key: self._page.change(before=key))
         cursors = gui.add_vector2("Cursors, µm", (0.0, 0.0), step=0.1)
         self._cursors: Field[tuple[float, float]] = Field(
             cursors, lambda event: self._put_cursors(event.target.value), self._page, FAILED

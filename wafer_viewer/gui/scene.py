@@ -158,6 +158,14 @@ class SceneView:
         """Call back with the profile's line while its handles are dragged, and when one is first laid."""
         self._tools.on_lines(callback)
 
+    def on_cursor(self, callback: Callable[[int, float], None]) -> None:
+        """Call back with a profile's cursor and its share of the line, while its marker is dragged or put."""
+        self._tools.on_cursor(callback)
+
+    def on_select(self, callback: Callable[[Box], None]) -> None:
+        """Call back with a rectangle of the stage, um, that was dragged over."""
+        self._tools.on_select(callback)
+
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
         """Call back with the places of the tool in use while they are dragged, and when they are first laid."""
         self._tools.on_places(callback)

@@ -48,6 +48,7 @@ class ShownStatistics:
         """Have what is shown counted, where anything of it has changed."""
         self.problem = ""
         request = self._request(snapshot, view)
+        self._page.counted_um = request.box_um if request is not None else None
         if request is None:
             self._page.statistics = _of_all(snapshot, view)
             self._orders.keep_only(set())
@@ -61,9 +62,9 @@ class ShownStatistics:
         except WaferViewerError as fault:
             self._page.statistics, self.problem = None, str(fault)
 
-    def box_um(self, view: View) -> Box | None:
-        """The part of the surface that is counted; None all of it."""
-        return self._box_um(self._page.on_show, view)
+    def seen_um(self) -> Box | None:
+        """The part of the surface that is in view; None all of it."""
+        return self._box_um(self._page.on_show, replace(self._page.view, counted="view"))
 
     def _request(self, snapshot: Snapshot, view: View) -> PaintRequest | None:
         on_show, source = self._page.on_show, source_of(snapshot, view.show)

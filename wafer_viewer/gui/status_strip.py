@@ -14,6 +14,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.hands import Hands
+from wafer_viewer.session.paint_request import Statistics
 from wafer_viewer.session.state import RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
@@ -47,7 +48,7 @@ class StatusStrip:
             sample(job_shown(snapshot, view)),
             motion(snapshot.rig),
             calibration(snapshot, view, today),
-            *surface(snapshot.surface if view.on_surface else None),
+            *surface(snapshot.surface if view.on_surface else None, self._page.statistics, view),
         ]
         items = [_item(*words) for words in said if words[0]]
         left = "".join([*items, f'<span class="wv-xyz">{where(snapshot.rig)}</span>'])
@@ -109,15 +110,18 @@ def due(made: Calibration | None, today: datetime.date) -> Words:
     return (f"Calibrated, due in {_days(days)}" if days <= FAR_DAYS else f"Calibrated until {made.due}"), "", more
 
 
-def surface(info: SurfaceInfo | None) -> tuple[Words, Words]:
-    """What was done to the heights shown, and how many are missing."""
+def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View | None = None) -> tuple[Words, Words]:
+    """What was done to the heights shown, and how many are missing; `told`: statistics of what the view shows."""
     if info is None:
         return ("", "", ""), ("", "", "")
     smooth = info.settled is not None and info.settled.levy.mode != "none"
     done = "Smoothed heights" if smooth else "Raw heights"
-    filled = f", {share(info.filled_fraction)} filled" if info.filled_fraction else ", none filled"
-    reasons = ", ".join(f"{why} {share(part)}" for why, part in info.unmeasured)
-    missing = 1.0 - info.measured_fraction - info.filled_fraction
+    counted = told if told is not None else info
+    if told is None and view is not None and view.show:
+        return (done, "", f"Result {info.result}."), ("", "", "")
+    filled = f", {share(counted.filled_fraction)} filled" if counted.filled_fraction else ", none filled"
+    reasons = ", ".join(f"{why} {share(part)}" for why, part in counted.unmeasured)
+    missing = 1.0 - counted.measured_fraction - counted.filled_fraction
     return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
 
 

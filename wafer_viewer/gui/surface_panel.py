@@ -24,6 +24,7 @@ from wafer_viewer.gui.stitching_section import StitchingSection
 from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.verdict_section import VerdictSection
 from wafer_viewer.gui.view import ColourBy, Counted, View
+from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import Statistics
 from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
@@ -78,6 +79,9 @@ class SurfacePanel:
         self._counted.show(view.counted)
         self._head.show(html.head(name_of(view), data.results[0] if data and len(data.results) == 1 else ""))
         self._numbers.show(self._numbers_of(data, info, view))
+        selected = view.counted == "selection" and view.selection is not None
+        for handle in (self._of_selection, self._deselect):
+            set_prop(handle, "visible", selected)
         self._stitching.show(snapshot, view)
         self._recipe.show(snapshot)
         set_prop(self._measure, "disabled", info is None)
@@ -104,7 +108,7 @@ class SurfacePanel:
         self._verdict = VerdictSection(page)
         self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
-        self._points = PointsSection(page)
+        self._points = PointsSection(page, self._statistics.seen_um)
         self._build_colour()
         self._heights = HeightsSection(page)
         self._build_light()
@@ -112,6 +116,13 @@ class SurfacePanel:
         self._head = Cell(gui)
         self._counted = Choice(gui, "Numbers of", COUNTED, self._count)
         self._numbers = Cell(gui)
+        self._of_selection = button(
+            gui, "Measure the selection", viser.Icon.RULER_MEASURE, lambda _: self._measure_selection()
+        )
+        self._deselect = button(
+            gui, "No selection", viser.Icon.X, lambda _: page.change(selection=None, counted="all", selecting=False)
+        )
+        in_a_row(gui, [self._of_selection, self._deselect])
         self._stitching = StitchingSection(page, self._poses)
         self._recipe = RecipeSection(page)
         self._export = button(gui, "Export…", viser.Icon.DOWNLOAD, lambda _: export_dialog(page))
@@ -162,6 +173,13 @@ class SurfacePanel:
             return
         show = 0 if text == STITCHED else int(text.removeprefix("Field "))
         self._page.change(show=show, frame_k=None, slice_z_um=None)
+
+    def _measure_selection(self) -> None:
+        """The flatness of what is selected; the other tools are a key away."""
+        box = self._page.view.selection
+        if box is not None:
+            places = (Region.rectangle(*(round(v, 2) for v in box)),)
+            self._page.change(step="measure", tool="flatness", places=places, selected=None)
 
     def _set_range(self, ends: tuple[float, float]) -> None:
         low, high = ends

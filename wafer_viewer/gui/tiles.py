@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import viser
 
 from wafer_viewer.draw.colours import DIVERGING
@@ -33,6 +34,8 @@ OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis"}
 LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
 """How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
 _TILE_PX = 320
+_DRAWN_LARGER = 2.0
+"""viser draws points so many times as large as it is told, and larger by the mean of what their node is stretched."""
 _NEARLY = 0.96, 1.04
 """Points are given another size where it differs by more than that."""
 READ_AROUND_PX = 16
@@ -287,7 +290,8 @@ class PointTile:
 
     def settle(self, mm_per_pixel: float) -> None:
         """Be so large that a point has its size for a pixel of this size."""
-        size = self.size_px * mm_per_pixel
+        stretch = float(np.cbrt(np.prod(np.broadcast_to(self._handle.scale, 3))))
+        size = self.size_px * mm_per_pixel / _DRAWN_LARGER / stretch
         if not _NEARLY[0] < size / self._handle.point_size < _NEARLY[1]:
             self._handle.point_size = size
 

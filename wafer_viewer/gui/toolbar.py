@@ -38,6 +38,8 @@ class Toolbar:
         short = measuring or 0 < self._camera.image_width < NARROW_SCENE_PX
         looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
         parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
+        if view.step == "surface":
+            parts += GAP + _select(view.selecting)
         self._glass.show(f'<div class="wv-glass wv-tools{" many" if measuring else ""}">{parts}</div>')
 
 
@@ -45,3 +47,10 @@ def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
     words = "" if short else html.safe(name)
     told = f'title="{html.safe(hint)}" aria-label="{name}"'
     return f"<span {told} {html.pick('look', key)}>{html.icon(sign, 17)}{words}</span>"
+
+
+def _select(selecting: bool) -> str:
+    """A drag over the scene then selects; with Shift it always does."""
+    told = f'title="Select an area · or drag with Shift" aria-label="Select" aria-pressed="{str(selecting).lower()}"'
+    on = ' class="on"' if selecting else ""
+    return f"<span{on} {told} {html.pick('select')}>{html.icon(viser.Icon.MARQUEE_2, 17)}Select</span>"

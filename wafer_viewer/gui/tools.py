@@ -9,24 +9,28 @@ import numpy as np
 import viser
 
 from wafer_viewer.gui.book import Book
-from wafer_viewer.gui.camera import Pose
+from wafer_viewer.gui.camera import Pose, pixel_ray
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.first_places import first_levelling
 from wafer_viewer.gui.gaze import Gaze
-from wafer_viewer.gui.handles import PlaceMark
+from wafer_viewer.gui.handles import DrapedOutline, PlaceMark
 from wafer_viewer.gui.kept_marks import KeptMarks
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.lie_of_land import Land, Place
-from wafer_viewer.gui.line_tools import LineTools
+from wafer_viewer.gui.line_tools import CursorMoved, LineTools
 from wafer_viewer.gui.near_land import Read, land_nearby
 from wafer_viewer.gui.place_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import View
+from wafer_viewer.model.clipping import Box
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
+
+_ON_LINE_PX = 9.0
+"""A click so near to the active line puts a cursor there."""
 
 
 class Tools:
@@ -46,6 +50,9 @@ class Tools:
         self._picked: Callable[[float, float], None] | None = None
         self._lined: Callable[[tuple[Region, ...], int], None] = lambda lines, line: None
         self._placed: Callable[[tuple[Region, ...]], None] = lambda places: None
+        self._selected: Callable[[Box], None] = lambda box: None
+        self._selecting = False
+        self._outline: DrapedOutline | None = None
         self._levelled: Callable[[Levelling], None] = lambda levelling: None
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
@@ -57,6 +64,15 @@ class Tools:
     def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
         """Call back with the profiles' lines and the number of the one that was moved."""
         self._lined = callback
+
+    def on_cursor(self, callback: CursorMoved) -> None:
+        """Call back when a cursor of the profile was moved in the scene."""
+        self._lines.on_cursor(callback)
+
+    def on_select(self, callback: Callable[[Box], None]) -> None:
+        """Call back with the rectangle of the stage that was dragged over, um."""
+        self._selected = callback
+        self._client.scene.on_rect_select(modifier="shift")(self._rectangle)
 
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
         """Call back with the places of the tool in use."""
@@ -73,6 +89,36 @@ class Tools:
             raise MeasureError("The surface is not drawn yet: level it when it is.")
         return first_levelling(by, land, self._looked_at())
 
+    def _listen_to_rectangles(self, wanted: bool) -> None:
+        """Whether a drag selects without a key; else it turns the camera."""
+        if wanted == self._selecting:
+            return
+        self._selecting = wanted
+        scene = self._client.scene
+        if wanted:
+            scene.on_rect_select()(self._rectangle)
+        else:
+            scene.remove_rect_select_callback("all")
+            scene.on_rect_select(modifier="shift")(self._rectangle)
+
+    def _rectangle(self, event: viser.SceneRectSelectEvent) -> None:
+        corners = event.screen_min, event.screen_max
+        self._clicks.ask(lambda: self._select(*corners))
+
+    def _select(self, low: Place, high: Place) -> None:
+        """What of the surface lies under a rectangle of the screen; its corners may lie beside the surface."""
+        land = self._land
+        if land is None:
+            return
+        pose, camera = self._eye.pose, self._client.camera
+        places: list[Place] = []
+        for u, v in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])):
+            ray = pixel_ray(pose, camera.fov, camera.image_width / max(1, camera.image_height), u, v)
+            places.append(land.hit(pose.position, ray) or self._level_place(pose.position, ray))
+        xs, ys = zip(*places, strict=True)
+        if max(xs) > min(xs) and max(ys) > min(ys):
+            self._selected((min(xs), min(ys), max(xs), max(ys)))
+
     def close(self) -> None:
         """Let the threads go."""
         self._drags.close()
@@ -86,6 +132,8 @@ class Tools:
             self._show_tools(view, land if view.step in ("measure", "gauge") else None)
             self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
             self._show_mark(view, land)
+            self._show_selection(view, land)
+            self._listen_to_rectangles(view.selecting and view.step == "surface" and land is not None)
             self._redraw()
 
     def resize(self) -> None:
@@ -126,13 +174,24 @@ class Tools:
         self._mark = self._mark or PlaceMark(self._client.scene, colours(view.dark).mark)
         self._mark.place = place
 
+    def _show_selection(self, view: View, land: Land | None) -> None:
+        """The selection's outline, where it is what is counted."""
+        box = view.selection if view.step == "surface" and land is not None else None
+        if box is None:
+            if self._outline is not None:
+                self._outline.remove()
+                self._outline = None
+            return
+        self._outline = self._outline or DrapedOutline(self._client.scene)
+        self._outline.box_um = box
+
     def _redraw(self) -> None:
         with self._lock:
             if self._land is None:
                 return
             gaze = Gaze.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
-                for tool in (self._lines, self._places, self._level, self._kept, self._mark):
+                for tool in (self._lines, self._places, self._level, self._kept, self._mark, self._outline):
                     if tool is not None:
                         tool.draw(self._land, gaze)
 
@@ -150,6 +209,8 @@ class Tools:
             place = self._land.hit(origin, direction) or self._level_place(origin, direction)
             if name.startswith("profile/"):
                 self._lines.drag(name, place)
+            elif name.startswith("cursor/"):
+                self._lines.drag_cursor(name, place)
             else:
                 (self._level if name.startswith("level/") else self._places).drag(name, place, self._land, last)
         self._redraw()
@@ -172,6 +233,8 @@ class Tools:
             return
         place = land_nearby(self._read, land, origin, direction).hit(origin, direction) or place
         with self._lock:
+            if self._lines.put_cursor(place, _ON_LINE_PX * self._eye.um_per_pixel()):
+                return
             self._places.put(place)
         self._redraw()
         if self._picked is not None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.plot_view import PlotView
-from wafer_viewer.model.clipping import Box, Clip, Span
+from wafer_viewer.model.clipping import BeforeSlab, Box, Clip, Slab, Span
 from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.measuring import ToolName
@@ -49,7 +49,7 @@ class View:
     counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a
     drag over the scene selects. brush_um: the range of heights that lights up.
     clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
-    strength of the shade in hollows.
+    strength of the shade in hollows. before: what becomes of points before the slab along the profile's active line.
     """
 
     step: Step = "plan"
@@ -88,6 +88,7 @@ class View:
     clip: Clip = Clip()
     point_px: float = 3.0
     depth_shade: float = 0.6
+    before: BeforeSlab = "show"
 
     @property
     def on_surface(self) -> bool:
@@ -101,8 +102,12 @@ class View:
 
     @property
     def clipped(self) -> Clip:
-        """What of the points is drawn; only a point cloud is clipped."""
-        return self.clip if self.look == "points" and self.step != "gauge" else Clip()
+        """What of the points is drawn; only a point cloud is clipped, and cut at the profile's active line."""
+        if self.look != "points" or self.step == "gauge":
+            return Clip()
+        line = self.active_line if self.step == "measure" and self.tool == "profile" else None
+        slab = Slab(line, self.before) if line is not None and self.before != "show" else None
+        return replace(self.clip, slab=slab)
 
     @property
     def shows_fields(self) -> bool:

@@ -294,3 +294,43 @@ def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) ->
         slice(max(0, first_row), min(rows, max(last_row, first_row) + 1)),
         slice(max(0, first_col), min(cols, max(last_col, first_col) + 1)),
     )
+
+
+class PartOfMosaic(ReadThrough):
+    """The part of a mosaic in the upright rectangle round a region, at full resolution.
+
+    Raises MeasureError when the region lies outside of the surface.
+    """
+
+    def __init__(self, surface: Mosaic, region: Region) -> None:
+        self.surface = surface
+        self._rows, self._cols = pixel_window(surface, region)
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of its first column."""
+        return self.surface.x0_um + self._cols.start * self.pixel_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of its first row."""
+        return self.surface.y0_um - self._rows.start * self.pixel_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self._rows.stop - self._rows.start, self._cols.stop - self._cols.start
+
+    @property
+    def levels(self) -> int:
+        """It has one level."""
+        return 1
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of it that holds a region. Raises MeasureError for another level than 0."""
+        if level != 0:
+            raise MeasureError(f"A part of a surface has one level, level {level} was asked for: take level 0.")
+        rows, cols = (slice(0, n) for n in self.shape) if region is None else pixel_window(self, region)
+        xa, xb = (self.x0_um + col * self.pixel_um for col in (cols.start, cols.stop - 1))
+        ya, yb = (self.y0_um - row * self.pixel_um for row in (rows.stop - 1, rows.start))
+        return self.surface.window(Region.rectangle(xa, ya, xb, yb))

@@ -9,6 +9,7 @@ from typing import Any
 
 from wafer_viewer.model.comparison import comparison_of
 from wafer_viewer.model.formats import Reading
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
@@ -38,13 +39,15 @@ class FileWork:
         out = self._desk.now.data_folder / f"{wish}{ENDING}"
         return self.work(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
 
-    def export_surface(self, path: Path, field_number: int | None, every: int | None = None) -> Future[Path]:
+    def export_surface(
+        self, path: Path, field_number: int | None, every: int | None = None, part: Region | None = None
+    ) -> Future[Path]:
         """Write the mosaic, a field's surface, or what is shown of a comparison, to a file; done with its path."""
         dataset, result = self._library.dataset, self._library.result_name
         if (asked := comparison_of(field_number or 0)) is not None:
             result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
             field_number = -asked[1]
-        args = (dataset.path, result, field_number, path.absolute(), every)
+        args = (dataset.path, result, field_number, path.absolute(), every, part)
         return self.work(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:

@@ -185,7 +185,8 @@ def _brushed(strips: list[HeightMap], sums: _Sums, block: int, brush_um: Span, c
         (strip.z_um >= brush_um[0]) & (strip.z_um <= brush_um[1]) & (clip_codes(strip, clip) == DRAWN)
         for strip in strips
     ])  # fmt: skip
-    labels, n_places = ndimage.label(mask, np.ones((3, 3), int))
+    labels = np.empty(mask.shape, np.int32)
+    n_places = int(np.asarray(ndimage.label(mask, np.ones((3, 3), int), labels)))
     sizes = np.bincount(labels.ravel(), minlength=n_places + 1)[1:]
     boxes = ndimage.find_objects(labels)
     largest = np.argsort(-sizes, kind="stable")[:MOST_PLACES]
@@ -195,7 +196,7 @@ def _brushed(strips: list[HeightMap], sums: _Sums, block: int, brush_um: Span, c
         fraction=sums.brushed.n / max(1, sums.drawn.n),
         mean_um=sums.brushed.mean_um,
         spread_um=sums.brushed.spread_um,
-        n_places=int(n_places),
+        n_places=n_places,
         places=tuple(_box_um(lattice, *boxes[k]) for k in largest.tolist()),
     )
 

@@ -14,6 +14,7 @@ from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.region import Region
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.comparing import ComparingVerbs
@@ -226,9 +227,14 @@ class Session(Asking):
         """The list of results that was undone."""
         return self._do(self._rooms.book.redo)
 
-    def export_surface(self, path: Path, field: int | None = None, every: int | None = None) -> Future[Path]:
-        """Write the stitched surface, or a field's, as the file that the ending names, every so manieth pixel of it."""
-        return self._do(self._rooms.files.export_surface, Path(path), field, every)
+    def export_surface(
+        self, path: Path, field: int | None = None, every: int | None = None, part: Region | None = None
+    ) -> Future[Path]:
+        """Write the stitched surface, or a field's, as the file that the ending names, every n-th pixel of it.
+
+        part: only what lies in the upright rectangle round this region.
+        """
+        return self._do(self._rooms.files.export_surface, Path(path), field, every, part)
 
     def export_findings(self, path: Path) -> Future[Path]:
         """Write the results as CSV."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.plan import MIN_FRAMES, Field
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import FieldStack
 
 if TYPE_CHECKING:
@@ -126,22 +127,29 @@ def export_surface(
     field_number: int | None,
     out: Path,
     every: int | None = None,
+    part: Region | None = None,
     *,
     progress: Progress = silent,
     should_stop: ShouldStop = never,
 ) -> Path:
-    """Write the mosaic, the surface of one field, or a face of a comparison (below 0), as the ending of `out` says."""
+    """Write the mosaic, the surface of one field, or a face of a comparison (below 0), as the ending of `out` says.
+
+    part: only what lies in the upright rectangle round this region.
+    """
     from wafer_viewer.model.comparison import Face
+    from wafer_viewer.model.surface import Mosaic, PartOfMosaic
     from wafer_viewer.session.subtraction import face_of
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export
 
     data = Dataset.open(dataset)
     kept = data.result(result)
+    surface: Mosaic
     if field_number is not None and field_number < 0:
-        return export(face_of(dataset, result, Face(-field_number)), out, every, progress, should_stop)
-    surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
-    return export(surface, out, every, progress, should_stop)
+        surface = face_of(dataset, result, Face(-field_number))
+    else:
+        surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
+    return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)
 
 
 def warm_up() -> None:
