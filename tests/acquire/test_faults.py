@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
+from wafer_viewer.acquire.motion import ARRIVED_WITHIN_UM, come_to_rest, move
 from wafer_viewer.acquire.runner import PASS_TRIES, run_scan
 from wafer_viewer.model.errors import RigError, RigTimeout
 from wafer_viewer.model.plan import Shot
@@ -66,20 +69,30 @@ def scan(virtual_rig, small_plan, control, place):
     return take
 
 
+EXPOSING_US = 16_800.0
+"""So long after a pulse of a pass the camera is ready again, and the next pulse is not yet due."""
 PAIRING = {
-    "one extra edge while the camera is busy": {"extra_edges": (30,), "extra_edge_us": 1_000.0},
-    "one extra edge that exposes": {"extra_edges": (30,), "extra_edge_us": 16_800.0},
-    "an extra edge after each 37th": {"extra_edges": tuple(range(37, 500, 37)), "extra_edge_us": 1_000.0},
-    "an exposing edge after each 37th": {"extra_edges": tuple(range(37, 200, 37)), "extra_edge_us": 16_800.0},
+    "one extra edge while the camera is busy": {"extra_edges": (30,)},
+    "one extra edge that exposes": {"extra_edges": (30,), "extra_edge_us": EXPOSING_US},
+    "an extra edge after each 37th": {"extra_edges": tuple(range(37, 500, 37))},
+    "an exposing edge after each 37th": {"extra_edges": tuple(range(37, 200, 37)), "extra_edge_us": EXPOSING_US},
     "an edge before the first pulse": {"extra_edges": (0, 60, 120), "extra_edge_us": 400_000.0},
-    "a camera that numbers exposures, three triggers ignored": {"counts_exposures": True, "ignored_triggers": (20, 90, 150)},
-    "the same and an extra edge": {"counts_exposures": True, "ignored_triggers": (20, 90), "extra_edges": (40,), "extra_edge_us": 16_800.0},
+    "a camera that numbers exposures, three triggers ignored": {
+        "counts_exposures": True,
+        "ignored_triggers": (20, 90, 150),
+    },
+    "the same and an extra edge": {
+        "counts_exposures": True,
+        "ignored_triggers": (20, 90),
+        "extra_edges": (40,),
+        "extra_edge_us": EXPOSING_US,
+    },
     "a counter that wraps": {"counter_wraps_at": 16},
     "images twice": {"duplicated_images": tuple(range(3, 300, 7))},
     "lost images": {"lost_images": tuple(range(5, 240, 10)), "trigger_counter": False},
     "incomplete images": {"incomplete": tuple(range(5, 240, 17))},
     "an ignored trigger at either end": {"ignored_triggers": (1, 60, 61, 120)},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("strategy", ["z_snake", "stop_and_shoot"])
@@ -106,11 +119,20 @@ def test_a_counter_that_disagrees_with_the_time_is_named(case, says, scan):
 
 
 SUSPECT = {
-    "quadrature errors": ({"slips": (30,), "slip_counts": 14}, r"7 quadrature errors on the z scale, and .* slipped by -14 counts \(-0\.14 um\)"),
-    "a slip that nobody reports": ({"slips": (30,), "slip_counts": 250, "slips_reported": False}, r"slipped by -250 counts \(-2\.50 um\)"),
+    "quadrature errors": (
+        {"slips": (30,), "slip_counts": 14},
+        r"7 quadrature errors on the z scale, and .* slipped by -14 counts \(-0\.14 um\)",
+    ),
+    "a slip that nobody reports": (
+        {"slips": (30,), "slip_counts": 250, "slips_reported": False},
+        r"slipped by -250 counts \(-2\.50 um\)",
+    ),
     "suppressed pulses": ({"suppressed_pulses": (25, 30, 40)}, "suppressed 3 pulses"),
-    "exposures that the box did not see": ({"unseen_exposures": (25, 26)}, "58 exposures for 60 pulses and 60 images"),
-}  # fmt: skip
+    "exposures that the box did not see": (
+        {"unseen_exposures": (25, 26)},
+        "58 exposures for 60 pulses and 60 images",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", SUSPECT)
@@ -125,8 +147,6 @@ def test_a_pass_that_cannot_be_trusted_is_taken_again_and_named(case, scan):
     (told,) = ledger.faults
     assert "None of the 60 frames of the pass that begins at field 1 is kept" in told
     assert "try 2 of 3" in told
-    import re
-
     assert re.search(says, told), told
 
 
@@ -196,28 +216,22 @@ def test_a_stage_that_is_late_is_waited_for_within_reason(scan):
     assert len(ledger.kept) == N
 
 
-@pytest.mark.parametrize("motion", [0, 1])
-def test_a_stage_that_does_not_arrive_is_named_with_its_place_and_its_goal(motion, scan):
-    ledger, wrong, error = scan(late_motions=(motion,), late_s=60.0)
+@pytest.mark.parametrize(("motion", "axis"), [(0, "z"), (1, "z"), (2, "x"), (3, "z")])
+def test_a_stage_that_does_not_arrive_is_named_with_its_place_and_its_goal(motion, axis, scan):
+    _, wrong, error = scan(late_motions=(motion,), late_s=60.0)
     assert isinstance(error, RigTimeout)
     assert wrong == []
-    axis = "x" if motion == 0 else "z"
     assert f"The {axis} axis did not arrive" in str(error)
     assert "it stands at" in str(error)
     assert "instead of" in str(error)
 
 
-def test_what_reports_standing_too_early_is_waited_for(virtual_rig, small_plan, control, place, monkeypatch):
-    rig, ledger = virtual_rig(), Ledger()
-    plan = small_plan(rig, **FIELDS)
-    monkeypatch.setattr(rig.stage, "moving", lambda: False)
-    monkeypatch.setattr(rig.stage, "wait", lambda: None)
-    run_scan(plan, rig, ledger, control())
-    assert len(ledger.kept) == N
-    for frame in ledger.kept.values():
-        (x_um, _, z_um), _ = place(frame.image)
-        assert z_um == pytest.approx(frame.z_um, abs=0.12)
-        assert x_um == pytest.approx(plan.field(frame.shot.field).x_um, abs=1.5)
+def test_a_stage_that_says_too_early_that_it_stands_is_waited_for(virtual_rig, monkeypatch):
+    rig = virtual_rig()
+    monkeypatch.setattr(rig.stage, "_arrive", lambda should_stop: None)
+    move(rig, {"x": 5_000.0, "z": 40.0}, lambda: False)
+    assert rig.stage.position().x_um == pytest.approx(5_000.0, abs=ARRIVED_WITHIN_UM)
+    assert rig.stage.position().z_um == pytest.approx(40.0, abs=ARRIVED_WITHIN_UM)
 
 
 @pytest.mark.parametrize(("device", "call"), [("camera", "next_image"), ("camera", "start"), ("stage", "start")])
@@ -259,3 +273,11 @@ def test_random_extra_and_ignored_triggers_mislabel_none(scan):
 def test_the_hole_of_an_ignored_trigger_is_its_own(scan):
     ledger, _, _ = scan(ignored_triggers=(10,))
     assert ledger.missed_why == {Shot(1, 9): ["no image came for its pulse"]}
+
+
+def test_a_stop_that_the_stage_does_not_obey_is_no_wait_for_ever(virtual_rig, monkeypatch):
+    rig = virtual_rig()
+    monkeypatch.setattr(rig.stage, "moving", lambda: True)
+    with pytest.raises(RigTimeout, match=r"still reports motion .* after it was told to stop.*emergency stop"):
+        come_to_rest(rig)
+    assert rig.clock.now_s() < 5.0

@@ -25,9 +25,11 @@ class Deadline:
     def __init__(self, rig: Rig, goal_um: Mapping[Axis, float], speed_um_s: float | None = None) -> None:
         self._rig, self._goal_um = rig, goal_um
         here = rig.stage.position()
-        self._expected_s = max(
-            rig.limits.axis(axis).move_s(um - at_um(here, axis), speed_um_s) for axis, um in goal_um.items()
-        )
+        ways_um: dict[Axis, float] = {axis: abs(um - at_um(here, axis)) for axis, um in goal_um.items()}
+        times_s = {axis: rig.limits.axis(axis).move_s(way_um, speed_um_s) for axis, way_um in ways_um.items()}
+        self._expected_s = max(times_s.values())
+        self._longest: Axis = max(ways_um, key=lambda axis: (ways_um[axis] > 0, times_s[axis]))
+        """The axis that should be the last to arrive."""
         if not rig.stage.homed():
             self._expected_s += max(_homing_s(rig, axis) for axis in goal_um)
         self._begun_s = rig.clock.now_s()
@@ -48,6 +50,8 @@ class Deadline:
         self._rig.box.halt()
         self._rig.stage.stop()
         axis, away_um = self._farthest()
+        if away_um <= ARRIVED_WITHIN_UM:
+            axis = self._longest
         at, goal = at_um(self._rig.stage.position(), axis), self._goal_um[axis]
         late = f"{gone_s:.1f} s after it set out, where {self._expected_s:.1f} s were expected"
         where = (

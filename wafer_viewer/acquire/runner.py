@@ -82,6 +82,7 @@ class _Scan:
         self._repaired = 0
         self._stopped = False
         self._referenced: set[Axis] = set()
+        """Axes whose count agreed with the stage when their last pass ended."""
         self._remarks = _Remarks(sink.fault)
 
     def run(self) -> ScanOutcome:
@@ -214,8 +215,11 @@ class _Scan:
         axis, pairing = leg.train.axis, result.pairing
         if result.count_mended and axis in self._referenced:
             self._remarks.slipped(axis, result.count_mended, self._rig.limits)
+        if result.doubts:
+            self._referenced.discard(axis)
+            return
         self._referenced.add(axis)
-        if pairing is not None and not result.doubts:
+        if pairing is not None:
             self._remarks.paired(pairing.extra_edges, pairing.uncounted, pairing.strays)
 
     def _report(self) -> None:
