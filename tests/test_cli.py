@@ -13,6 +13,7 @@ import pytest
 import tifffile
 
 from wafer_viewer.__main__ import COMMANDS
+from wafer_viewer.store.dataset import Dataset
 
 pytestmark = pytest.mark.slow
 
@@ -196,6 +197,46 @@ def test_a_damaged_scan_record_is_named_by_check(scan, tmp_path):
     assert "scan.json is damaged, its checksum differs: restore it from a copy" in checked.stdout
     assert "Journal: 1 good" in checked.stdout
     assert viewer("stitch", copy).returncode == 2
+
+
+def test_a_scan_names_what_slipped_and_takes_it_again(plan, scan, tmp_path):
+    (tmp_path / "rig.toml").write_text("[faults]\nslips = [5]\nslip_counts = 250\nextra_edges = [20]\n")
+    done = viewer("scan", plan, "--rig", tmp_path / "rig.toml", "-o", "slipped.wafer", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "24 of 24 frames kept" in done.stdout
+    assert "125 quadrature errors on the z scale" in done.stderr
+    assert "slipped by -250 counts (-2.50 um)" in done.stderr
+    assert "taken again (try 2 of 3)" in done.stderr
+    assert "counted 1 edge that the pulse box did not send" in done.stderr
+    checked = viewer("check", tmp_path / "slipped.wafer")
+    assert checked.returncode == 0
+    assert "2 passes held against the counts of the pulse box" in checked.stdout
+    assert "none in doubt" in checked.stdout
+    assert "noted during the scan: None of the 12 frames" in checked.stdout
+    clean, slipped = Dataset.open(scan), Dataset.open(tmp_path / "slipped.wafer")
+    for number in (1, 2):
+        np.testing.assert_allclose(clean.stack(number).z_um, slipped.stack(number).z_um, atol=0.02)
+
+
+def test_a_scan_that_always_slips_ends_with_a_sentence(plan, tmp_path):
+    numbers = ", ".join(map(str, range(5, 200, 5)))
+    (tmp_path / "rig.toml").write_text(f"[faults]\nslips = [{numbers}]\n")
+    done = viewer("scan", plan, "--rig", tmp_path / "rig.toml", "-o", "slips.wafer", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "in 3 tries of the pass that begins at field 1 no frame could be kept" in done.stderr
+    assert "Check the cable and the signal of the scale" in done.stderr
+    checked = viewer("check", tmp_path / "slips.wafer")
+    assert checked.returncode == 1
+    assert "0 frames good, 24 missing" in checked.stdout
+    assert "noted during the scan: The scan cannot be trusted" in checked.stdout
+
+
+def test_a_stage_that_never_arrives_ends_the_scan(plan, tmp_path):
+    (tmp_path / "rig.toml").write_text("[faults]\nendless_motions = [1]\n")
+    done = viewer("scan", plan, "--rig", tmp_path / "rig.toml", "-o", "hangs.wafer", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "The stage does not report the end of its motion" in done.stderr
+    assert "the z axis stands at" in done.stderr
 
 
 def test_a_scan_that_was_interrupted_goes_on(tmp_path):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from wafer_viewer.store.dataset import CheckReport, Dataset
     from wafer_viewer.store.digests import Digest
     from wafer_viewer.store.integrity import KindReport
+    from wafer_viewer.store.passes import PassReport
 
 NAMED = 20
 """Missing or damaged frames that are named one by one."""
@@ -149,6 +150,18 @@ def print_check(data: Dataset, report: CheckReport) -> None:
             print(f"  {what}: and {len(shots) - NAMED} more")
     for fault in report.faults:
         print(f"  {fault}")
+
+
+def print_passes(report: PassReport) -> None:
+    """Whether counts and times of the passes fit their frames, and what the scan itself reported."""
+    print(
+        f"{report.n_passes} passes held against the counts of the pulse box, {report.n_timed} of them against the "
+        f"times of their frames: {len(report.doubts) or 'none'} in doubt"
+    )
+    for doubt in report.doubts:
+        print(f"  {doubt}")
+    for what in report.noted:
+        print(f"  noted during the scan: {what}")
 
 
 def print_digests(digests: Iterable[Digest]) -> None:

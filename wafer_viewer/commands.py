@@ -30,6 +30,7 @@ from wafer_viewer.command_output import (
     print_digests,
     print_files,
     print_json,
+    print_passes,
     print_plan,
     print_preflight,
     print_verdict,
@@ -199,6 +200,7 @@ def check(dataset: DatasetFolder) -> int:
     """Test every checksum of a dataset and name missing frames; status 1 when there is something to mend.
 
     All files that a number depends on are read: frames, scan record, journal, surfaces, poses, recipes, results.
+    Also holds the passes of a scan against what the pulse box counted and against the times of their frames.
 
     Args:
         dataset: The dataset.
@@ -207,6 +209,7 @@ def check(dataset: DatasetFolder) -> int:
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.digests import digests_of_result, digests_of_scan
     from wafer_viewer.store.integrity import check_files
+    from wafer_viewer.store.passes import check_passes
 
     with progress("Check") as tell:
         try:
@@ -220,10 +223,13 @@ def check(dataset: DatasetFolder) -> int:
         report = data.check(tell)
     print_files(report.files)
     print_check(data, report)
+    passes = check_passes(data)
+    if passes.n_passes or passes.noted:
+        print_passes(passes)
     print_digests(digests_of_scan(dataset))
     for name in data.results():
         print_digests(digests_of_result(data.result(name)))
-    return 0 if report.ok else 1
+    return 0 if report.ok and passes.ok else 1
 
 
 def cluster(folder: Folder, host: Text = None) -> None:

@@ -6,12 +6,20 @@ import pytest
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.config import RigConfig, open_rig, read_config
+from wafer_viewer.rigs.virtual.faults import Faults
+from wafer_viewer.rigs.virtual.port import Interference
 
 
 def test_a_rigs_file_says_only_what_differs(tmp_path):
     file = tmp_path / "rig.toml"
     file.write_text('scene = "stair"\nsize = "full"\nname = "Left bench"\n')
     assert read_config(file) == RigConfig(scene="stair", size="full", name="Left bench")
+
+
+def test_a_rigs_file_can_give_the_virtual_rig_faults(tmp_path):
+    file = tmp_path / "rig.toml"
+    file.write_text("[faults]\nslips = [30]\nslip_counts = 250\n[faults.wire]\nlost_fraction = 0.02\n")
+    assert read_config(file).faults == Faults(slips=(30,), slip_counts=250, wire=Interference(lost_fraction=0.02))
 
 
 @pytest.mark.parametrize(
@@ -21,6 +29,8 @@ def test_a_rigs_file_says_only_what_differs(tmp_path):
         ("size = 3", r"rig.toml.*size"),
         ('colour = "red"', r"rig.toml.*unknown key.*colour"),
         ("scene = ", r"rig.toml"),
+        ("[faults]\nslip = [3]", r"rig.toml.*unknown key.*slip"),
+        ("[faults]\nslip_counts = 0", r"rig.toml.*slip_counts is 0.*at least 1"),
     ],
 )
 def test_what_a_file_says_wrong_is_said_in_a_sentence(tmp_path, text, says):
