@@ -117,3 +117,30 @@ def test_faults_hit_the_triggers_that_they_name(switch_on):
         (3, FrameStatus.INCOMPLETE),
     ]
     assert rig.box.disarm().exposures == 4
+
+
+def test_an_edge_of_interference_is_counted_and_exposes_only_a_camera_that_is_ready(switch_on):
+    rig = switch_on(faults=Faults(extra_edges=(0, 2), extra_edge_us=1_000.0))
+    ready(rig)
+    fire(rig, 4)
+    assert [rig.camera.next_image(0.1).trigger_count for _ in range(4)] == [0, 2, 3, 5]
+    assert rig.camera.next_image(0.01) is None
+    rig = switch_on(faults=Faults(extra_edges=(0,), extra_edge_us=30_000.0))
+    ready(rig)
+    fire(rig, 2, every_s=0.1)
+    assert [rig.camera.next_image(0.1).trigger_count for _ in range(3)] == [0, 1, 2]
+    assert rig.box.disarm().exposures == 3
+
+
+def test_a_camera_that_numbers_its_exposures_does_not_count_what_it_ignores(switch_on):
+    rig = switch_on(faults=Faults(counts_exposures=True, ignored_triggers=(1,)))
+    ready(rig)
+    fire(rig, 3)
+    assert [rig.camera.next_image(0.1).trigger_count for _ in range(2)] == [0, 1]
+
+
+def test_a_counter_wraps_and_an_image_comes_twice(switch_on):
+    rig = switch_on(faults=Faults(counter_wraps_at=2, duplicated_images=(1,)))
+    ready(rig)
+    fire(rig, 3)
+    assert [rig.camera.next_image(0.1).trigger_count for _ in range(4)] == [0, 1, 1, 0]

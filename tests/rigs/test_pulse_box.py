@@ -243,3 +243,33 @@ def test_it_works_through_pyserial(pseudo_terminal):
         assert box.disarm().emitted == run + 1
         assert [p.number for p in box.pulses()] == list(range(run + 1))
     assert box.retries == 0
+
+
+@pytest.mark.parametrize("train", [UPWARD, DOWNWARD], ids=["upward", "downward"])
+def test_a_count_that_slipped_is_read_and_corrected(train, switch_on):
+    rig = switch_on(faults=Faults(slips=(3,), slip_counts=250))
+    rig.camera.start(100.0)
+    pass_over(rig, train, spare_um=6.0)
+    summary = rig.box.disarm()
+    rig.camera.stop()
+    assert summary.quadrature_errors == 125
+    rig.stage.wait()
+    true = rig.limits.z.counts(rig.stage.position().z_um)
+    off = rig.box.count("z") - true
+    assert off == -250 * train.direction
+    rig.box.correct_count("z", off)
+    assert rig.box.count("z") == true
+    pulses = pass_over(rig, train)
+    rig.box.disarm()
+    pulses += rig.box.pulses()
+    assert [p.count for p in pulses] == [
+        train.first_count + train.direction * train.counts_per_frame * i for i in range(train.n_frames)
+    ]
+
+
+def test_suppressed_pulses_and_unseen_exposures_are_counted(switch_on):
+    rig = switch_on(faults=Faults(suppressed_pulses=(2,), unseen_exposures=(4,)))
+    rig.camera.start(100.0)
+    pass_over(rig, UPWARD, speed_um_s=50.0)
+    summary = rig.box.disarm()
+    assert (summary.emitted, summary.suppressed, summary.exposures) == (7, 1, 6)

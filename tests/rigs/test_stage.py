@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.model.errors import MotionStopped, RigError
+from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
+from wafer_viewer.rigs.virtual.faults import Faults
 
 LATE_S = 0.1
 """A busy machine may look that late at a rig that lives in real time."""
@@ -103,3 +104,25 @@ def test_a_move_that_is_called_off_before_it_begins_moves_nothing(rig):
 def test_what_has_arrived_and_only_settles_is_not_broken_off(rig):
     rig.stage.move_to(z_um=20.0, should_stop=lambda: rig.stage.position().z_um >= 20.0)
     assert rig.stage.position().z_um == pytest.approx(20.0, abs=0.1)
+
+
+def test_a_motion_that_never_ends_is_given_up_and_a_stop_ends_it(switch_on):
+    rig = switch_on(faults=Faults(endless_motions=(0,)))
+    with pytest.raises(RigTimeout, match="still reports motion"):
+        rig.stage.move_to(z_um=20.0)
+    assert rig.stage.moving()
+    rig.stage.stop()
+    assert not rig.stage.moving()
+    rig.stage.move_to(z_um=30.0)
+    assert rig.stage.position().z_um == pytest.approx(30.0, abs=0.1)
+
+
+def test_a_motion_that_begins_late_ends_late(switch_on):
+    rig = switch_on(faults=Faults(late_motions=(0,), late_s=0.7))
+    rig.stage.start("z", 50.0, 500.0)
+    rig.clock.sleep(0.6)
+    assert rig.stage.moving()
+    assert rig.stage.position().z_um == 0.0
+    rig.stage.wait()
+    assert rig.stage.position().z_um == pytest.approx(50.0, abs=0.1)
+    assert rig.clock.now_s() > 0.8

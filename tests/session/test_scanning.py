@@ -7,9 +7,10 @@ import errno
 import numpy as np
 import pytest
 
+from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.messages import FieldComplete, Paused, Scan, ScanEnded, Taken
+from wafer_viewer.session.messages import FieldComplete, Paused, Scan, ScanEnded, ScanFault, Taken
 from wafer_viewer.session.scan_watch import Steering, clipped_fraction, order_of_fields
 from wafer_viewer.session.scanning import take, writer_of
 from wafer_viewer.store.dataset import Dataset
@@ -106,3 +107,33 @@ def test_the_order_is_that_of_the_stage_and_clipping_is_counted_at_the_top_of_th
     assert order_of_fields(scan.plan) == [1, 2, 3]
     assert clipped_fraction(np.array([[255, 254], [0, 255]], np.uint8)) == 0.5
     assert clipped_fraction(np.array([[255, 65535]], np.uint16)) == 0.5
+
+
+def test_an_error_of_a_device_is_not_told_as_a_full_disk(rig, scan, monkeypatch):
+    def unplugged(timeout_s):
+        raise OSError(errno.ENODEV, "No such device")
+
+    monkeypatch.setattr(rig.camera, "next_image", unplugged)
+    with writer_of(scan, rig) as writer:
+        ended = take(scan, rig, writer, lambda _: None, Steering())
+    assert ended.error == "The camera failed (No such device): check its cable and its power, and continue."
+    assert Dataset.open(scan.path).faults == (ended.error,)
+
+
+def test_a_pass_that_slipped_is_told_and_none_of_its_frames_is_counted_as_done(job, tmp_path):
+    rig = VirtualRig(renderer=Grey(), faults=Faults(slips=(15,), slip_counts=250))
+    made = job(cols=3, n_frames=10)
+    scan, told = Scan(tmp_path / "scan.wafer", plan_of(made, rig.limits), made), []
+    with writer_of(scan, rig) as writer:
+        ended = take(scan, rig, writer, told.append, Steering())
+    rig.close()
+    assert (ended.error, ended.n_missing) == (None, 0)
+    (fault,) = [event.what for event in told if isinstance(event, ScanFault)]
+    assert "125 quadrature errors" in fault
+    assert sorted(e.number for e in told if isinstance(e, FieldComplete)) == [1, 2, 3]
+    last = [e for e in told if isinstance(e, Taken)][-1].progress
+    assert (last.frames_done, last.frames_missing) == (30, 0)
+    data = Dataset.open(scan.path)
+    assert data.check().ok
+    assert data.faults == (fault,)
+    assert {shot.field for shot in data.ever_missed()} == {2}

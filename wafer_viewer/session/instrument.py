@@ -218,9 +218,7 @@ class Instrument:
     def _scan_ended(self, event: ScanEnded) -> None:
         self._show(state="ready", message="")
         if event.error is not None:
-            self._notices.fault(
-                "The scan stopped", f"{event.error} The frames so far are kept: go on with the scan.", "scan"
-            )
+            self._notices.fault("The scan stopped", f"{event.error} The frames of complete passes are kept.", "scan")
         self._reports.scan_ended(event)
 
     def _died(self, exit_code: int | None) -> None:
@@ -228,7 +226,7 @@ class Instrument:
         snapshot = self._desk.now
         if snapshot.rig.state == "absent":
             return
-        kept = " The frames so far are kept." if snapshot.scanning else ""
+        kept = " The frames of complete passes are kept." if snapshot.scanning else ""
         text = f"The rig's process ended (exit code {exit_code}).{kept}"
         self._show(state="fault", message=f"{text} The next move or scan starts it anew.")
         self._notices.fault("The rig stopped answering", f"{text} The next move or scan starts it anew.", "rig")
