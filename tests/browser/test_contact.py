@@ -1,4 +1,4 @@
-"""A lost connection as an operator meets it: the bar, and how the page comes back, with the shipped program as a process."""
+"""A lost connection as an operator meets it: the bar, and how the page comes back, on the shipped program."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     token = tmp_path / ".wafer-viewer" / "token"
     assert stat.S_IMODE(token.stat().st_mode) == 0o600
     page = look_at(address)
-    page.get_by_role("button", name="Plan a scan").click()
+    page.get_by_role("button", name="Take the sample on the stage").click()  # there once the rig has looked
     expect(page.locator("[data-dock-region=right]")).to_contain_text("Predicted time")
     memory = tmp_path / ".wafer-viewer" / "session.json"
     eventually(memory.exists, "the plan is remembered")

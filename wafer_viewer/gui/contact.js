@@ -5,7 +5,7 @@ if (!window.wvContact) {
   /* viser tries to connect again only in the window that has the focus; an instrument's page often has not. */
   document.hasFocus = () => true;
 
-  const TICK_MS = 250, SILENT_MS = 5000, BACK_MS = 8000;
+  const TICK_MS = 250, SILENT_MS = 10000, BACK_MS = 8000;
   const CLOSED = '[data-dock-unmergeable-header] :is(.mantine-Loader-root, .tabler-icon-player-pause)';
   const icon = paths => `<svg width="26" height="26" viewBox="0 0 24 24" fill="none" stroke="currentColor"
     stroke-width="2" stroke-linecap="round" stroke-linejoin="round" aria-hidden="true">${paths}</svg>`;
@@ -21,14 +21,14 @@ if (!window.wvContact) {
       padding: 7px 24px; display: none; align-items: center; gap: 16px; font-size: 13.5px; line-height: 1.35;
       font-family: Inter, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; font-variant-numeric: tabular-nums; }
     .wv-bar-over.on { display: flex; }
-    .wv-bar-over > svg { flex: none; }
+    .wv-bar-over svg { flex: none; }
     .wv-bar-over > div:first-of-type { flex: 1; min-width: 0; }
     .wv-bar-over b { display: block; font-size: 17px; font-weight: 650; }
     .wv-bar-over.lost { background: #B42318; color: #FFFFFF; }
     .wv-bar-over.back, .wv-bar-over.anew { right: var(--stop-right, 404px); }
     .wv-bar-over.back { background: #18794E; color: #FFFFFF; }
     .wv-bar-over.anew { background: #FFF1D6; color: #5E3900; }
-    .wv-bar-over .box { flex: none; display: flex; gap: 10px; align-items: center; max-width: 340px; padding: 4px 12px;
+    .wv-bar-over .box { flex: none; display: flex; gap: 10px; align-items: center; padding: 4px 12px; white-space: pre-line;
       border: 2px solid #FFFFFF; border-radius: 8px; font-weight: 650; }
     .wv-bar-over button { flex: none; font: inherit; font-weight: 650; padding: 7px 16px; border-radius: 6px; cursor: pointer;
       border: 1.5px solid currentColor; background: #FFFFFF; color: #5E3900; }
@@ -59,6 +59,7 @@ if (!window.wvContact) {
 
   const lose = () => {
     lostAt = Date.now() - silent;
+    until = 0;
     show('lost', `${icon(APART)}<div><b>No contact with the instrument<span aria-hidden="true"> for <i style="font-style:
       normal" data-for></i></span></b>Last word at ${clock(heardAt)}: ${safe(last.state)}. What stands below is of that
       time. <span aria-hidden="true" data-try></span></div><div class="box">${icon(HAND)}<span>${safe(last.box)}</span></div>`);
@@ -88,11 +89,14 @@ if (!window.wvContact) {
     if (bar.classList.contains('back') || event.target.closest('button')) show('', '');
   });
 
-  /* Time in which this page itself was busy, or hidden, is not the program's silence. */
+  /* Time in which this page itself was busy, or hidden, or drew nothing is not the program's silence. */
+  let drawn = false;
   const listen = element => {
     const now = Date.now(), heard = element?.dataset.beat;
     if (heard !== beat || document.hidden || !element) silent = 0;
-    else silent += Math.min(now - tickAt, 2 * TICK_MS);
+    else if (drawn) silent += Math.min(now - tickAt, 2 * TICK_MS);
+    drawn = false;
+    requestAnimationFrame(() => { drawn = true; });
     if (element && heard !== beat) heardAt = now;
     beat = heard;
     tickAt = now;

@@ -78,7 +78,7 @@ def state(snapshot: Snapshot) -> str:
 
 def out_of_reach(rig: RigStatus) -> str:
     """Return what to do instead of pressing Stop."""
-    return f"{_STOP_OUT_OF_REACH} {'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
+    return f"{_STOP_OUT_OF_REACH}\n{'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
 
 
 def meanwhile(snapshot: Snapshot) -> str:

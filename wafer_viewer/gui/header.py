@@ -144,7 +144,9 @@ class Header:
         self._stop = button(gui, "Stop", viser.Icon.PLAYER_STOP, lambda _: stop(), disabled=True)
         stop_at = by_id(self._stop._impl.uuid)
         self._stop_style = Cell(gui, padded=False)
-        steps = {step: button(gui, TITLES[step], _ICONS[step], lambda _, s=step: go_to(s)) for step in STEPS}
+        steps: dict[Step, Any] = {
+            step: button(gui, TITLES[step], _ICONS[step], lambda _, s=step: go_to(s)) for step in STEPS
+        }
         self._ids: dict[Step, str] = {step: handle._impl.uuid for step, handle in steps.items()}
         places = _places(stop_at, {step: by_id(uuid) for step, uuid in self._ids.items()})
         gui.add_html(f"<style>{places}</style>")

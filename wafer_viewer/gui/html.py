@@ -138,7 +138,8 @@ def chip(text: str, colour: str = "") -> str:
     """The sign of a result, white on its colour; without one in the colours of text."""
     if not colour:
         return f'<span class="wv-chip ink">{safe(text)}</span>'
-    return f'<span class="wv-chip" style="background:{colour}">{safe(text)}</span>'
+    ground = f"color-mix(in srgb,{colour} 84%,#000)"  # white keeps 4.5 : 1 on every colour of lines and classes
+    return f'<span class="wv-chip" style="background:{ground}">{safe(text)}</span>'
 
 
 def bar(fraction: float | None) -> str:

@@ -137,7 +137,8 @@ def _days(days: int) -> str:
 
 
 def _item(words: str, tone: str, more: str) -> str:
-    return f'<span class="{tone}" title="{html.safe(html.micro(more))}">{html.safe(words)}</span>'
+    tip = f"{words}. {more}" if more else words
+    return f'<span class="{tone}" title="{html.safe(html.micro(tip))}">{html.safe(words)}</span>'
 
 
 def _controls(hands: Hands, key: str) -> str:

@@ -9,7 +9,7 @@ LIGHT = {
     "panel": "#FFFFFF",
     "ink": "#15202B",
     "ink2": "#445463",
-    "ink3": "#66768A",
+    "ink3": "#5C6B7E",
     "line": "#DCE3EA",
     "fill": "#F3F6F9",
     "accent": "#0B6E99",
