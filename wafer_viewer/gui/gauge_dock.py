@@ -47,13 +47,14 @@ def _head(chart: RunChart, serials: str) -> str:
     of = f"Last {MOST_POINTS} of {n} checks" if n > MOST_POINTS else f"{n} check{'' if n == 1 else 's'}"
     spread = f"<span>s <b>{number(chart.s_um, 3)}{THIN}µm</b></span>" if chart.s_um is not None else ""
     mean = f"<span>mean <b>{number(chart.mean_um, 3, signed=True)}{THIN}µm</b></span>" if n > 1 else ""
+    whole = f"{of} of {html.safe(serials)}"
     limit = (
         f'<span class="wv-hint">limit ± {number(chart.limit_um, 2)}{THIN}µm · </span>'
         if chart.limit_um is not None
         else ""
     )
     return (
-        f'<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut">{of} of {html.safe(serials)}</span>'
+        f'<div class="wv-dock wv-run-head"><b>Run chart</b><span class="dim wv-cut" title="{whole}">{whole}</span>'
         f'{mean}{spread}<span class="wv-end">{limit}{_drift(chart)}</span></div>'
     )
 

@@ -43,7 +43,7 @@ DARK = {
     "fault-soft": "#3E1714",
     "scene-in": "#262E37",
     "scene-out": "#0B0F13",
-    "button": "#1D7FAE",
+    "button": "#1B78A6",
     "button-ink": "#FFFFFF",
     "glass": "rgba(22,27,33,.86)",
 }
