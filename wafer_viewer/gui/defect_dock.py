@@ -82,4 +82,5 @@ def _told(defect: Defect, cut: Cut, n_curves: int) -> Iterator[str]:
     height = f"height <b>{whole(defect.height.quantity, signed=True)}</b>"
     yield f'{html.chip("A", PROFILE_COLOURS[0])} {height} <span class="dim wv-hint">through the middle</span>'
     if cut.beside and n_curves > 1:
-        yield f'{html.chip("B", PROFILE_COLOURS[1])} <span class="dim">same row, die {html.safe(cut.beside)}</span>'
+        beside = f"same row, die {html.safe(cut.beside)}"
+        yield f'{html.chip("B", PROFILE_COLOURS[1])} <span class="dim" title="{beside}">{beside}</span>'

@@ -69,10 +69,10 @@ def _more(items: Sequence[ReviewItem], word: str) -> str:
 
 def _row(item: ReviewItem, chosen: bool, thumbs: str) -> str:
     sign, colour = VERDICT_LOOKS[item.judgement.verdict]
-    where = item.below.split(" · ")[0].lower()
+    title, where = html.safe(item.title), item.below.split(" · ")[0].lower()
     told = html.safe(f"{item.sign}, {item.title}, {where}, {JUDGED[item.judgement.verdict]}")
     name = (
-        f'<span class="wv-cut wv-short">{symbol_svg(item.shape, item.colour)} {html.safe(item.title)}</span>'
+        f'<span class="wv-cut wv-short" title="{title}">{symbol_svg(item.shape, item.colour)} {title}</span>'
         f'<small title="{told}"><span style="color:var(--{colour})">{html.icon(sign, 13)}</span> '
         f"{html.safe(item.sign)} · {html.safe(where.removeprefix('die '))}</small>"
     )

@@ -30,7 +30,7 @@ DARK = {
     "panel": "#161B21",
     "ink": "#E9EEF3",
     "ink2": "#B2BECA",
-    "ink3": "#8796A5",
+    "ink3": "#8F9EAD",
     "line": "#2A323B",
     "fill": "#1E252D",
     "accent": "#58BDE8",
