@@ -20,7 +20,7 @@ from tests.browser.fake_session import FakeSession
 from tests.browser.gauge_session import GaugeSession, checked
 from tests.browser.inspected_session import inspected_session
 from tests.browser.measuring_session import MeasuringSession
-from tests.browser.screen_list import explained, moving, noted
+from tests.browser.screen_list import moving, noted
 from tests.browser.screens import dismiss_viser_warning, remember
 from wafer_viewer.gui.app import start
 
@@ -144,7 +144,6 @@ GROUPS = {
     ),
     "operator": Group(lambda: operator.OperatorSession(operator.tried()), "plan", {"operator": None}),
     "compared": Group(ComparedSession, "surface", {"compare": click("[data-pick=compare-new]", ".wv-title")}),
-    "why": Group(lambda: explained(True), "surface", {"why": None}),
 }
 
 
