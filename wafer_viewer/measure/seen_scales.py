@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 
+from wafer_viewer.model.optics import WAVELENGTH_UM, engraved_aperture
 from wafer_viewer.model.surface import Provenance
 
 PIXELS_A_WAVE = 3
 """ISO 25178-3 asks of optical instruments that the shortest wave is sampled so often."""
-WAVELENGTH_UM = 0.55
-"""Of the light, where nobody says: the middle of what is seen."""
 NOISE_STEPS = {"argmax": 0.29}
 """Scatter of heights in steps of the sweep, by the way peaks are found: rounded to whole frames it is 1 / sqrt(12)."""
 NOISE_STEPS_BETWEEN = 0.015
@@ -63,6 +61,4 @@ def _limits_um(provenance: Provenance, pixel_um: float) -> Iterator[tuple[float,
 
 def aperture_of(provenance: Provenance) -> float | None:
     """The numerical aperture as it is engraved on objectives, ``10x/0.28``; None where the calibration names none."""
-    named = provenance.calibration.setup.objective if provenance.calibration is not None else ""
-    found = re.search(r"\d\s*[xX×]?\s*/\s*([01]\.\d+)", named)
-    return float(found.group(1)) if found is not None else None
+    return None if provenance.calibration is None else engraved_aperture(provenance.calibration.setup.objective)

@@ -6,6 +6,7 @@ import math
 from typing import Annotated, ClassVar
 
 from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.optics import depth_of_field_um
 from wafer_viewer.model.plan import Axis
 from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
 
@@ -113,6 +114,6 @@ class RigLimits(Spec, frozen=True, kw_only=True):
 
     @property
     def depth_of_field_um(self) -> float:
-        """lambda / NA^2 + pixel on the sample / NA, in air."""
+        """Of the objective, in air."""
         o = self.objective
-        return o.wavelength_um / o.numerical_aperture**2 + self.pixel_um / o.numerical_aperture
+        return depth_of_field_um(o.numerical_aperture, self.pixel_um, o.wavelength_um)

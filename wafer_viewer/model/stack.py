@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.optics import depth_of_field_um, engraved_aperture
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
@@ -104,6 +105,15 @@ class FieldStack:
     def z_step_um(self) -> float:
         """The mean distance between neighbouring frames."""
         return float(np.abs(self.z_um[-1] - self.z_um[0])) / max(1, len(self.z_um) - 1)
+
+    @property
+    def optical_depth_um(self) -> float:
+        """Depth of field as planned, or else of the objective that the calibration names; 0 when nobody knows."""
+        setup = self.calibration.setup if self.calibration is not None else None
+        aperture = engraved_aperture(setup.objective) if setup is not None else None
+        if self.depth_of_field_um > 0 or aperture is None:
+            return self.depth_of_field_um
+        return depth_of_field_um(aperture, self.pixel_um)
 
     @property
     def x0_um(self) -> float:

@@ -75,7 +75,7 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged)
         pixel_um=stack.pixel_um,
         x0_um=stack.x0_um,
         y0_um=stack.y0_um,
-        provenance=_provenance(stack, frames, recipe, judged.notes),
+        provenance=_provenance(stack, frames, recipe, (*settled.notes, *judged.notes)),
     )
 
 
@@ -92,7 +92,7 @@ def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
 
 
 def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[str, ...]) -> Provenance:
-    coarse = coarse_step(frames.step_um, stack.depth_of_field_um, _number(recipe.focus_width_um))
+    coarse = coarse_step(frames.step_um, frames.depth_of_field_um, _number(recipe.focus_width_um))
     return Provenance(
         recipe=recipe,
         calibration=stack.calibration,

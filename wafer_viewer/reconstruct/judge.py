@@ -17,12 +17,15 @@ from wafer_viewer.reconstruct.noise import noise_scores
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import Frames, mark_uncovered
 from wafer_viewer.reconstruct.search import Search
-from wafer_viewer.reconstruct.sides import Side
-from wafer_viewer.reconstruct.tune import Settled
+from wafer_viewer.reconstruct.sides import STANDING_GAPS, Side
+from wafer_viewer.reconstruct.tune import GAP_WIDTHS, Settled
 from wafer_viewer.reconstruct.windows import wide_heights
 
 WINDOW_STEPS = 1.5
 """Two windows see the same height within so many steps of the resolution."""
+
+TOO_WIDE = 2.0
+"""A focus width over so many depths of field is none: those of wide-open and apodised pupils reach 1.5."""
 
 LEAST_GAP = 4
 """The focus along a wall is smoothed over three frames and placed by three more."""
@@ -79,7 +82,7 @@ def judge(frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = 
     seen_um = z_um = peaks.z_um
     if edges is not None:
         z_um, origin = judge_edges(seen_um, origin, edges)
-    notes = () if enough else _off(settled, frames.n_frames)
+    notes = _off(settled, frames.n_frames) if not enough else _walls_untested(frames, settled) if how else ()
     return Judged(dataclasses.replace(peaks, z_um=z_um), seen_um, origin, asked, edges, how is not None, notes)
 
 
@@ -120,6 +123,23 @@ def _off(settled: Settled, n_frames: int) -> tuple[str, ...]:
     )
     off = " and ".join(words for words, asked in wanted if asked)
     return (f"The stack has {n_frames} frames: in fewer than {LEAST_FRAMES} {off}.",) if off else ()
+
+
+def _walls_untested(frames: Frames, settled: Settled) -> tuple[str, ...]:
+    """A sentence where the focus width is too large for walls to show, beside the optics or in the sweep."""
+    width_um, depth_um = float(settled.recipe.focus_width_um), frames.depth_of_field_um
+    sweep_um, least_um = float(np.ptp(frames.z_um)), STANDING_GAPS * GAP_WIDTHS * width_um
+    if depth_um > 0 and width_um > TOO_WIDE * max(depth_um, frames.step_um):
+        return (
+            f"Walls between bright and dark heights could not be tested: the focus width of {width_um:.3g} um is "
+            f"{width_um / depth_um:.2g} times the depth of field. Leave focus_width_um to the data.",
+        )
+    if sweep_um < least_um:
+        return (
+            f"Walls between bright and dark heights could not be tested: they show in a sweep of {least_um:.3g} um or "
+            f"more, and this one is {sweep_um:.3g} um long.",
+        )
+    return ()
 
 
 def _verdict(check: Check, row: int, col: int) -> Verdict:

@@ -36,6 +36,7 @@ _SAMPLED_ROWS = 24
 class Frames:
     """The frames in use: images[index] lie at z_um, which rises; from clipped_counts on a pixel is clipped.
 
+    pixel_um: on the sample; depth_of_field_um: of the objective, 0 when nobody knows;
     fusion, flaws and drift: what is to be done when pixels are read; notes: what was found, a sentence each.
     """
 
@@ -43,6 +44,8 @@ class Frames:
     index: slice | NDArray[np.intp]
     z_um: NDArray[np.float64]
     clipped_counts: int
+    pixel_um: float = 1.0
+    depth_of_field_um: float = 0.0
     fusion: Fusion | None = None
     flaws: Flaws | None = None
     drift: Drift | None = None
@@ -123,7 +126,9 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     slots = present[order]
     white = _white_counts(stack, slots)
     clipped = clipped_from(white)
-    frames = Frames(stack.images, _as_slice(slots), z_um[order], clipped, notes=_missing(stack, len(slots)))
+    optics = stack.pixel_um, stack.optical_depth_um
+    z_um, notes = np.asarray(stack.z_um, np.float64)[slots], _missing(stack, len(present))
+    frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
     frames = _fused(stack, frames, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
     return frames if recipe.drift == "none" else _steadied(stack, frames)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.optics import WAVELENGTH_UM
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Origin
@@ -36,7 +37,19 @@ FLOOR_WIDTHS = 5.0
 SUITABLE_WIDTH = 2.5
 """A focus curve 2 or 3 frames wide at half its height is sampled well."""
 
+CLEAN_PERCENTILE = 5.0
+"""Of the widths of curves with a single top. Bleeding light only widens a curve: tests/truth/bleeding.py."""
+
+FINEST_PX = 4.0
+"""Cameras sample the Airy radius of their objective by no more pixels than this, which bounds an unknown aperture."""
+
+LARGEST_APERTURE = 0.95
+"""In air."""
+
 _PROBE_WINDOW = 9
+_AIRY = 0.61
+_LEAST_CONTRAST = 2.0
+_ENOUGH_CURVES = 64
 _TILE_PX = (32, 128)
 _TILES = 3
 
@@ -46,17 +59,28 @@ class Settled:
     """A recipe without `auto`, how to search with it, and what the optics resolve along z.
 
     resolution_um is the step of the sweep, or the step that would suit the optics where the sweep is finer than that.
+    notes: a sentence for each choice that the data did not support.
     """
 
     recipe: Recipe
     search: Search
     resolution_um: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FocusWidth:
+    """Width of a focus curve at half its height, and a note where the data could not tell it."""
+
+    um: float
+    notes: tuple[str, ...] = ()
 
 
 def settle(frames: Frames, recipe: Recipe) -> Settled:
     """Replace every `auto` of a recipe by what the data say."""
     recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
-    width_um = focus_width_um(frames, recipe) if recipe.focus_width_um == "auto" else recipe.focus_width_um
+    found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
+    width_um = found.um
     width = width_um / frames.step_um
     probe = _search(recipe, _PROBE_WINDOW, width, frames.n_frames)
     window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
@@ -65,7 +89,7 @@ def settle(frames: Frames, recipe: Recipe) -> Settled:
     confidence = _min_confidence(recipe, search, frames.n_frames)
     settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
     maps = gated_tiles(frames, settled, search) if settled.heights_have_auto else []
-    return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um)
+    return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um, found.notes)
 
 
 def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
@@ -78,16 +102,25 @@ def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[
     ]
 
 
-def focus_width_um(frames: Frames, recipe: Recipe) -> float:
-    """How wide a focus curve is at half its height, where there is texture.
+def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
+    """Estimate the width of a focus curve at half its height from a few tiles, bounded by the optics.
 
-    The third of the tiles with the narrowest curves tells, by its middle: noise, and light that bleeds from a bright
-    surface that is out of focus, make wider ones. One step where nothing is seen.
+    Only curves with a single top are read, which lies inside the stack, and of their widths a low percentile: noise,
+    and light that bleeds from a bright surface out of focus, make wider ones. No curve is wider than the depth of
+    field, or, where it is unknown, than that of the smallest aperture that goes with the pixel. One step where
+    nothing is seen.
     """
     probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
     power = FOCUS_MEASURES[recipe.focus_measure].power
-    widths = [_half_height_width(bench, peaks, power) for bench, peaks in _tiles(frames, probe)]
-    return frames.step_um * float(np.percentile([w for w in widths if w > 0] or [1.0], 100 / 6))
+    widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
+    step_um, known_um = frames.step_um, frames.depth_of_field_um
+    if len(widths) < _ENOUGH_CURVES:
+        return FocusWidth(max(step_um, known_um), () if known_um > 0 else (_NO_CURVES,))
+    found_um = max(step_um, step_um * float(np.percentile(widths, CLEAN_PERCENTILE)))
+    most_um = max(step_um, known_um or _largest_depth_um(frames.pixel_um))
+    if known_um > 0 or found_um <= most_um:
+        return FocusWidth(min(found_um, most_um))
+    return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
 
 
 def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
@@ -131,19 +164,46 @@ def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
     )
 
 
-def _half_height_width(bench: Bench, peaks: Peaks, power: float) -> float:
-    """The frames in which focus has not fallen by half where there is texture, the narrower half; 0 without any.
+def _clean_widths(bench: Bench, peaks: Peaks, power: float) -> NDArray[np.float32]:
+    """Widths, in frames, of the curves of a tile that rise over half their top once, within the stack.
 
     Half for a measure that falls as the square of the blur's variance: the width is that of the optics, whatever the
-    measure.
+    measure. The lowest frame is the floor of noise, which is taken off. Crossings are interpolated between frames.
     """
-    textured = (peaks.contrast >= np.percentile(peaks.contrast, 75)) & (peaks.contrast > 1) & ~peaks.at_end
-    if not textured.any():
-        return 0.0
-    half = power / 2 * 2**bench.spots.bits
-    levels = bench.curves.levels[:, textured].astype(np.int32)
-    widths = np.sort(np.count_nonzero(levels > levels.max(axis=0) - half, axis=0))
-    return float(widths[: len(widths) // 2 + 1].mean())
+    textured = (peaks.contrast > _LEAST_CONTRAST) & ~peaks.at_end
+    levels = bench.curves.levels[:, textured].astype(np.float32)
+    over_floor = 1 + (np.exp2(peaks.contrast[textured]) - 1) * np.float32(2 ** (-power / 2))
+    half = levels.min(axis=0, initial=65535) + np.log2(over_floor) * np.float32(2**bench.spots.bits)
+    over = levels > half
+    single = (np.count_nonzero(over[1:] & ~over[:-1], axis=0) == 1) & ~over[0] & ~over[-1]
+    levels, half, over = levels[:, single], half[single], over[:, single]
+    first, last = over.argmax(axis=0), len(over) - 1 - over[::-1].argmax(axis=0)
+    at = np.arange(len(first))
+    rise, fall = (
+        (levels[inside, at] - half) / (levels[inside, at] - levels[outside, at])
+        for inside, outside in ((first, first - 1), (last, last + 1))
+    )
+    return last - first + rise + fall
+
+
+_NO_CURVES = (
+    "No focus curve is clear enough to tell the depth of field: walls between bright and dark heights could not be "
+    "tested. Name the objective with its aperture in the calibration, as in 10x/0.28, or set focus_width_um."
+)
+
+
+def _too_wide(found_um: float, most_um: float, pixel_um: float) -> str:
+    return (
+        f"Walls between bright and dark heights could not be tested for sure: focus curves look {found_um:.3g} um "
+        f"wide, as bleeding light makes them, so {most_um:.3g} um was assumed from the pixel of {pixel_um:.3g} um. "
+        "Name the objective with its aperture in the calibration, as in 10x/0.28, or set focus_width_um."
+    )
+
+
+def _largest_depth_um(pixel_um: float) -> float:
+    """The depth of field of the smallest aperture whose Airy radius is sampled by no more than so many pixels."""
+    aperture = min(LARGEST_APERTURE, _AIRY * WAVELENGTH_UM / (FINEST_PX * pixel_um))
+    return WAVELENGTH_UM / aperture**2
 
 
 def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
