@@ -24,6 +24,7 @@ from wafer_viewer.numerics.resample import Taps, resampled
 from wafer_viewer.reconstruct.drift import Drift, drift_of, told
 from wafer_viewer.reconstruct.exposures import Fusion, fusion_of
 from wafer_viewer.reconstruct.flaws import Flaws, find_flaws
+from wafer_viewer.reconstruct.frame_health import faulty_frames
 from wafer_viewer.reconstruct.motion import sightings
 
 CLIPPED_SHARE_OF_WHITE = 0.98
@@ -110,7 +111,7 @@ class Frames:
 
 
 def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
-    """Skip the absent slots, put the others in the order of rising z, and find out what their pixels need.
+    """Skip absent slots, flashes and dead frames, put the rest in the order of rising z, and find what pixels need.
 
     Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is no number, for frames that share
     a z, for fewer than three frames, and for exposures that cannot be compared.
@@ -126,8 +127,9 @@ def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     slots = present[order]
     white = _white_counts(stack, slots)
     clipped = clipped_from(white)
+    slots, faults = _sound_slots(stack, slots, white, clipped)
     optics = stack.pixel_um, stack.optical_depth_um
-    z_um, notes = np.asarray(stack.z_um, np.float64)[slots], _missing(stack, len(present))
+    z_um, notes = np.asarray(stack.z_um, np.float64)[slots], (*_missing(stack, len(present)), *faults)
     frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
     frames = _fused(stack, frames, white)
     frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
@@ -241,6 +243,18 @@ def _steadied(stack: FieldStack, frames: Frames) -> Frames:
 def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:
     missing = stack.n_frames - n_frames
     return (f"{missing} of {stack.n_frames} frames of field {stack.field.number} are missing",) if missing else ()
+
+
+def _sound_slots(
+    stack: FieldStack, slots: NDArray[np.intp], white_counts: int, clipped_counts: int
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """The slots without flashes and dead frames, and a sentence for each of those."""
+    faults = faulty_frames(stack.exposures, slots, white_counts, clipped_counts)
+    sound = slots[~np.isin(slots, list(faults))]
+    if len(sound) < MIN_FRAMES:
+        return slots, ()
+    which = f"of {stack.n_frames} of field {stack.field.number}"
+    return sound, tuple(f"Frame {slot + 1} {which} {faults[slot]}: left out." for slot in sorted(faults))
 
 
 def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
