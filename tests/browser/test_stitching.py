@@ -92,6 +92,23 @@ def test_the_surface_is_coloured_by_the_difference_in_overlaps(serve: Serve, sti
     expect(dropdown(page, "Colour by")).to_have_value("Height")
 
 
+def test_a_surface_that_the_stage_alone_placed_says_so_in_panel_and_status_line(
+    serve: Serve, stitched: StitchedSession
+):
+    surface = stitched.snapshot.surface
+    note = "Stitched by the stage's positions alone: 12 of 12 overlaps ambiguous (repeating pattern)."
+    alone = dataclasses.replace(surface.stitching, n_believed=0, n_by_stage=surface.n_fields, notes=(note,))
+    stitched.change(surface=dataclasses.replace(surface, stitching=alone))
+    page = serve(stitched)
+    go_to(page, "Surface")
+    expect(panel(page).locator(".wv-notes.attention")).to_contain_text(note)
+    strip = page.locator(".wv-strip span.attention", has_text="Stitched by the stage alone")
+    expect(strip).to_be_visible()
+    expect(strip).to_have_attribute("title", note)
+    stitched.change(surface=surface)
+    expect(strip).to_have_count(0)
+
+
 def test_what_a_person_should_look_at_is_amber_and_fields_by_the_stage_are_said(
     serve: Serve, stitched: StitchedSession
 ):

@@ -8,8 +8,10 @@ import datetime
 import pytest
 
 from tests.browser import fake_session as fake
+from tests.gui.made_up_poses import made_up_poses, stitching_of
+from tests.gui.stand_in import grid
 from wafer_viewer.gui.hands import HANDS_ON
-from wafer_viewer.gui.status_strip import calibration, due, job_shown, motion, sample, surface
+from wafer_viewer.gui.status_strip import calibration, due, job_shown, motion, placement, sample, surface
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.recipe import Levy, Recipe
@@ -88,6 +90,16 @@ def test_what_was_done_to_the_heights_on_show():
     raw = dataclasses.replace(info, settled=Recipe(levy=Levy(mode="none")), filled_fraction=0.0)
     assert surface(raw)[0][0] == "Raw heights, none filled"
     assert surface(None) == (("", "", ""), ("", "", ""))
+
+
+def test_a_surface_that_only_the_stage_placed_is_drawn_attention_to():
+    info = fake.measured().surface
+    assert info is not None
+    assert placement(info) == placement(None) == ("", "", "")
+    found = stitching_of(made_up_poses(grid(3, 3).fields(0.0), 600.0, 400.0))
+    undecided = dataclasses.replace(found, n_believed=0, n_by_stage=9)
+    said, tone, _ = placement(dataclasses.replace(info, stitching=undecided, n_fields=9))
+    assert (said, tone) == ("Stitched by the stage alone", "attention")
 
 
 def test_stop_is_never_taken_from_a_watcher():

@@ -83,3 +83,14 @@ def test_what_a_person_should_look_at_is_said_in_sentences():
     assert words.cautions(FOUND) == ""
     several = text(words.cautions(dataclasses.replace(FOUND, left_out=tuple(range(1, 12)))))
     assert "Fields 1, 2, 3, 4, 5, 6, 7, 8 and 3 more are left out" in several
+
+
+def test_fields_that_hang_on_the_stage_alone_are_counted_in_the_status_line():
+    note = "Stitched by the stage's positions alone: 24 of 24 overlaps ambiguous (repeating pattern)."
+    alone = dataclasses.replace(FOUND, n_believed=0, n_groups=16, n_by_stage=16, notes=(note,))
+    assert words.by_stage(alone, 16) == ("Stitched by the stage alone", note)
+    said = text(words.cautions(alone))
+    assert "24 of 24 overlaps ambiguous (repeating pattern)" in said
+    assert "islands" not in said
+    assert words.by_stage(dataclasses.replace(FOUND, n_by_stage=3), 16)[0] == "3 of 16 fields by the stage alone"
+    assert words.by_stage(FOUND, 16) == ("", "")

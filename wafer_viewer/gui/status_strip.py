@@ -7,7 +7,7 @@ import datetime
 import viser
 
 from wafer_viewer.draw.numbers import THIN, number, share
-from wafer_viewer.gui import html
+from wafer_viewer.gui import html, stitching_words
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
@@ -49,6 +49,7 @@ class StatusStrip:
             motion(snapshot.rig),
             calibration(snapshot, view, today),
             *surface(snapshot.surface if view.on_surface else None, self._page.statistics, view),
+            placement(snapshot.surface if view.on_surface else None),
         ]
         items = [_item(*words) for words in said if words[0]]
         left = "".join([*items, f'<span class="wv-xyz">{where(snapshot.rig)}</span>'])
@@ -130,6 +131,14 @@ def where(rig: RigStatus) -> str:
     axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
     said = "".join(f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> " for axis, um in axes)
     return f"{said}{THIN}mm"
+
+
+def placement(info: SurfaceInfo | None) -> Words:
+    """Fields whose overlaps decided nothing."""
+    if info is None or info.stitching is None:
+        return "", "", ""
+    words, reasons = stitching_words.by_stage(info.stitching, info.n_fields)
+    return words, "attention" if words else "", reasons
 
 
 def _days(days: int) -> str:

@@ -55,12 +55,22 @@ def cautions(info: StitchingInfo) -> str:
     noted = " ".join(info.notes)
     unsaid = tuple(n for n in info.left_out if f"ield {n} " not in noted)
     said = [_left_out(unsaid)] if unsaid else []
-    if info.n_groups > 1:
+    if info.n_groups > 1 and not info.n_by_stage:
         said.append(
             f"The fields fall into {info.n_groups} islands: no overlap joins them, so between islands "
             "places and heights are the stage's."
         )
     return notes((*said, *info.notes), viser.Icon.ALERT_TRIANGLE, "attention")
+
+
+def by_stage(info: StitchingInfo, n_fields: int) -> tuple[str, str]:
+    """How many fields nothing but the stage places, for the status line, and the notes on it; empty where none is."""
+    if not info.n_by_stage:
+        return "", ""
+    reasons = "; ".join(note for note in info.notes if "the stage" in note)
+    if not info.n_believed:
+        return "Stitched by the stage alone", reasons
+    return f"{number(info.n_by_stage, 0)} of {number(n_fields, 0)} fields by the stage alone", reasons
 
 
 def doubted(poses: Poses, pixel_um: float) -> str:

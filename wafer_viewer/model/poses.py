@@ -42,6 +42,16 @@ DOUBT_TITLES: dict[Doubt, str] = {
 }
 
 
+DOUBT_WORDS: dict[Doubt, str] = {
+    Doubt.BLANK: "blank",
+    Doubt.UNLIKE: "unlike",
+    Doubt.AMBIGUOUS: "ambiguous (repeating pattern)",
+    Doubt.END_OF_SEARCH: "at the end of the search",
+    Doubt.DISAGREES: "contradicted by others",
+}
+"""After a number of overlaps: 24 ambiguous (repeating pattern), 2 blank."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Shifts:
     """What overlaps say about x and y, all [n]: fields by their place in the list, lengths in um.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Shifts
+from wafer_viewer.model.poses import Doubt, Poses, Shifts
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.register import REACH_PX, register_pair
 
@@ -52,6 +52,23 @@ def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
     """The fields that fit nowhere either, but have too few neighbours to tell whose fault it is: they stay."""
     lost = _lost_overlaps(n_fields, shifts)
     return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
+
+
+def placed_by_stage(poses: Poses) -> NDArray[np.bool_]:
+    """Return which fields nothing but the stage places, bool [n], of those that overlap others.
+
+    Fields that believed overlaps join hang together. Of all that overlap, the largest such group of two or more is
+    placed by its overlaps; every other field hangs on the stage alone. Fields left out do not count.
+    """
+    n_fields, shifts = poses.numbers.size, poses.shifts
+    between = ~(poses.left_out[shifts.first] | poses.left_out[shifts.second])
+    group, whole = (_joined(n_fields, shifts, some) for some in (between & shifts.believed, between))
+    size, of_whole = (np.bincount(numbers, minlength=n_fields) for numbers in (group, whole))
+    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
+    _, first = np.unique(whole[largest], return_index=True)
+    leading = group[largest[first]]
+    held = (group == leading[whole]) & (size[group] > 1)
+    return ~held & (of_whole[whole] > 1) & ~poses.left_out
 
 
 def has_no_heights(height: HeightMap) -> bool:

@@ -18,6 +18,8 @@ COVERAGE = 2.0
 
 def stitching_info(poses: Poses) -> StitchingInfo | None:
     """Poses in a few numbers; None where only the stage had a say."""
+    from wafer_viewer.reconstruct.misfits import placed_by_stage
+
     shifts = poses.shifts
     if not shifts.first.size:
         return None
@@ -40,6 +42,7 @@ def stitching_info(poses: Poses) -> StitchingInfo | None:
         n_groups=int(np.unique(poses.group[~poses.left_out]).size),
         left_out=tuple(poses.numbers[poses.left_out].tolist()),
         notes=poses.notes,
+        n_by_stage=int(placed_by_stage(poses).sum()),
     )
 
 

@@ -164,7 +164,7 @@ class StitchingInfo:
     doubts: why overlaps are not believed, in words, with their number, the most frequent first. moved: how far fields
     lie from where the stage says. step: what is left between neighbours along z; None where no overlap is compared.
     form: the terms of the whole surface's form that only the stage knows, each with its U. left_out: fields that fit
-    none of their neighbours, by number.
+    none of their neighbours, by number. n_by_stage: fields that overlap others and are placed by the stage alone.
     """
 
     n_overlaps: int
@@ -182,6 +182,7 @@ class StitchingInfo:
     n_groups: int = 1
     left_out: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
+    n_by_stage: int = 0
 
 
 @dataclass(frozen=True, slots=True)
