@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from wafer_viewer.model.stack import Bracket, Image
@@ -134,11 +135,11 @@ def _abrupt(flagged: NDArray[np.bool_], log: Stats) -> NDArray[np.bool_]:
 
 def _sides(values: Stats) -> tuple[Stats, Stats]:
     """The medians of the frames before and after each; at an end both are those of the one side there is."""
-    n = len(values)
-    before = [np.median(values[max(0, k - _SIDE) : k]) if k else np.nan for k in range(n)]
-    after = [np.median(values[k + 1 : k + 1 + _SIDE]) if k < n - 1 else np.nan for k in range(n)]
+    windows = sliding_window_view(np.pad(values, _SIDE, mode="edge"), _SIDE)
+    medians = np.median(windows, axis=1)
+    before, after = medians[: len(values)].copy(), medians[_SIDE + 1 :].copy()
     before[0], after[-1] = after[0], before[-1]
-    return np.array(before), np.array(after)
+    return before, after
 
 
 def _nearer(one: Stats, other: Stats) -> Stats:
