@@ -13,6 +13,7 @@ from wafer_viewer.arguments import (
     DatasetFolder,
     File,
     Folder,
+    Folders,
     Numbers,
     Out,
     PlanFile,
@@ -55,6 +56,7 @@ def serve(
     data: Path = DATA_FOLDER,
     port: int = 8080,
     scheduler: Text = None,
+    browse: Folders = (),
     open_browser: bool = False,
     new_token: bool = False,
 ) -> None:
@@ -65,6 +67,7 @@ def serve(
         data: Folder of the datasets; it is made when it is not there.
         port: Port of the page on this machine; 0 takes a free one.
         scheduler: Address of a dask cluster that runs already, tls://HOST:PORT; without it one is started here.
+        browse: Folders that file dialogs may show, beside the data folder and the home folder.
         open_browser: Also open the page in the browser of this machine.
         new_token: Replace the token of the folder's address: addresses printed before open the page no more.
     """
@@ -77,7 +80,7 @@ def serve(
         raise PlanError(f"--port is {port}: it must be between 0 and {LAST_PORT}; 0 takes a free one.")
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     return_what_is_freed()
-    session = Session(data.expanduser(), _config(rig), scheduler)
+    session = Session(data.expanduser(), _config(rig), scheduler, browse)
     try:
         token = page_token(session.snapshot.data_folder, renew=new_token)
         serve_page(session, port=port, open_browser=open_browser, token=token)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import tempfile
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
@@ -27,6 +28,7 @@ from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
+from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.state import (
     DatasetEntry,
     Draft,
@@ -58,6 +60,7 @@ class FakeSession:
         self.control = fake_control(self)
         self.exchange = FakeExchange(self)
         self.sections = FakeSections()
+        self.browsing = Browsing(DATA, (Path(tempfile.gettempdir()),), home=None)
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:

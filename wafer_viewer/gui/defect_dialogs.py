@@ -11,10 +11,10 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import Dialog, existing, unless_there
-from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.file_dialog import FileList
+from wafer_viewer.gui.kit import Cell, duo
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.spec import replace
@@ -48,21 +48,22 @@ def export_defects_dialog(page: Page) -> None:
     dialog = Dialog(page, "Export the defects", "As they are judged now; nuisances are in it and marked as such.")
     first = next(iter(FORMATS))
     with dialog.modal:
-        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{FORMATS[first][1]}"))
         kind = page.gui.add_dropdown("Format", tuple(FORMATS))
         said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
+        name = f"{stem}{FORMATS[first][1]}"
+        files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
 
     @kind.on_update
     def _(_: Any) -> None:
         what, ending = FORMATS[kind.value]
-        path.value = str(Path(path.value).parent / f"{stem}{ending}")
+        files.save_as(f"{stem}{ending}", Path(ending).suffix)
         said.show(_lab(LOSES[what]))
 
     def write() -> None:
-        what, target = FORMATS[kind.value][0], _typed_path(path.value)
+        what, target = FORMATS[kind.value][0], files.target()
         if what == "training" and target.exists():
             raise DatasetError(f"{target} is there already: give the name of a new folder.")
-        unless_there(page, target, lambda: begin(what, target))
+        files.write_to(target, lambda: begin(what, target))
 
     def begin(what: Handover, target: Path) -> None:
         done = page.session.defects.files.write(what, target)
@@ -76,20 +77,14 @@ def klarf_dialog(page: Page) -> None:
     below = "The places of a KLARF file beside those found here: what both found, and what only one did."
     dialog, gui = Dialog(page, "Lay a KLARF over", below), page.gui
     with dialog.modal:
-        path = gui.add_text("Path", "")
-        upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="*/*")
-        outlined(gui, upload, 32)
-        sent = Cell(gui)
+        files = FileList(dialog, "klarf", rows=7)
+        files.add_upload()
+        duo(gui)
         unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
         within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR)
 
-    @upload.on_upload
-    def _(event: Any) -> None:
-        path.value = str(put_down(event.target.value))
-        sent.show(_lab(f"{event.target.value.name} is here."))
-
     def lay() -> None:
-        source = existing(path.value)
+        source = files.path()
         _wait(page.session.defects.files.lay_over(source, UNITS[unit.value], float(within.value)))
         page.redraw()
 
@@ -225,12 +220,6 @@ def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectReci
 def _next_version(page: Page, name: str) -> str:
     known = [header.version for header in page.session.snapshot.shelf.golden if header.name == name]
     return f"It will be version {max(known, default=0) + 1}." if name else ""
-
-
-def _typed_path(text: str) -> Path:
-    if not text.strip():
-        raise DatasetError("No path is given: type where the file is to go.")
-    return Path(text.strip()).expanduser()
 
 
 def _wait(verb: Future[Any]) -> None:

@@ -1,8 +1,7 @@
-"""Questions in the middle of the page: which dataset, which images, which plan, where to."""
+"""Questions in the middle of the page: their frame, and those that ask whether something is really meant."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -15,9 +14,13 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.hints import add_hints
 from wafer_viewer.gui.kit import Cell, button, in_a_row
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.formats import Reading
 from wafer_viewer.session.state import DatasetEntry
+
+
+class KeepOpen(Exception):
+    """Raised by what a dialog's button does where the dialog goes on: it showed a folder, or asks something first."""
 
 
 class Dialog:
@@ -26,6 +29,8 @@ class Dialog:
     def __init__(self, page: Page, title: str, below: str) -> None:
         self.page = page
         self.modal = page.gui.add_modal(title)
+        self.press: Callable[[], None] = lambda: None
+        """Does what the button that does it does."""
         with self.modal:
             Cell(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
 
@@ -34,7 +39,8 @@ class Dialog:
         with self.modal:
             problem = Cell(self.page.gui)
             leave = button(self.page.gui, away, None, lambda _: self.close())
-            do = button(self.page.gui, name, icon, guarded(self.page, failed)(lambda _: self._do(act, problem)))
+            self.press = guarded(self.page, failed)(lambda: self._do(act, problem))
+            do = button(self.page.gui, name, icon, lambda _: self.press())
             in_a_row(self.page.gui, [leave, do], 38, filled=do)
             Cell(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
         add_hints(self.page.gui)
@@ -54,6 +60,9 @@ class Dialog:
     def _do(self, act: Callable[[], None], problem: Cell) -> None:
         try:
             act()
+        except KeepOpen:
+            problem.show("")
+            return
         except WaferViewerError as fault:
             problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
             return
@@ -63,30 +72,6 @@ class Dialog:
 def _on_key(marker: str, handle: Any) -> str:
     """Tells the script of keys which button Escape and Enter press."""
     return f'<span hidden class="{marker}" data-button="{handle._impl.uuid}"></span>'
-
-
-def open_dialog(page: Page) -> None:
-    """Open a dataset: one of the data folder, or by its path; a surface file becomes one first."""
-    snapshot = page.session.snapshot
-    below = f"A folder NAME.wafer, or a surface file such as .x3p, .gwy or .ply. In {snapshot.data_folder}:"
-    dialog = Dialog(page, "Open a dataset", below)
-    with dialog.modal:
-        Cell(page.gui, dataset_table(snapshot.datasets, None, what="open-in-dialog"))
-        path = page.gui.add_text("Path", "")
-
-    def open_path(text: str) -> None:
-        path = existing(text)
-        if page.session.exchange.is_surface(path):
-            open_surface(page, path, Reading(), None)
-        else:
-            open_dataset(page, path)
-
-    def open_listed(text: str) -> None:
-        dialog.close()
-        open_path(text)
-
-    page.on_pick("open-in-dialog", open_listed)
-    dialog.answers("Open", viser.Icon.FOLDER_OPEN, lambda: open_path(path.value), "The dataset was not opened")
 
 
 def open_dataset(page: Page, path: Path) -> None:
@@ -137,19 +122,6 @@ def when(taken: str, now: datetime) -> str:
     return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
 
 
-def load_plan_dialog(page: Page) -> None:
-    """Load a plan from its file."""
-    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan writes it.")
-    with dialog.modal:
-        path = page.gui.add_text("Path", "")
-    dialog.answers(
-        "Load",
-        viser.Icon.FOLDER_OPEN,
-        lambda: page.ask("The plan was not loaded", page.session.load_plan(existing(path.value))),
-        "The plan was not loaded",
-    )
-
-
 def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
     """Write a file; one that is there already is replaced only after a person said so, by its name."""
     if not path.exists():
@@ -183,20 +155,3 @@ def rename_dialog(page: Page, number: int, old: str) -> None:
         lambda: page.ask("The name stays", page.session.rename(number, name.value.strip())),
         "The name stays",
     )
-
-
-def existing(text: str) -> Path:
-    """The path that a person typed. Raises DatasetError when there is none, or nothing lies there."""
-    if not text.strip():
-        raise DatasetError("No path is given: type one, or choose from the list.")
-    path = Path(text.strip()).expanduser()
-    if not path.exists():
-        raise DatasetError(f"{path} is not there: check the path.")
-    return path
-
-
-def put_down(file: viser.UploadedFile) -> Path:
-    """Keep what a browser sent in a folder of its own; only the last part of its name is taken from the sender."""
-    target = Path(tempfile.mkdtemp(prefix="wafer-viewer-")) / (Path(file.name).name or "upload.tif")
-    target.write_bytes(file.content)
-    return target

@@ -1,4 +1,4 @@
-"""Questions about files of other programs: which images or which surface come in, and as what a surface goes out."""
+"""Questions about files: which dataset or plan is opened, which images come in, as what a surface goes out."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import viser
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
-from wafer_viewer.gui.dialogs import Dialog, existing, open_surface, put_down, unless_there
-from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.dialogs import Dialog, open_dataset, open_surface
+from wafer_viewer.gui.file_dialog import FileList
+from wafer_viewer.gui.kit import Cell, duo
+from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.shown_statistics import name_of
 from wafer_viewer.model.errors import DatasetError
@@ -21,43 +23,64 @@ _TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != "
 _FILES = ", ".join(ending for ending in READ if ending != ".tiff")
 
 
+def open_dialog(page: Page) -> None:
+    """Open a dataset; a surface file becomes one first."""
+    dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({_FILES}).")
+    with dialog.modal:
+        files = FileList(dialog, "dataset", rows=9)
+
+    def begin() -> None:
+        path = files.path()
+        if page.session.exchange.is_surface(path):
+            open_surface(page, path, Reading(), None)
+        else:
+            open_dataset(page, path)
+
+    dialog.answers("Open", viser.Icon.FOLDER_OPEN, begin, "The dataset was not opened")
+
+
+def load_plan_dialog(page: Page) -> None:
+    """Load a plan from its file."""
+    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan writes it.")
+    with dialog.modal:
+        files = FileList(dialog, "plan")
+
+    def load() -> None:
+        page.ask("The plan was not loaded", page.session.load_plan(files.path()))
+
+    dialog.answers("Load", viser.Icon.FOLDER_OPEN, load, "The plan was not loaded")
+
+
 def import_dialog(page: Page) -> None:
     """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
     below = f"A folder of images, one focus stack or a grid of them, a multi-page TIFF; or a surface file ({_FILES})."
     dialog = Dialog(page, "Import images or a surface", below)
     gui = page.gui
     with dialog.modal:
-        path = gui.add_text("Path", "")
-        upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="*/*")
-        outlined(gui, upload, 32)
-        sent = Cell(gui)
-        name = gui.add_text("Name", "")
-        pixel = gui.add_number("Pixel, µm", 0.0, min=0.0, step=0.001)
+        files = FileList(dialog, "images", rows=6)
+        files.add_upload()
+        duo(gui)
+        name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
+        pixel = OptionalNumber(gui, "Pixel, µm", over=0)
         Cell(gui, html.head("Images"))
-        step = gui.add_number("z step, µm", 0.0, min=0.0, step=0.1)
-        pattern = gui.add_text("Grid pattern", "")
-        Cell(gui, _label("Only for a grid of fields, such as r{row}_c{col}_k{k}.tif"))
+        duo(gui)
+        step = OptionalNumber(gui, "z step, µm")
+        pattern = gui.add_text("Grid pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
         Cell(gui, html.head("Surface file", "where it does not say it itself"))
+        duo(gui)
         unit = gui.add_text("z unit", "")
         depths = gui.add_checkbox("Depths", False)
 
-    @upload.on_upload
-    def _(event: Any) -> None:
-        path.value = str(put_down(event.target.value))
-        sent.show(_label(f"{event.target.value.name} is here."))
-
     def begin() -> None:
-        source, called = existing(path.value), name.value.strip() or None
-        if page.session.exchange.is_surface(source):
-            says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value or None, invert_z=depths.value)
-            open_surface(page, source, says, called)
+        sources, called = files.paths(), name.value.strip() or None
+        if len(sources) == 1 and page.session.exchange.is_surface(sources[0]):
+            says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value, invert_z=depths.value)
+            open_surface(page, sources[0], says, called)
             return
-        _wanted("z step", step.value, "the distance between two images of the stack")
-        _wanted("pixel size", pixel.value, "the size of a pixel on the sample")
         done = page.session.import_images(
-            (source,),
-            z_step_um=step.value,
-            pixel_um=pixel.value,
+            sources,
+            z_step_um=_wanted("z step", step.value, "the distance between two images of the stack"),
+            pixel_um=_wanted("pixel size", pixel.value, "the size of a pixel on the sample"),
             pattern=pattern.value.strip() or None,
             name=called,
         )
@@ -70,22 +93,22 @@ def export_dialog(page: Page) -> None:
     """Write the surface that is shown to a file, and say before what the file cannot hold."""
     snapshot, field = page.session.snapshot, page.view.show or None
     data, info = snapshot.dataset, snapshot.surface if field is None else None
-    stem = data.path.stem if data else "surface"
+    stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
     told, box_um = page.statistics, page.counted_um
     part = Region.rectangle(*box_um) if box_um is not None else None
     dialog = Dialog(page, "Export the surface", f"Writes: {name_of(page.view)}.")
     size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
     with dialog.modal:
         first = next(iter(_TITLES.values()))
-        path = page.gui.add_text("Path", str(snapshot.data_folder / f"{stem}{_ending_of(field)}{first}"))
         kind = page.gui.add_dropdown("Format", tuple(_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
         said = Cell(page.gui, _said(first, 1, size))
+        files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
 
     @kind.on_update
     def _(_: Any) -> None:
         ending = _TITLES[kind.value]
-        path.value = str(Path(path.value).with_suffix(ending))
+        files.save_as(f"{Path(files.field.value).stem}{ending}", ending)
         every.value = every_for(size[:2], MESH_POINTS) if size and FORMATS[ending].is_mesh else 1
         said.show(_said(ending, every.value, size))
 
@@ -94,8 +117,8 @@ def export_dialog(page: Page) -> None:
         said.show(_said(_TITLES[kind.value], every.value, size))
 
     def write() -> None:
-        target = Path(path.value).expanduser()
-        unless_there(page, target, lambda: export(target))
+        target = files.target()
+        files.write_to(target, lambda: export(target))
 
     def export(target: Path) -> None:
         done = page.session.export_surface(target, field, int(every.value), part)
@@ -116,15 +139,12 @@ def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str
     return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(written + loses))}</div>'
 
 
-def _label(text: str) -> str:
-    return f'<div class="wv-lab">{html.safe(text)}</div>'
-
-
 def _ending_of(field: int | None) -> str:
     """What tells the file of a field, or of a comparison, from the dataset's."""
     return "" if not field else f"-field{field}" if field > 0 else "-compared"
 
 
-def _wanted(name: str, value: float, what: str) -> None:
-    if value <= 0:
+def _wanted(name: str, value: float | None, what: str) -> float:
+    if value is None:
         raise DatasetError(f"The {name} is missing: give {what} in µm.")
+    return value

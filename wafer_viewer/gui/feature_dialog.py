@@ -13,6 +13,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import edit, required_job
 from wafer_viewer.gui.kept_features import KeptFeature, kept_features
 from wafer_viewer.gui.kit import Cell, set_prop
+from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import RULES
 from wafer_viewer.model.errors import PlanError
@@ -67,7 +68,7 @@ class FeatureDialog:
     def _ask_limits(self) -> None:
         gui, old = self._page.gui, self._old
         low, high = (old.lower_limit, old.upper_limit) if old else (0.0, 0.0)
-        self._nominal = gui.add_number("Nominal, µm", (old.nominal if old else None) or 0.0, step=0.01)
+        self._nominal = OptionalNumber(gui, "Nominal, µm", old.nominal if old else None)
         self._limits = gui.add_vector2("Limits, µm", (low or 0.0, high or 0.0), step=0.01)
         judged_by = UPPER_ALONE if low is None else LOWER_ALONE if high is None else BOTH
         self._sides = gui.add_dropdown("Judged by", (BOTH, UPPER_ALONE, LOWER_ALONE), initial_value=judged_by)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from concurrent.futures import Future
 from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
 from typing import Any
 
 import viser
@@ -13,9 +12,10 @@ import viser
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
-from wafer_viewer.gui.kit import Cell, outlined
+from wafer_viewer.gui.file_dialog import FileList
+from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.gui.verdict_words import LOOKS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
@@ -43,21 +43,14 @@ def certificate_dialog(page: Page) -> None:
     """Take a certificate from a file, or type it in."""
     dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
     with dialog.modal:
-        path = page.gui.add_text("Path", "")
-        upload = page.gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD)
-        outlined(page.gui, upload, 32)
-        sent = Cell(page.gui)
+        files = FileList(dialog, "certificate", rows=5)
+        files.add_upload()
         Cell(page.gui, html.head("Or type it in"))
         form = _form(page, page.session.snapshot.gauge.certificate)
 
-    @upload.on_upload
-    def _(event: Any) -> None:
-        path.value = str(put_down(event.target.value))
-        sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
-
     def take() -> None:
-        if path.value.strip():
-            _wait(page.session.gauge.load_certificate(Path(path.value.strip()).expanduser()))
+        if not files.is_empty:
+            _wait(page.session.gauge.load_certificate(files.path()))
         else:
             _wait(page.session.gauge.put_certificate(_typed(form)))
 
@@ -116,13 +109,13 @@ def _warned(offered: ScaleCorrection) -> str:
 
 def _form(page: Page, known: Certificate | None) -> _Form:
     gui, step = page.gui, known.step if known is not None else None
-    certified_um, u_um = (step.value_um, step.expanded_um or 0.0) if step is not None else (0.0, 0.0)
-    nominal_um = known.step_nominal_um if known is not None else 0.0
+    certified_um, u_um = (step.value_um, step.expanded_um) if step is not None else (None, None)
+    nominal_um = known.step_nominal_um if known is not None else None
     return _Form(
         serials=gui.add_text("Blocks", " / ".join(known.serials) if known is not None else ""),
-        step=gui.add_number("Step, µm", certified_um, min=0.0, step=0.001, hint="The certified step"),
-        expanded=gui.add_number("U (k = 2), µm", u_um, min=0.0, step=0.001),
-        nominal=gui.add_number("Nominal, µm", nominal_um, min=0.0, step=1.0, hint="What the step is called"),
+        step=OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step"),
+        expanded=OptionalNumber(gui, "U (k = 2), µm", u_um, over=0),
+        nominal=OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called"),
         laboratory=gui.add_text("Laboratory", known.laboratory if known is not None else ""),
         number=gui.add_text("Number", known.number if known is not None else ""),
         issued=gui.add_text("Issued", known.issued.isoformat() if known is not None else ""),
@@ -137,9 +130,9 @@ def _typed(form: _Form) -> Certificate:
         laboratory=form.laboratory.value.strip() or "not named",
         issued=_day("issue", form.issued.value),
         expires=_day("expiry", form.expires.value),
-        nominal_um=form.nominal.value or form.step.value or None,
-        value_um=form.step.value or None,
-        expanded_um=form.expanded.value or None,
+        nominal_um=form.nominal.value or form.step.value,
+        value_um=form.step.value,
+        expanded_um=form.expanded.value,
         serial_numbers=tuple(part.strip() for part in form.serials.value.split("/") if part.strip()),
     )
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from typing import Any
 
 from wafer_viewer.gui import html
+from wafer_viewer.gui.edits import Edits
+from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, set_prop
+from wafer_viewer.gui.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot
@@ -14,34 +18,36 @@ FAILED = "The terms of the check stay"
 
 
 class TermsSection:
-    """A number each; zero says that it is not known, and what needs it is not evaluated."""
+    """A number each; without one what needs it is not evaluated."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
+        self._edits = Edits(self._put, guarded(page, FAILED))
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
-            Cell(page.gui, html.head("Terms", "0: not said"))
+            Cell(page.gui, html.head("Terms"))
             self._fields = {
-                "limit_um": self._number("Limit, ± µm", 0.01),
-                "temperature_c": self._number("Blocks, °C", 0.1),
-                "tolerance_um": self._number("Tolerance, µm", 0.1),
-                "interval_days": self._number("Next in, days", 1),
+                "limit_um": self._number("Limit, ± µm", over=0),
+                "temperature_c": self._number("Blocks, °C"),
+                "tolerance_um": self._number("Tolerance, µm", over=0),
+                "interval_days": self._number("Next in, days", over=0, whole=True),
             }
 
     def show(self, snapshot: Snapshot, earlier: bool) -> None:
         """Bring the numbers up to date; an earlier check stays as it was made."""
         set_prop(self._folder, "visible", not earlier)
-        for name, field in self._fields.items():
-            field.show(getattr(snapshot.gauge.terms, name) or 0)
+        for name, (_, field) in self._fields.items():
+            field.show(text_of(getattr(snapshot.gauge.terms, name)))
 
-    def _number(self, label: str, step: float) -> Field[Any]:
-        whole = float(step).is_integer()
-        zero, finest = (0, int(step)) if whole else (0.0, step)
-        handle = self._page.gui.add_number(label, zero, min=zero, step=finest)
-        return Field(handle, lambda _: self._put(), self._page, FAILED)
+    def _number(self, label: str, over: float | None = None, whole: bool = False) -> tuple[OptionalNumber, Field[str]]:
+        number = OptionalNumber(self._page.gui, label, over=over, whole=whole)
+        return number, Field(number.handle, lambda _: self._edits.made(), self._page, FAILED)
 
-    def _put(self) -> None:
-        put_in = {name: field.value or None for name, field in self._fields.items()}
+    def _put(self) -> Future[Any] | None:
+        put_in: dict[str, Any] = {name: number.value for name, (number, _) in self._fields.items()}
         terms = self._page.session.snapshot.gauge.terms
-        put_in["interval_days"] = put_in["interval_days"] or terms.interval_days
-        self._page.ask(FAILED, self._page.session.gauge.set_terms(replace(terms, **put_in)))
+        days = put_in["interval_days"]
+        put_in["interval_days"] = terms.interval_days if days is None else int(days)
+        answer = self._page.session.gauge.set_terms(replace(terms, **put_in))
+        self._page.ask(FAILED, answer)
+        return answer

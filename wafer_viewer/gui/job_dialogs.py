@@ -10,6 +10,7 @@ import viser
 
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.file_dialog import FileList
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.trial_words import before_release
@@ -30,19 +31,19 @@ BY_HAND = "as typed below"
 def jobs_dialog(page: Page) -> None:
     """Take up one of the released jobs."""
     snapshot = page.session.snapshot
-    dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}. A file elsewhere: by its path.")
+    dialog = Dialog(page, "Released jobs", f"In {snapshot.data_folder / 'jobs'}, or a file elsewhere.")
     with dialog.modal:
         Cell(page.gui, job_table(snapshot.operating.jobs, "job-in-dialog"))
-        path = page.gui.add_text("Path", "")
+        files = FileList(dialog, "job", rows=5)
 
     def listed(key: str) -> None:
         dialog.close()
         take_up(page, Path(key))
 
     def typed() -> None:
-        if not path.value.strip():
-            raise PlanError("No job is chosen: click one, or type the path of its file.")
-        take_up(page, Path(path.value.strip()).expanduser())
+        if files.is_empty:
+            raise PlanError("No job is chosen: click one, or its file.")
+        take_up(page, files.path())
 
     page.on_pick("job-in-dialog", listed)
     dialog.answers("Take it up", viser.Icon.FOLDER_OPEN, typed, "The job was not taken up")
@@ -100,13 +101,12 @@ def trial_dialog(page: Page) -> None:
     below = "Which verdicts would change, and why. Nothing kept is written over; a changed recipe takes its time."
     dialog = Dialog(page, "Try on stored wafers", below)
     with dialog.modal:
-        path = page.gui.add_text("Dataset or folder", str(page.session.snapshot.data_folder))
+        files = FileList(dialog, "wafers", rows=7)
+        files.field.value = str(page.session.snapshot.data_folder)
         result = page.gui.add_text("Reconstruction", DEFAULT_RESULT)
 
     def begin() -> None:
-        if not path.value.strip():
-            raise PlanError("No wafer is named: type the path of a dataset, or of a folder of them.")
-        paths = (Path(path.value.strip()).expanduser(),)
+        paths = (files.path(),)
         page.ask("The plan was not tried", page.session.trials.begin(paths, result.value.strip() or DEFAULT_RESULT))
 
     dialog.answers("Try it", viser.Icon.HISTORY, begin, "The plan was not tried")

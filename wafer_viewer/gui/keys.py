@@ -13,8 +13,7 @@ from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.gui import judging
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command, unless
-from wafer_viewer.gui.dialogs import load_plan_dialog, open_dialog
-from wafer_viewer.gui.exchange_dialogs import export_dialog, import_dialog
+from wafer_viewer.gui.exchange_dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
 from wafer_viewer.gui.header import TITLES
 from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.measure_panel import MeasurePanel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -11,9 +12,12 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, Group
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.number_field import OPTIONAL_LABELS
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.glossary import Subject, terms_of
 
+SCRIPTS = "names.js", "files.js", "keyboard.js"
+"""The list of files hears its keys before the others do."""
 BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every verb by its name", "Ctrl + K"),
@@ -84,4 +88,5 @@ def _group(group: Group, rows: list[tuple[str, str]]) -> str:
 
 @cache
 def _script() -> str:
-    return (Path(__file__).parent / "keyboard.js").read_text()
+    optional = f"window.wvOptional={json.dumps(OPTIONAL_LABELS, ensure_ascii=False)};"
+    return "\n".join((optional, *((Path(__file__).parent / name).read_text() for name in SCRIPTS)))

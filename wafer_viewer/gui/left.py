@@ -10,8 +10,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.compare_section import CompareSection
 from wafer_viewer.gui.defect_map import DefectMap
 from wafer_viewer.gui.defect_section import DefectSection
-from wafer_viewer.gui.dialogs import dataset_table, open_dataset, open_dialog
-from wafer_viewer.gui.exchange_dialogs import import_dialog
+from wafer_viewer.gui.dialogs import dataset_table, open_dataset
+from wafer_viewer.gui.exchange_dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.field_map import FieldMap
 from wafer_viewer.gui.gauge_left import GaugeList
 from wafer_viewer.gui.job_list import job_list

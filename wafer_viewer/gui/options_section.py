@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
+from wafer_viewer.gui.edits import Edits
+from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Field, set_prop
+from wafer_viewer.gui.number_field import OptionalNumber, number_of, text_of
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import Tool, View
 from wafer_viewer.model.measuring import ToolName
@@ -40,37 +43,32 @@ class Pick:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number, the unit in its label; zero is None where `off` says what that means, ``0: no filter``."""
+    """A number, the unit in its label, that may be left empty; `empty` says what that means, ``empty: no filter``."""
 
     label: str
     field: str
-    step: float
-    off: str = ""
-    least: float = 0.0
-    most: float | None = None
+    empty: str
+    over: float | None = 0.0
 
     def build(self, gui: Any) -> Any:
         """Its widget."""
-        whole = float(self.step).is_integer()
-        start = int(self.least) if whole else self.least
-        step = int(self.step) if whole else self.step
-        return gui.add_number(self.label, start, min=self.least, max=self.most, step=step, hint=self.off or None)
+        return OptionalNumber(gui, self.label, over=self.over, hint=self.empty).handle
 
     def of(self, put_in: Any) -> Any:
-        """The option's value of what stands in the widget."""
-        return None if self.off and not put_in else put_in
+        """The option's value of what stands in the widget. Raises WaferViewerError for what is no number."""
+        return number_of(put_in, self.label, over=self.over)
 
     def shown(self, value: Any) -> Any:
         """What stands in the widget for a value."""
-        return 0.0 if value is None else value
+        return text_of(value)
 
 
 Control = Pick | Number
 FORMS = {"Mean": 0, "Plane": 1, "Order 2": 2, "Order 3": 3, "Order 4": 4, "Order 6": 6, "Order 8": 8}
 CONDITIONS = (
-    Number("Repeats s, µm", "conditions.repeatability_um", 0.01, off="0: not known"),
-    Number("Drift u, µm", "conditions.drift_um", 0.01, off="0: not known"),
-    Number("Sample, °C", "conditions.temperature_c", 0.1, off="0: not known"),
+    Number("Repeats s, µm", "conditions.repeatability_um", "Spread of repeated measurements; empty: not known"),
+    Number("Drift u, µm", "conditions.drift_um", "Standard uncertainty by drift; empty: not known"),
+    Number("Sample, °C", "conditions.temperature_c", "Of the sample while it was scanned; empty: not known", None),
 )
 BRIGHTNESS = {"Either": "either", "Bright": "bright", "Dark": "dark"}
 CONTROLS: dict[ToolName, tuple[Control, ...]] = {
@@ -102,23 +100,23 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
     ),
     "texture": (
         Pick("Form removed", "form_order", FORMS, "Polynomial of least squares"),
-        Number("S-filter, µm", "s_filter_um", 0.1, off="Takes off waves that are shorter; 0: no filter"),
-        Number("L-filter, µm", "l_filter_um", 0.5, off="Takes off waves that are longer; 0: no filter"),
+        Number("S-filter, µm", "s_filter_um", "Removes waves that are shorter; empty: no filter"),
+        Number("L-filter, µm", "l_filter_um", "Removes waves that are longer; empty: no filter"),
     ),
     "roughness": (
-        Number("λc, µm", "lambda_c_um", 0.5, off="Takes off longer waves; the sampling length; 0: no filter"),
-        Number("λs, µm", "lambda_s_um", 0.1, off="Takes off waves that are shorter; 0: no filter"),
+        Number("λc, µm", "lambda_c_um", "Removes longer waves; the sampling length; empty: no filter"),
+        Number("λs, µm", "lambda_s_um", "Removes waves that are shorter; empty: no filter"),
     ),
     "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Beside what is next to it, on the picture"),),
     "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Beside what is round it, on the picture"),),
     "circle": (Pick("Inside", "inside", BRIGHTNESS, "Beside what is outside, on the picture"),),
     "chipping": (
-        Number("Chip over, µm", "limit_um", 0.5, off="0: four deviations of the edge"),
+        Number("Chip over, µm", "limit_um", "Empty: four standard deviations of the edge"),
         Pick("Die on the", "die", {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"}),
     ),
     "site_range": (
-        Number("Site width, µm", "width_um", 10.0, off="0: a quarter of the region"),
-        Number("Site height, µm", "height_um", 10.0, off="0: a quarter of the region"),
+        Number("Site width, µm", "width_um", "Empty: a quarter of the region"),
+        Number("Site height, µm", "height_um", "Empty: a quarter of the region"),
     ),
     "coplanarity": (Pick("Plane", "reference", {"Least squares": "least_squares", "Seating plane": "seating"}),),
 }
@@ -148,12 +146,15 @@ class OptionsSection:
                 field.show(control.shown(attrgetter(name)(getattr(view.options, tool))))
 
     def _hear(self, tool: ToolName, control: Control) -> Callable[[Any], None]:
-        def hear(event: Any) -> None:
+        def put() -> None:
             options = self._page.view.options
-            own = _with(getattr(options, tool), control.field, control.of(event.target.value))
-            self._page.change(options=replace(options, **{tool: own}))
+            value = control.of(self._fields[tool, control.field][1].value)
+            self._page.change(options=replace(options, **{tool: _with(getattr(options, tool), control.field, value)}))
 
-        return hear
+        if isinstance(control, Pick):
+            return lambda _: put()
+        edits = Edits(put, guarded(self._page, FAILED))
+        return lambda _: edits.made()
 
 
 def _with(spec: Any, field: str, value: Any) -> Any:

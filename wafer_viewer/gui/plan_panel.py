@@ -12,8 +12,9 @@ import viser
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui import plan_words as words
 from wafer_viewer.gui.align_section import Aligning, AlignSection
-from wafer_viewer.gui.dialogs import load_plan_dialog, unless_there
+from wafer_viewer.gui.dialogs import unless_there
 from wafer_viewer.gui.edits import Edits
+from wafer_viewer.gui.exchange_dialogs import load_plan_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, required_job, start_dialog, take_up
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop

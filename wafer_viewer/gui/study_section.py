@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.file_dialog import FileList
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, button, in_a_row, outlined
+from wafer_viewer.gui.kit import Cell, button, in_a_row
+from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
-from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.gui.study_words import METHODS, study
-from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.repeatability import Method
 
 FAILED = "The study was not read"
@@ -43,26 +42,17 @@ class StudySection:
         dialog = Dialog(self._page, "Gauge R&R study", below)
         gui = self._page.gui
         with dialog.modal:
-            path = gui.add_text("Path", "")
-            upload = gui.add_upload_button("Or send a file from here…", icon=viser.Icon.UPLOAD, mime_type="text/csv")
-            outlined(gui, upload, 32)
-            sent = Cell(gui)
+            files = FileList(dialog, "study", rows=6)
+            files.add_upload("text/csv")
             method = gui.add_dropdown("Method", tuple(METHOD_OF))
-            tolerance = gui.add_number("Tolerance", 0.0, min=0.0, step=0.1)
-
-        @upload.on_upload
-        def _(event: Any) -> None:
-            path.value = str(put_down(event.target.value))
-            sent.show(f'<div class="wv-lab">{html.safe(event.target.value.name)} is here.</div>')
+            tolerance = OptionalNumber(gui, "Tolerance", over=0)
 
         def read() -> None:
-            self._read(path.value, method.value, tolerance.value)
+            self._read(files.path(), method.value, tolerance.value)
 
         dialog.answers("Read the study", viser.Icon.TABLE_IMPORT, read, FAILED)
 
-    def _read(self, path: str, method: str, tolerance: float) -> None:
-        if not path.strip():
-            raise MeasureError("No study is given: type the path of its CSV or of the scans, or send the file.")
-        made = self._page.session.studies.gauge_rr(Path(path.strip()), METHOD_OF[method], tolerance or None)
+    def _read(self, path: Path, method: str, tolerance: float | None) -> None:
+        made = self._page.session.studies.gauge_rr(path, METHOD_OF[method], tolerance)
         self._told = "".join(study(one) for one in made)
         self._page.redraw()

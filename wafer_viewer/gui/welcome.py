@@ -6,8 +6,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
-from wafer_viewer.gui.dialogs import open_dialog
-from wafer_viewer.gui.exchange_dialogs import import_dialog
+from wafer_viewer.gui.exchange_dialogs import import_dialog, open_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, outlined, set_prop
 from wafer_viewer.gui.page import Page

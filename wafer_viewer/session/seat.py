@@ -19,6 +19,8 @@ FREE = frozenset(
         *("profile", "read_out", "focus_curve", "measure", "datum", "thumbnail"),
         *("export_surface", "export_findings", "exchange.is_surface"),
         *("papers.keep_picture", "papers.write_report", "papers.contents"),
+        *("browsing.roots", "browsing.list_folder", "browsing.look", "browsing.allowed"),
+        *("browsing.path_of", "browsing.existing", "browsing.remember"),
         *("stop", "stop_scan", "comparing.choices", "sections.section", "sections.others", "sections.file"),
         "defects.files.write",
         *("gauge.find_faces", "gauge.check", "studies.gauge_rr"),

@@ -17,6 +17,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.asking import Asking
+from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.control import Control
@@ -41,13 +42,21 @@ class Session(Asking):
     """One rig, one data folder, one open dataset, shared by all browsers.
 
     rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
+    browse: folders that a file dialog may show beside the data folder and the home folder.
     The constructor returns at once; the rig and the workers come up meanwhile. Raises DatasetError when the data
-    folder is not there and cannot be made.
+    folder is not there and cannot be made, or one of `browse` is no folder.
     """
 
-    def __init__(self, data_folder: Path, rig: RigConfig | None = None, scheduler: str | None = None) -> None:
+    def __init__(
+        self,
+        data_folder: Path,
+        rig: RigConfig | None = None,
+        scheduler: str | None = None,
+        browse: tuple[Path, ...] = (),
+    ) -> None:
         self._rooms = rooms = Conductor(Path(data_folder), rig or RigConfig(), scheduler)
         self._desk, self._do = rooms.desk, rooms.desk.do
+        self.browsing = Browsing(rooms.desk.snapshot.data_folder, browse)
         super().__init__(Questions(rooms.library, lambda: self.snapshot))
         self.control = Control(rooms.desk)
         self.notebook = NotebookVerbs(self._do, rooms.notebook)
@@ -88,6 +97,7 @@ class Session(Asking):
         """Put the rig at rest and end all processes; twice does no harm."""
         atexit.unregister(self.close)
         self._rooms.close()
+        self.browsing.close()
         if self._painter is not None:
             self._painter.close()
 

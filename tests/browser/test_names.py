@@ -1,0 +1,60 @@
+"""Every input has a name that assistive technology reads, that of its label, in every step of the true page's parts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.browser import fake_session as fake
+from tests.browser.steps import go_to, press
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
+Serve = Callable[[fake.FakeSession], Page]
+UNNAMED = """() => [...document.querySelectorAll('input:not([type=hidden]), textarea, [role=slider], [role=combobox]')]
+    .filter(at => at.getClientRects().length && !at.closest('[aria-hidden=true]'))
+    .filter(at => !(at.getAttribute('aria-label') || at.getAttribute('aria-labelledby') || at.labels?.length))
+    .map(at => at.outerHTML.slice(0, 200))"""
+PLAN = (
+    *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
+    *("From, to, µm", "Step, µm", "Exposures, µs"),
+)
+
+
+def wait_for_names(page: Page) -> None:
+    page.wait_for_function(f"() => ({UNNAMED})().length === 0")
+
+
+def test_every_input_of_plan_is_found_by_its_label(serve: Serve):
+    page = serve(fake.FakeSession(fake.planned()))
+    panel = page.locator("[data-dock-region=right]")
+    for label in PLAN:
+        expect(panel.get_by_label(label, exact=True)).to_have_count(1)
+    for label in ("Size, mm", "Columns, rows", "Centre, µm", "From, to, µm"):
+        expect(panel.get_by_label(f"{label}, second", exact=True)).to_have_count(1)
+    wait_for_names(page)
+    panel.get_by_role("textbox", name="Lot", exact=True).fill("L99")
+    hidden = page.locator("div:has(>.wv-picks)+div input")
+    expect(hidden).to_have_attribute("tabindex", "-1")
+
+
+def test_no_input_is_without_a_name_in_any_step_or_dialog(serve: Serve):
+    shown = serve(fake.FakeSession(fake.measured()))
+    for step in ("Acquire", "Surface", "Measure", "Gauge check", "Review", "Report", "Plan"):
+        go_to(shown, step)
+        wait_for_names(shown)
+    for opener in ("Open…", "Import…"):
+        press(shown, opener)
+        dialog = shown.get_by_role("dialog")
+        expect(dialog.get_by_label("Path", exact=True)).to_have_count(1)
+        if opener == "Import…":
+            pixel = dialog.get_by_label("Pixel, µm", exact=True)
+            expect(pixel).to_have_value("")
+            expect(pixel).to_have_attribute("placeholder", "not given")
+        wait_for_names(shown)
+        shown.keyboard.press("Escape")
+        expect(dialog).to_have_count(0)

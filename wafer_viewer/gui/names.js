@@ -1,0 +1,25 @@
+/* Accessible names: viser draws a label beside its input and ties the two together for some inputs only. Every input
+   in the row of a label gets the label as its name; a field that may be left empty says so in grey. Runs once a page.
+   `window.wvOptional` holds the labels of those fields. */
+if (!window.wvNames) {
+  const INPUTS = 'input:not([type=hidden]), textarea, select, [role=slider], [role=combobox], [role=switch]';
+  const HIDDEN = 'div:has(>.wv-picks)+div input, div:has(>.wv-tells)+div input';
+  const set = (at, name, value) => { if (at.getAttribute(name) !== value) at.setAttribute(name, value); };
+  const nameAll = () => {
+    for (const at of document.querySelectorAll(HIDDEN)) { set(at, 'aria-hidden', 'true'); set(at, 'tabindex', '-1'); }
+    for (const label of document.querySelectorAll('label[for]')) {
+      const text = label.textContent.trim(), row = label.closest('.mantine-Flex-root');
+      if (!text || !row) continue;
+      const inputs = [...row.querySelectorAll(INPUTS)].filter(at => !at.matches('[aria-hidden=true]'));
+      inputs.forEach((at, n) => {
+        const tied = n === 0 && at.id === label.htmlFor;
+        if (!tied) set(at, 'aria-label', n === 0 ? text : inputs.length === 2 ? `${text}, second` : `${text}, ${n + 1}`);
+        if (window.wvOptional?.includes(text) && inputs.length === 1) set(at, 'placeholder', 'not given');
+      });
+    }
+  };
+  let due = 0;
+  window.wvNames = new MutationObserver(() => { due = due || setTimeout(() => { due = 0; nameAll(); }, 60); });
+  window.wvNames.observe(document.body, { childList: true, subtree: true });
+  nameAll();
+}

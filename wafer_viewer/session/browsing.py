@@ -1,0 +1,389 @@
+"""Folders for the file dialog: listed in pages with small pictures, on threads of their own, inside the roots alone.
+
+The roots are the data folder, the home folder of the user that the program runs as, and those given at the start. A
+path counts as inside after its symbolic links are resolved, so that a link leads nowhere else.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.formats import READ
+
+Order = Literal["date", "name", "size"]
+KindName = Literal["dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "any"]
+IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp")
+DATASET_ENDING = ".wafer"
+PAGE = 200
+"""Entries of a folder that are told at first; more follow when they are asked for."""
+MOST_ENTRIES = 20_000
+"""A folder with more is listed as far as that, in the order of the disk; typing a name still reaches the rest."""
+MOST_COUNTED = 1000
+COUNTED_FOLDERS = 60
+"""Images are counted in so many folders of a page, up to `MOST_COUNTED` each."""
+KEPT_LOOKS = 400
+KEPT_RECENT = 6
+RECENT = Path(".wafer-viewer") / "recent.json"
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """What a dialog asks for: endings of names, whether a plain folder can be chosen, and more than one file."""
+
+    title: str
+    endings: tuple[str, ...]
+    takes_folder: bool = False
+    several: bool = False
+
+
+FILE_KINDS: dict[KindName, FileKind] = {
+    "dataset": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),
+    "images": FileKind("Images and surface files", (*IMAGE_ENDINGS, *READ), takes_folder=True, several=True),
+    "plan": FileKind("Plans", (".toml",)),
+    "job": FileKind("Released jobs", (".toml",)),
+    "certificate": FileKind("Certificates", (".toml",)),
+    "klarf": FileKind("KLARF files", (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))),
+    "wafers": FileKind("Datasets", (DATASET_ENDING,), takes_folder=True),
+    "surface": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),
+    "study": FileKind("Tables and folders of scans", (".csv",), takes_folder=True),
+    "any": FileKind("All files", ("",)),
+}
+"""One line for each thing that a dialog asks for; what was taken last is remembered by the same names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Root:
+    """A folder below which everything may be chosen, by the name that the page gives it."""
+
+    name: str
+    path: Path
+
+
+@dataclass(frozen=True, slots=True)
+class FileEntry:
+    """One line of a folder. is_folder: opening it lists it. why_not: why it cannot be chosen, empty where it can."""
+
+    path: Path
+    kind: str
+    is_folder: bool
+    can_choose: bool
+    size_bytes: int | None
+    modified_s: float
+    note: str = ""
+    why_not: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """A part of a folder. n_matching: entries that there are of what was asked for; n_hidden: files of other kinds.
+
+    completion: the path as far as all entries with the beginning typed agree. parent is None in a root.
+    """
+
+    folder: Path
+    parent: Path | None
+    entries: tuple[FileEntry, ...]
+    n_matching: int
+    n_hidden: int
+    is_cut: bool
+    free_bytes: int
+    completion: str
+    recent: tuple[Path, ...]
+
+
+class Browsing:
+    """Answers from any thread; what takes time comes as a future.
+
+    Parameters
+    ----------
+    data_folder : Path
+        The folder of the datasets, the first root; what was taken last is remembered in it.
+    more : tuple of Path
+        Other roots, as the command line names them.
+    home : Path or None
+        The user's home folder; None leaves it out.
+
+    Raises
+    ------
+    DatasetError
+        When one of `more` is no folder.
+    """
+
+    def __init__(self, data_folder: Path, more: tuple[Path, ...] = (), home: Path | None = Path("~")) -> None:
+        given = tuple(path.expanduser().absolute() for path in more)
+        for path in given:
+            if not path.is_dir():
+                raise DatasetError(f"--browse {path} is no folder: name one that is there.")
+        own = home.expanduser().absolute() if home is not None else None
+        named = [("Data folder", data_folder.absolute()), ("Home", own), *((path.name, path) for path in given)]
+        roots = [Root(name or str(path), path) for name, path in named if path is not None and path.is_dir()]
+        self.roots = tuple(root for n, root in enumerate(roots) if root.path not in {r.path for r in roots[:n]})
+        self._recent_file = data_folder / RECENT
+        self._writing = threading.Lock()
+        self._looks: OrderedDict[tuple[Path, float], bytes] = OrderedDict()
+        self._listing = ThreadPoolExecutor(2, thread_name_prefix="listing")
+        self._looking = ThreadPoolExecutor(1, thread_name_prefix="previews")
+
+    def close(self) -> None:
+        """End the threads; what was not begun is not done."""
+        self._listing.shutdown(wait=False, cancel_futures=True)
+        self._looking.shutdown(wait=False, cancel_futures=True)
+
+    # --- what may be chosen
+
+    def allowed(self, path: Path) -> bool:
+        """Return whether a path lies in a root once its symbolic links are resolved."""
+        try:
+            real = Path(os.path.realpath(path))
+        except OSError:
+            return False
+        return any(real.is_relative_to(os.path.realpath(root.path)) for root in self.roots)
+
+    def path_of(self, text: str, folder: Path) -> Path:
+        """Return the absolute path that a person typed, `folder` being the one on show; ~ is the home folder.
+
+        Raises DatasetError where nothing is typed, or the path leads out of the roots.
+        """
+        if not text.strip():
+            raise DatasetError("No path is given: type one, or choose from the list.")
+        path = Path(os.path.normpath(folder / Path(text.strip()).expanduser()))
+        if not self.allowed(path):
+            names = ", ".join(str(root.path) for root in self.roots)
+            raise DatasetError(
+                f"{path} lies outside of the folders that this viewer may show ({names}): "
+                f"copy it there, or start the viewer with --browse {path.parent}."
+            )
+        return path
+
+    def existing(self, text: str, folder: Path) -> Path:
+        """Return the path that a person typed, of something that is there. Raises DatasetError otherwise."""
+        path = self.path_of(text, folder)
+        if not path.exists():
+            raise DatasetError(f"{path} is not there: check the path.")
+        return path
+
+    # --- folders
+
+    def list_folder(
+        self, folder: Path, kind: FileKind, *, prefix: str = "", order: Order = "date", limit: int = PAGE
+    ) -> Future[Listing]:
+        """List a folder: its folders first, then what is asked for, the newest first.
+
+        Parameters
+        ----------
+        folder : Path
+            A folder inside of a root.
+        kind : FileKind
+            What is asked for.
+        prefix : str
+            The beginning of the names to list, in any case.
+        order : {"date", "name", "size"}
+            By which files are sorted; folders follow it too, but for size.
+        limit : int
+            Most entries to return.
+
+        Returns
+        -------
+        Future of Listing
+            DatasetError where the folder lies outside of the roots, is not there or may not be read.
+        """
+        return self._listing.submit(self._list, folder, kind, prefix, order, limit)
+
+    def _list(self, folder: Path, kind: FileKind, prefix: str, order: Order, limit: int) -> Listing:
+        folder = self.existing(str(folder), folder)
+        if not folder.is_dir():
+            raise DatasetError(f"{folder} is no folder: choose one that is.")
+        every, is_cut = self._scan(folder, prefix)
+        found = [entry for entry in (_entry(item, kind) for item in every) if entry is not None]
+        found.sort(key=_key(order))
+        some = tuple(_counted(found[:limit], kind))
+        roots = {root.path for root in self.roots}
+        parent = folder.parent if folder not in roots and self.allowed(folder.parent) else None
+        return Listing(
+            folder=folder,
+            parent=parent,
+            entries=some,
+            n_matching=len(found),
+            n_hidden=len(every) - len(found),
+            is_cut=is_cut,
+            free_bytes=shutil.disk_usage(folder).free,
+            completion=_completion(folder, prefix, found),
+            recent=self._recent(kind),
+        )
+
+    def _scan(self, folder: Path, prefix: str) -> tuple[list[os.DirEntry[str]], bool]:
+        """What is in a folder and may be shown; hidden files only where their dot is typed."""
+        found: list[os.DirEntry[str]] = []
+        try:
+            with os.scandir(folder) as items:
+                for item in items:
+                    begins = item.name.casefold().startswith(prefix.casefold())
+                    if not begins or (item.name.startswith(".") and not prefix.startswith(".")):
+                        continue
+                    if item.is_symlink() and not (self.allowed(Path(item.path)) and Path(item.path).exists()):
+                        continue
+                    if len(found) == MOST_ENTRIES:
+                        return found, True
+                    found.append(item)
+        except PermissionError:
+            raise DatasetError(f"{folder} may not be read by this user: choose another folder.") from None
+        except OSError as fault:
+            raise DatasetError(f"{folder} cannot be listed ({fault.strerror}): choose another folder.") from fault
+        return found, False
+
+    # --- small pictures
+
+    def look(self, path: Path) -> Future[bytes]:
+        """Make a small picture of a file as JPEG; done with no bytes where there is nothing to show."""
+        return self._looking.submit(self._look, path)
+
+    def _look(self, path: Path) -> bytes:
+        from wafer_viewer.store.previews import preview
+
+        if not self.allowed(path):
+            return b""
+        try:
+            key = path, path.stat().st_mtime
+        except OSError:
+            return b""
+        if key not in self._looks:
+            self._looks[key] = preview(path)
+            if len(self._looks) > KEPT_LOOKS:
+                self._looks.popitem(last=False)
+        self._looks.move_to_end(key)
+        return self._looks[key]
+
+    # --- what was taken last
+
+    def remember(self, kind: KindName, path: Path) -> None:
+        """Note what was taken, so that it is offered first the next time."""
+        from wafer_viewer.store.files import write_text
+
+        with self._writing:
+            kept = self._remembered()
+            others = [other for other in kept.get(kind, []) if other != str(path)]
+            kept[kind] = [str(path), *others][:KEPT_RECENT]
+            try:
+                self._recent_file.parent.mkdir(exist_ok=True)
+                write_text(self._recent_file, msgspec.json.encode(kept).decode())
+            except (DatasetError, OSError) as fault:
+                log.warning("What was taken last is not remembered: %s", fault)
+
+    def _remembered(self) -> dict[str, list[str]]:
+        try:
+            return msgspec.json.decode(self._recent_file.read_bytes(), type=dict[str, list[str]])
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+            return {}
+
+    def _recent(self, kind: FileKind) -> tuple[Path, ...]:
+        name = next((name for name, known in FILE_KINDS.items() if known is kind), None)
+        paths = (Path(text) for text in self._remembered().get(name or "", ()))
+        return tuple(path for path in paths if self.allowed(path) and path.exists())
+
+
+def saved_as(browsing: Browsing, text: str, folder: Path, ending: str) -> Path:
+    """Return the path of a file to be saved, with the ending where the name typed has none.
+
+    Raises DatasetError where there is no name, no folder, or the path leads out of the roots.
+    """
+    if not text.strip():
+        raise DatasetError("The file has no name: type one.")
+    path = browsing.path_of(text, folder)
+    if not path.parent.is_dir():
+        raise DatasetError(f"The folder {path.parent} is not there: choose one from the list.")
+    return path if path.name.lower().endswith(ending.lower()) else path.with_name(f"{path.name}{ending}")
+
+
+def _entry(item: os.DirEntry[str], kind: FileKind) -> FileEntry | None:
+    """A line of the list; None for what is not asked for."""
+    try:
+        status, is_folder = item.stat(), item.is_dir()
+    except OSError:
+        return None
+    path, ending = Path(item.path), Path(item.name).suffix.lower()
+    fits = any(item.name.lower().endswith(one) for one in kind.endings)
+    is_dataset = is_folder and ending == DATASET_ENDING
+    if (is_dataset or not is_folder) and not fits:
+        return None
+    opens = is_folder and not is_dataset
+    mode = os.R_OK | (os.X_OK if is_folder else 0)
+    return FileEntry(
+        path=path,
+        kind="Dataset" if is_dataset else "Folder" if is_folder else kind_of(ending),
+        is_folder=opens,
+        can_choose=not opens or kind.takes_folder,
+        size_bytes=None if is_folder else status.st_size,
+        modified_s=status.st_mtime,
+        why_not="" if os.access(path, mode) else "No permission to read",
+    )
+
+
+def kind_of(ending: str) -> str:
+    """Return the word for a kind of file by its ending."""
+    if ending in (".tif", ".tiff"):
+        return "TIFF"
+    if ending in IMAGE_ENDINGS:
+        return f"{ending[1:].upper()} image"
+    if ending in READ:
+        return f"{ending[1:].upper()} surface"
+    return ending[1:].upper() or "File"
+
+
+def _key(order: Order) -> Callable[[FileEntry], tuple[bool, float, list[str | int]]]:
+    from wafer_viewer.store.files import natural
+
+    def key(entry: FileEntry) -> tuple[bool, float, list[str | int]]:
+        name = natural(entry.path.name)
+        if order == "name" or (order == "size" and entry.is_folder):
+            return not entry.is_folder, 0.0, name
+        value = entry.modified_s if order == "date" else float(entry.size_bytes or 0)
+        return not entry.is_folder, -value, name
+
+    return key
+
+
+def _counted(entries: list[FileEntry], kind: FileKind) -> Iterator[FileEntry]:
+    """The entries, folders with the number of images in them where images are asked for."""
+    left = COUNTED_FOLDERS if kind is FILE_KINDS["images"] else 0
+    for entry in entries:
+        if entry.is_folder and left and not entry.why_not:
+            left -= 1
+            yield replace(entry, note=_n_images(entry.path))
+        else:
+            yield entry
+
+
+def _n_images(folder: Path) -> str:
+    n = 0
+    try:
+        with os.scandir(folder) as items:
+            for n_seen, item in enumerate(items):
+                n += item.name.lower().endswith(IMAGE_ENDINGS) and not item.name.startswith(".")
+                if n_seen == MOST_COUNTED:
+                    return f"over {n} images" if n else ""
+    except OSError:
+        return ""
+    return "" if n == 0 else f"{n} image{'' if n == 1 else 's'}"
+
+
+def _completion(folder: Path, prefix: str, found: list[FileEntry]) -> str:
+    """What typing can be completed to: the common beginning of all names, a lone folder with its separator."""
+    if not prefix or not found:
+        return ""
+    names = [entry.path.name for entry in found]
+    common = os.path.commonprefix(names)  # noqa: RUF071 - of names, letter by letter
+    whole = str(folder / common) if common.casefold().startswith(prefix.casefold()) else ""
+    return whole + os.sep if whole and len(found) == 1 and found[0].is_folder else whole
