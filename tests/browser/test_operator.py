@@ -78,7 +78,7 @@ def test_four_actions_from_the_wafers_id_to_its_verdict(page: Page, session: Ses
     press(page, "Next wafer")
     title_is(page, re.compile("demonstration wafer"))
     expect(text_field(page, "Wafer id")).to_have_value("")
-    expect(check(page, "Alignment")).to_contain_text("2 corners to mark")
+    expect(check(page, "Alignment")).to_contain_text("Not aligned: 0 of 2 corners marked")
     assert notes(page).count() == 0
 
 

@@ -38,15 +38,18 @@ _NOT_TAKEN = (FieldState.TO_COME, FieldState.TO_REPEAT, FieldState.TAKING, Field
 def acquire_contents(book: Book, snapshot: Snapshot, view: View, latest: LatestFrame | None) -> Contents:
     """The fields of the open dataset as far as they are; without one, the plan."""
     data = snapshot.dataset
-    if data is None or not data.fields:
+    if data is None:
         return plan_contents(snapshot, view)
+    if not data.fields:  # a surface file: it is drawn as soon as it is read, and the sample on the stage is another
+        return Contents(items=(), corners_mm=corners_of((-1.0, -1.0, 1.0, 1.0), 0.0, 0.0), place=("file", data.path))
     size = data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um
     facts = book.facts_known({n: _source(data, snapshot, n) for n in sorted(data.stamps)})
     z0 = min((f.lowest_um for f in facts.values()), default=min(f.z_start_um for f in data.fields))
     box = fields_box(data.fields, *size)
     floor = -0.006 * max(box[2] - box[0], box[3] - box[1])
     items = _live(snapshot, view, latest, data, size, z0, floor)
-    items += sample_items(snapshot, view.dark, floor, dimmed=True)
+    if snapshot.dataset_overview is not None:
+        items += sample_items(snapshot, view.dark, floor, dimmed=True)
     taken = {number for number, state in data.states.items() if state not in _NOT_TAKEN}
     items += flat_items([f for f in data.fields if f.number not in facts], taken, *size, floor, view.dark)
     items += _finished(data, snapshot, view, facts, z0)

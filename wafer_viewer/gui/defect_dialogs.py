@@ -48,10 +48,10 @@ def export_defects_dialog(page: Page) -> None:
     dialog = Dialog(page, "Export the defects", "As they are judged now; nuisances are in it and marked as such.")
     first = next(iter(FORMATS))
     with dialog.modal:
-        kind = page.gui.add_dropdown("Format", tuple(FORMATS))
-        said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
         name = f"{stem}{FORMATS[first][1]}"
         files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
+        kind = page.gui.add_dropdown("Format", tuple(FORMATS))
+        said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
 
     @kind.on_update
     def _(_: Any) -> None:

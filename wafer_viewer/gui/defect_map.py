@@ -67,7 +67,7 @@ class DefectMap:
         if inspection is None or not there:
             return False
         listing = replace(view.defects, sort="size")
-        of = inspection, snapshot.overview, listing, view.review_filter, snapshot.shelf.other
+        of = inspection, snapshot.dataset_overview, listing, view.review_filter, snapshot.shelf.other
         if self._of is None or any(a is not b and a != b for a, b in zip(of, self._of, strict=True)):
             self._of = of
             self._draw(snapshot, view, inspection)
@@ -123,7 +123,8 @@ class DefectMap:
     # --- showing
 
     def _draw(self, snapshot: Snapshot, view: View, inspection: Inspection) -> None:
-        outline = snapshot.overview.outline_um if snapshot.overview else ()
+        overview = snapshot.dataset_overview
+        outline = overview.outline_um if overview else ()
         self._head.show(map_head(view.defects))
         self._frame = die_frame(inspection, outline, width_px=WIDTH_PX, most_height_px=MOST_HEIGHT_PX)
         if self._frame is not None:

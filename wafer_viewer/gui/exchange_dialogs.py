@@ -53,19 +53,19 @@ def load_plan_dialog(page: Page) -> None:
 
 def import_dialog(page: Page) -> None:
     """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
-    below = f"A folder of images, one focus stack or a grid of them, a multi-page TIFF; or a surface file ({_FILES})."
-    dialog = Dialog(page, "Import images or a surface", below)
+    dialog = Dialog(
+        page, "Import images or a surface", "A folder of images, several files, a multi-page TIFF; or a surface."
+    )
     gui = page.gui
     with dialog.modal:
-        files = FileList(dialog, "images", rows=6)
+        files = FileList(dialog, "images", rows=4)
         files.add_upload()
         duo(gui)
-        name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
-        pixel = OptionalNumber(gui, "Pixel, µm", over=0)
-        Cell(gui, html.head("Images"))
-        duo(gui)
         step = OptionalNumber(gui, "z step, µm")
-        pattern = gui.add_text("Grid pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
+        pixel = OptionalNumber(gui, "Pixel, µm", over=0)
+        duo(gui)
+        name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
+        pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
         Cell(gui, html.head("Surface file", "where it does not say it itself"))
         duo(gui)
         unit = gui.add_text("z unit", "")
@@ -100,10 +100,10 @@ def export_dialog(page: Page) -> None:
     size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
     with dialog.modal:
         first = next(iter(_TITLES.values()))
+        files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
         kind = page.gui.add_dropdown("Format", tuple(_TITLES))
         every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
         said = Cell(page.gui, _said(first, 1, size))
-        files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
 
     @kind.on_update
     def _(_: Any) -> None:

@@ -61,12 +61,13 @@ class FieldMap:
 
     def _draw(self, snapshot: Snapshot, view: View) -> None:
         fields, states, size_um = drawn(snapshot, view)
-        overview = snapshot.overview
-        if not fields or size_um is None:
+        of_data = snapshot.dataset is not None and view.step != "plan"
+        overview = snapshot.dataset_overview if of_data else snapshot.overview
+        outline = overview.outline_um if overview else extent_um(snapshot) if of_data and not fields else ()
+        if size_um is None or not (fields or outline):
             self._frame = None
             self._map.show(_nothing(snapshot, view))
             return
-        outline = overview.outline_um if overview else ()
         self._frame = map_frame(fields, *size_um, outline)
         drawing = field_map_svg(
             fields,
@@ -78,7 +79,10 @@ class FieldMap:
             onclick=html.pick_script("field"),
             onplace="" if snapshot.scanning else html.pick_script("place"),
         )
-        self._map.show(drawing + _legend(states) + _hint(snapshot, view))
+        below = (
+            _legend(states) + _hint(snapshot, view) if fields else html.empty("A surface from a file:", "no fields.")
+        )
+        self._map.show(drawing + below)
 
 
 def _nothing(snapshot: Snapshot, view: View) -> str:
@@ -114,12 +118,31 @@ def field_at(snapshot: Snapshot, view: View, x_um: float, y_um: float) -> Field 
     return min(holding, key=lambda f: (f.x_um - x_um) ** 2 + (f.y_um - y_um) ** 2, default=None)
 
 
+def extent_um(snapshot: Snapshot) -> Outline:
+    """The corners of the stitched surface, stage um; none before there is one."""
+    info = snapshot.surface
+    if info is None:
+        return ()
+    x0, y1 = info.x0_um - info.pixel_um / 2, info.y0_um + info.pixel_um / 2
+    x1, y0 = x0 + info.cols * info.pixel_um, y1 - info.rows * info.pixel_um
+    return (x0, y0), (x1, y0), (x1, y1), (x0, y1)
+
+
 def _essence(snapshot: Snapshot, view: View) -> tuple[object, ...]:
     """What of all this the map shows; large things are told apart by being the same."""
     data = snapshot.dataset if view.step != "plan" else None
     job, limits = snapshot.draft.job, snapshot.rig.limits
     of_data = (data.fields, data.states, data.plan) if data is not None else (job, limits, None)
-    return (*of_data, snapshot.overview, view.on_surface, view.show, snapshot.scanning, snapshot.rig.state == "ready")
+    extent = extent_um(snapshot) if data is not None and not data.fields else ()
+    return (
+        *of_data,
+        snapshot.overview,
+        extent,
+        view.on_surface,
+        view.show,
+        snapshot.scanning,
+        snapshot.rig.state == "ready",
+    )
 
 
 def _areas(view: View, brushed: Brushed | None) -> list[Area]:

@@ -1,15 +1,13 @@
 /* The list of files in a dialog: its rows are chosen with the mouse or the arrows, opened with a double click or Enter;
-   Backspace leads to the folder above, Tab completes the path typed. Runs once a page, before keyboard.js. */
+   Backspace leads to the folder above, Tab completes the path typed. Runs once a page, before keyboard.js.
+   `window.wvReport` reports what was picked to the page. */
 if (!window.wvFiles) {
   const last = selector => [...document.querySelectorAll(`.mantine-Modal-content ${selector}`)].pop();
   const setValue = (input, value) => {
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(input, value);
     input.dispatchEvent(new Event('input', { bubbles: true }));
   };
-  const tell = (what, key) => {
-    const input = document.querySelector('div:has(>.wv-picks)+div input');
-    if (input) setValue(input, `${what}|${key}|${performance.now()}`);
-  };
+  const tell = (what, key) => window.wvReport[what].call({ dataset: { k: key } }, { stopPropagation() {} });
   const rowsOf = list => [...list.querySelectorAll('[role=option]:not([aria-disabled=true])')];
   const chosenIn = list => rowsOf(list).filter(row => row.getAttribute('aria-selected') === 'true');
   const consume = event => { event.preventDefault(); event.stopImmediatePropagation(); };

@@ -30,7 +30,7 @@ HANDS_ON = frozenset(
         "Try on wafers…",
         "Dies…",
         *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
-        *("Accepted", "Rejected", "Note", "Save view", "Move there", "Inspect"),
+        *("Accept", "Reject", "Note", "Save view", "Move there", "Inspect"),
         *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),
         *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
     }

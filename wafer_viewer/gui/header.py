@@ -285,9 +285,20 @@ def _state(snapshot: Snapshot, view: View) -> str:
     switch = icon(viser.Icon.SUN if view.dark else viser.Icon.MOON, 19)
     name = "Light" if view.dark else "Dark"
     return (
-        f'<div class="wv-state"><div>{_pill(rig)}<div class="wv-where">{where(rig)}</div></div>'
+        f'<div class="wv-state"><div>{_pill_over(snapshot, view)}<div class="wv-where">{where(rig)}</div></div>'
         f'<span class="wv-switch" title="{name} page" aria-label="{name} page" {pick("theme")}>{switch}</span></div>'
     )
+
+
+def _pill_over(snapshot: Snapshot, view: View) -> str:
+    """The pill of the rig; over data that no rig of this program took, unless the rig moves or is at fault, theirs."""
+    data, rig = snapshot.dataset, snapshot.rig
+    at_rest = rig.state in ("starting", "ready", "absent")
+    if data is None or not data.imported or data.simulated or not view.on_surface or not at_rest:
+        return _pill(rig)
+    state = f"{rig.name}{', simulated' if rig.simulated else ''}: {rig.state}"
+    told = f"The data were taken elsewhere. {state}."
+    return f'<span class="wv-pill imported" title="{safe(told)}"><i></i><span><em>Imported</em> · no rig</span></span>'
 
 
 def _pill(rig: RigStatus) -> str:

@@ -101,7 +101,7 @@ FIELDS: dict[str, str] = {
     "File name": "A folder before it leads there",
     "z step, µm": _limited("Between two images of the stack, µm", FocusSweep, "z_step_um"),
     "Pixel, µm": "Size of a pixel on the sample, µm; over 0",
-    "Grid pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
+    "Pattern": "How files are named, r{row}_c{col}_k{k}.tif; empty for one stack",
     "Format": "The ending of the file follows",
     "One pixel in": "Density: every so manieth row and column is written; 1 for all",
     "z unit": "Unit of the heights of a surface file, such as um; of points the unit of x and y, too",
@@ -144,8 +144,8 @@ BUTTONS: dict[str, str] = {
     "Undo": "Undo",
     "Redo": "Redo",
     "Next": "Next under review",
-    "Accepted": "Accept",
-    "Rejected": "Reject",
+    "Accept": "Accept",
+    "Reject": "Reject",
 }
 """Labels of buttons, and the verbs whose keys do the same."""
 STEP_TITLES = "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report"

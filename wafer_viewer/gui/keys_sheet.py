@@ -18,6 +18,7 @@ from wafer_viewer.model.glossary import Subject, terms_of
 
 SCRIPTS = "names.js", "files.js", "keyboard.js"
 """The list of files hears its keys before the others do."""
+FILE_PICKS = "file-mark", "file-open", "file-parent"
 BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
         ("Every verb by its name", "Ctrl + K"),
@@ -89,4 +90,6 @@ def _group(group: Group, rows: list[tuple[str, str]]) -> str:
 @cache
 def _script() -> str:
     optional = f"window.wvOptional={json.dumps(OPTIONAL_LABELS, ensure_ascii=False)};"
-    return "\n".join((optional, *((Path(__file__).parent / name).read_text() for name in SCRIPTS)))
+    picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
+    read = ((Path(__file__).parent / name).read_text() for name in SCRIPTS)
+    return "\n".join((optional, f"window.wvReport={{{picks}}};", *read))

@@ -125,7 +125,7 @@ def _plan_legend(snapshot: Snapshot) -> str:
         shade = html.swatch("color-mix(in srgb,var(--accent) 45%,transparent)", "var(--accent)")
         parts.append(f"<span>{shade} overlap {number(100 * job.grid.overlap_x_fraction, 0)} %</span>")
     if snapshot.draft.plan is not None:
-        parts.append('<span><i class="wv-way"></i> way of the stage</span>')
+        parts.append('<span><i class="wv-way"></i> path of the stage</span>')
     return "".join(parts)
 
 

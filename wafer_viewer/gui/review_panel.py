@@ -35,7 +35,7 @@ from wafer_viewer.session.state import Snapshot
 if TYPE_CHECKING:
     from wafer_viewer.gui.scene import SceneView
 
-JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accepted"), ("rejected", "Rejected"))
+JUDGEMENTS: tuple[tuple[Verdict, str], ...] = (("accepted", "Accept"), ("rejected", "Reject"))
 ROUND_A_PLACE, LEAST_PX = 2.2, 160
 """Of the surface so much more than the places is shown, and at least so many of its pixels."""
 ASPECT, PICTURE_PX = 4 / 3, 480
@@ -140,8 +140,8 @@ class ReviewPanel:
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
         self._title, self._notes, self._picture, self._numbers, self._classes = (Cell(gui) for _ in range(5))
-        Cell(gui, html.head("Judgement", "keys Y and N"))
-        self._judgement = Choice(gui, "It is", JUDGEMENTS, guarded(page, "The judgement stays")(self.judge))
+        Cell(gui, html.head("", "keys Y and N"))
+        self._judgement = Choice(gui, "Judgement", JUDGEMENTS, guarded(page, "The judgement stays")(self.judge))
         note = gui.add_text("Note", "", hint="Kept with the judgement; it stands in the report")
         self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note stays")
         self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))

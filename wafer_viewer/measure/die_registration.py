@@ -93,12 +93,11 @@ def cells_of(
     read = {at: source.read(grid, at, lattice) for at in places}
     cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
     if len(cells) < 2:
-        lie, whole = ("lies", "die") if len(cells) == 1 else ("lie", "dies")
+        found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
         raise DiesNotFound(
-            f"Dies seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um, and {len(cells)} of them "
-            f"{lie} whole and measured on the surface where two are needed: scan more dies, or give pitch, origin and "
-            "size of the dies instead.",
-            f"{len(cells)} whole {whole} found, 2 needed",
+            f"{found}; they seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um. Scan more dies, or "
+            "give pitch, origin and size of the dies instead.",
+            found,
         )
     return cells
 

@@ -84,6 +84,7 @@ class Library:
                 plan=record.plan,
                 job=record.job,
                 results=dataset.results(),
+                imported=bool(record.imported_from),
             ),
             surface=self._stored_surface(),
         )

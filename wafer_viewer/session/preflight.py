@@ -39,7 +39,8 @@ class Check:
 class Preflight:
     """What is looked at. confirmed: whether a person said that the sample on the stage is the one that is named.
 
-    clipped_fraction: share of the last frame's pixels at the limit, None before there is one; today: ISO 8601.
+    clipped_fraction: share of the last frame's pixels at the limit, None before there is one; today: ISO 8601. n_marked: corners
+    of the alignment that were marked on the stage.
     """
 
     job: Job
@@ -53,6 +54,7 @@ class Preflight:
     today: str
     confirmed: bool = True
     clipped_fraction: float | None = None
+    n_marked: int = 0
 
 
 def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[Check, ...]:
@@ -73,6 +75,7 @@ def look_round(now: Snapshot, latest: LatestFrame | None, today: str) -> tuple[C
             today=today,
             confirmed=draft.confirmed,
             clipped_fraction=None if latest is None else latest.clipped_fraction,
+            n_marked=sum(seen is not None for seen in draft.seen_um),
         )
     )
 
@@ -118,7 +121,7 @@ def alignment(now: Preflight) -> Check:
         return Check("Alignment", state, "Without alignment: places are those of the stage.", mend)
     if found is None:
         state, mend = ("stop", "Mark them.") if now.job.released else ("attention", "Mark them, or start without.")
-        return Check("Alignment", state, f"Not aligned: {len(marks.places)} corners to mark.", mend)
+        return Check("Alignment", state, f"Not aligned: {now.n_marked} of {len(marks.places)} corners marked.", mend)
     fit = f"{found.n_marks} corners, residual {found.residual_um:.1f} um of {marks.limit_um:g} um"
     if found.residual_um > marks.limit_um:
         return Check("Alignment", "stop", f"{fit}: too large.", "Mark the named corners again.")

@@ -237,6 +237,8 @@ class OpenDataset:
     plan: ScanPlan
     job: Job
     results: tuple[str, ...] = ()
+    imported: bool = False
+    """Whether it was taken elsewhere: the rig of this program and the sample on it have nothing to do with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,3 +284,10 @@ class Snapshot:
     def simulated(self) -> bool:
         """Whether SIMULATED has to stand on the page: the rig in use or the dataset shown is simulated."""
         return self.rig.simulated if self.dataset is None else self.dataset.simulated
+
+    @property
+    def dataset_overview(self) -> Overview | None:
+        """The overview picture where it shows the sample of the open dataset; None for data of another instrument."""
+        data = self.dataset
+        ours = data is not None and not data.imported and data.simulated == self.rig.simulated
+        return self.overview if ours else None
