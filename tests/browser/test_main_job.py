@@ -37,7 +37,7 @@ SCAN_S, WORK_S = 180, 240
 
 @pytest.fixture
 def session(tmp_path: Path) -> Iterator[Session]:
-    opened = Session(tmp_path / "wafers")
+    opened = Session(tmp_path / "wafers", browse=(tmp_path,))
     yield opened
     opened.close()
 

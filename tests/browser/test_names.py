@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
@@ -33,13 +34,38 @@ def test_every_input_of_plan_is_found_by_its_label(serve: Serve):
     page = serve(fake.FakeSession(fake.planned()))
     panel = page.locator("[data-dock-region=right]")
     for label in PLAN:
-        expect(panel.get_by_label(label, exact=True)).to_have_count(1)
+        n_inputs = 2 if label == "Overlap, %" else 1  # a slider, and the number beside it
+        expect(panel.get_by_label(label, exact=True)).to_have_count(n_inputs)
     for label in ("Size, mm", "Columns, rows", "Centre, µm", "From, to, µm"):
         expect(panel.get_by_label(f"{label}, second", exact=True)).to_have_count(1)
     wait_for_names(page)
     panel.get_by_role("textbox", name="Lot", exact=True).fill("L99")
     hidden = page.locator("div:has(>.wv-picks)+div input")
     expect(hidden).to_have_attribute("tabindex", "-1")
+
+
+def test_the_ends_of_a_slider_can_be_read(serve: Serve):
+    page = serve(fake.FakeSession(fake.planned()))
+    ends = page.locator("[data-dock-region=right] .mantine-Slider-markLabel")
+    expect(ends).to_have_text(["0", "50"])
+    slider = page.locator("[data-dock-region=right] .mantine-Slider-root").bounding_box()
+    assert slider is not None
+    for k in (0, 1):
+        box = ends.nth(k).bounding_box()
+        assert box is not None
+        assert slider["x"] - 5 <= box["x"]
+        assert box["x"] + box["width"] <= slider["x"] + slider["width"] + 5
+        assert box["y"] + box["height"] <= slider["y"] + slider["height"] + 1
+        colour, size = ends.nth(k).evaluate("at => [getComputedStyle(at).color, getComputedStyle(at).fontSize]")
+        assert contrast_on_white(colour) >= 4.5
+        assert float(size.removesuffix("px")) >= 11
+
+
+def contrast_on_white(colour: str) -> float:
+    """The contrast of a CSS colour ``rgb(r, g, b)`` by WCAG 2."""
+    levels = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
+    linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in levels]
+    return 1.05 / (0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2] + 0.05)
 
 
 def test_no_input_is_without_a_name_in_any_step_or_dialog(serve: Serve):

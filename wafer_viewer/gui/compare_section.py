@@ -10,6 +10,8 @@ import viser
 from wafer_viewer.gui import compare_words as words
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
+from wafer_viewer.gui.dialogs import Dialog
+from wafer_viewer.gui.file_dialog import FileList
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Choice, button, in_a_row, set_prop
 from wafer_viewer.gui.latest import Latest
@@ -17,6 +19,7 @@ from wafer_viewer.gui.obstacles import no_comparison, no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
+from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.state import Snapshot
 
@@ -95,7 +98,8 @@ class CompareSection:
             self._keep_z = gui.add_checkbox("Keep height and tilt", False)
             begin = guarded(self._page, "Nothing was compared")(lambda _: self._begin())
             self._begin_button = button(gui, "Compare", ICON.ARROWS_DIFF, begin, disabled=True)
-            in_a_row(gui, [self._begin_button], 34)
+            other = button(gui, "From a file…", ICON.FOLDER_OPEN, lambda _: self._ask_other())
+            in_a_row(gui, [self._begin_button, other], 34)
             self._why_not = Cell(gui)
         self._on_show = gui.add_folder(None, visible=False)
         with self._on_show:
@@ -107,10 +111,32 @@ class CompareSection:
     # --- what a person does
 
     def _begin(self) -> None:
-        page, pair = self._page, self._pairs.get(self._with.value)
+        pair = self._pairs.get(self._with.value)
         if pair is None:
             return
-        done = page.session.comparing.begin(*pair, _align(self._align.value), bool(self._keep_z.value))
+        self._compare(*pair)
+
+    def _ask_other(self) -> None:
+        """Compare with a dataset or a surface file from anywhere."""
+        page = self._page
+        below = "A stitched dataset NAME.wafer, or a surface file: it is laid over what is on show and subtracted."
+        dialog = Dialog(page, "Compare with another surface", below)
+        with dialog.modal:
+            files = FileList(dialog, "surface")
+
+        def begin() -> None:
+            snapshot, path = page.session.snapshot, files.path()
+            if snapshot.dataset is None or snapshot.surface is None:
+                raise DatasetError("Nothing is open to compare with: open a dataset with a surface first.")
+            opened, field = snapshot.dataset, max(page.view.show, 0)
+            first = SurfaceName(path=str(opened.path), result=snapshot.surface.result, field=field)
+            self._compare(first, SurfaceName(path=str(path)))
+
+        dialog.answers("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
+
+    def _compare(self, first: SurfaceName, second: SurfaceName) -> None:
+        page = self._page
+        done = page.session.comparing.begin(first, second, _align(self._align.value), bool(self._keep_z.value))
         self._unfolded = False
         page.redraw()
         page.ask("The surfaces were not compared", done, lambda number: self._look(int(number), Face.DIFFERENCE))

@@ -53,9 +53,8 @@ def load_plan_dialog(page: Page) -> None:
 
 def import_dialog(page: Page) -> None:
     """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
-    dialog = Dialog(
-        page, "Import images or a surface", "A folder of images, several files, a multi-page TIFF; or a surface."
-    )
+    below = "A folder of images, several files, a multi-page TIFF; or a surface file."
+    dialog = Dialog(page, "Import images or a surface", below)
     gui = page.gui
     with dialog.modal:
         files = FileList(dialog, "images", rows=4)

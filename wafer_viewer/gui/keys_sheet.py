@@ -34,7 +34,8 @@ BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
 def sheet_html(commands: Sequence[Command]) -> str:
     """All keys, under the heads of their groups."""
     groups = [(group, _rows(group, commands)) for group in get_args(Group)]
-    return f'<div class="wv-sheet"><div>{"".join(_group(group, rows) for group, rows in groups if rows)}</div></div>'
+    drawn = "".join(_group(group, rows) for group, rows in groups if rows)
+    return f'<div class="wv-sheet" role="region" aria-label="Keys" tabindex="0"><div>{drawn}</div></div>'
 
 
 def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:

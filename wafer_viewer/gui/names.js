@@ -11,9 +11,10 @@ if (!window.wvNames) {
       const text = label.textContent.trim(), row = label.closest('.mantine-Flex-root');
       if (!text || !row) continue;
       const inputs = [...row.querySelectorAll(INPUTS)].filter(at => !at.matches('[aria-hidden=true]'));
-      inputs.forEach((at, n) => {
-        const tied = n === 0 && at.id === label.htmlFor;
-        if (!tied) set(at, 'aria-label', n === 0 ? text : inputs.length === 2 ? `${text}, second` : `${text}, ${n + 1}`);
+      const typed = inputs.filter(at => at.getAttribute('role') !== 'slider');
+      inputs.forEach(at => {
+        const n = Math.max(0, typed.indexOf(at)), tied = n === 0 && at.id === label.htmlFor;
+        if (!tied) set(at, 'aria-label', n === 0 ? text : typed.length === 2 ? `${text}, second` : `${text}, ${n + 1}`);
         if (window.wvOptional?.includes(text) && inputs.length === 1) set(at, 'placeholder', 'not given');
       });
     }

@@ -39,8 +39,8 @@ class Check:
 class Preflight:
     """What is looked at. confirmed: whether a person said that the sample on the stage is the one that is named.
 
-    clipped_fraction: share of the last frame's pixels at the limit, None before there is one; today: ISO 8601. n_marked: corners
-    of the alignment that were marked on the stage.
+    clipped_fraction: share of the last frame's pixels at the limit, None before there is one; today: ISO 8601.
+    n_marked: corners of the alignment that were marked on the stage.
     """
 
     job: Job
