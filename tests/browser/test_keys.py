@@ -57,7 +57,8 @@ def test_enter_answers_a_dialog_escape_leaves_it_and_no_key_reaches_behind_it(se
     expect(page.get_by_role("dialog")).to_have_count(0)
     assert verbs(session) == []
     page.keyboard.press("Control+o")
-    type_into(page, "Path", str(tmp_path))
+    (tmp_path / "kept.wafer").mkdir()
+    type_into(page, "Path", str(tmp_path / "kept.wafer"))
     text_field(page, "Path").press("Enter")
     expect(page.get_by_role("dialog")).to_have_count(0)
     eventually(lambda: "open_dataset" in verbs(session), "the dataset was opened")
