@@ -25,7 +25,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
-WORK_S = 420.0
+WORK_S = 240.0
 
 
 @pytest.fixture
