@@ -14,6 +14,7 @@ from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.__main__ import main
 from wafer_viewer.measure.step import step_height
+from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.notebook import Judgement, Notebook
@@ -79,6 +80,23 @@ def test_the_same_dataset_makes_the_same_bytes_on_the_command_line_too(dataset, 
     assert main(["report", str(dataset), "-o", str(tmp_path / "two.html")]) == 0
     assert first.read_bytes() == (tmp_path / "two.html").read_bytes()
     assert "two.html" in capsys.readouterr().out
+
+
+def test_progress_is_told_by_section_and_a_stopped_report_leaves_nothing(dataset, tmp_path):
+    told: list[float] = []
+    out = tmp_path / "whole.html"
+    assert make_report(dataset, RESULT, ReportOrder(), out, progress=told.append, should_stop=lambda: False) == out
+    assert told == sorted(told)
+    assert len(told) >= 8
+    assert told[-1] == 1.0
+    told.clear()
+    with pytest.raises(ComputeError, match="The report was stopped"):
+        make_report(
+            dataset, RESULT, ReportOrder(), tmp_path / "half.html",
+            progress=told.append, should_stop=lambda: len(told) >= 3,
+        )  # fmt: skip
+    assert len(told) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.html"]
 
 
 def test_a_report_stands_alone_and_runs_nothing(dataset):

@@ -15,6 +15,7 @@ from distributed import LocalCluster, Security
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError, PlanError, RigError, WaferViewerError
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import FieldState
 from wafer_viewer.store.dataset import Dataset
@@ -78,6 +79,8 @@ def test_from_a_plan_to_a_measured_surface_that_can_be_opened_again(session, job
     assert "over the street" in csv.read_text()
     ply = session.export_surface(tmp_path / "surface.ply").result(patience_s)
     assert ply.read_bytes().startswith(b"ply")
+    report = session.papers.write_report(ReportOrder(title="Lot 7")).result(patience_s)
+    assert "Lot 7" in report.read_text()
 
     session.close_dataset().result()
     assert session.snapshot.dataset is None

@@ -10,6 +10,7 @@ from typing import Any
 from wafer_viewer.session.crew import require_tls
 from wafer_viewer.session.link import Link
 from wafer_viewer.session.messages import Cancel, Lead, Run
+from wafer_viewer.session.tasks import Answer, Args, LedTask, WatchedTask
 
 
 class Compute:
@@ -31,11 +32,11 @@ class Compute:
             self._link = Link("wafer-viewer compute", _host, (self._scheduler,), self._on_event, self._on_gone)
         return self._link
 
-    def run(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:
+    def run(self, work: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
         """Run ``task(*args, progress=…, should_stop=…)`` on a worker; its errors come out of the future."""
         return self.start().ask(Run(work, task, args))
 
-    def lead(self, work: str, task: Callable[..., Any], *args: Any) -> Future[Any]:
+    def lead(self, work: str, task: LedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
         """Run ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, which may hand the crew many tasks."""
         return self.start().ask(Lead(work, task, args))
 

@@ -89,8 +89,8 @@ class Host:
     def _lead(self, ask: Ask) -> None:
         verb: Lead = ask.verb
         stop = self._stops[verb.work] = threading.Event()
-        watched = {"progress": sparing(partial(self._tell, verb.work)), "should_stop": stop.is_set}
-        led = self._leader.submit(verb.task, *verb.args, crew=Cluster(self._client), **watched)
+        progress, crew = sparing(partial(self._tell, verb.work)), Cluster(self._client)
+        led = self._leader.submit(verb.task, *verb.args, crew=crew, progress=progress, should_stop=stop.is_set)
         led.add_done_callback(partial(self._led, ask))
 
     def _led(self, ask: Ask, done: LocalFuture[Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.reporting import make_report
 from wafer_viewer.session.surface_import import import_surface
-from wafer_viewer.session.tasks import export_surface, import_images
+from wafer_viewer.session.tasks import Args, WatchedTask, export_surface, import_images
 
 
 class FileWork:
@@ -56,7 +55,7 @@ class FileWork:
         args = (dataset.path, self._library.result_name, order, out.absolute())
         return self.work(f"Report of {dataset.path.stem}", make_report, *args)
 
-    def work(self, title: str, task: Callable[..., Path], *args: Any) -> Future[Path]:
+    def work(self, title: str, task: WatchedTask[*Args, Path], *args: *Args) -> Future[Path]:
         """Run a task under a work of its own, which a person can cancel."""
         work = ""
         work = self._notices.begin(title, lambda: self._compute.cancel(work))

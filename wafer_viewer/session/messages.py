@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview, Position
@@ -13,6 +12,9 @@ from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.session.state import LatestFrame, ScanProgress
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.tasks import LedTask, WatchedTask
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,7 @@ class Run:
     """Carry out ``task(*args, progress=…, should_stop=…)`` on a worker. Answered with what it returns."""
 
     work: str
-    task: Callable[..., Any]
+    task: WatchedTask[*tuple[Any, ...], Any]
     args: tuple[Any, ...]
 
 
@@ -152,7 +154,7 @@ class Lead:
     """
 
     work: str
-    task: Callable[..., Any]
+    task: LedTask[*tuple[Any, ...], Any]
     args: tuple[Any, ...]
 
 

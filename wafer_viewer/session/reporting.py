@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wafer_viewer import __version__
 from wafer_viewer.draw.numbers import number
+from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.notebook import keys_of_features, keys_under_review
 from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
 from wafer_viewer.session.finding_numbers import not_evaluated
@@ -23,27 +24,45 @@ from wafer_viewer.session.report_words import (
     surface_pairs,
     verdict_text,
 )
+from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """What a surface from a file has not."""
 SIGNED_BY = ("Measured by", "Checked by", "Approved by")
 
 
-def report_of(folder: Path, result: str, order: ReportOrder) -> Report:
-    """The report of a dataset, with what was ordered. Raises DatasetError when the folder is no dataset."""
+def report_of(
+    folder: Path,
+    result: str,
+    order: ReportOrder,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Report:
+    """The report of a dataset, with the parts that were ordered.
+
+    Raises DatasetError when the folder is no dataset, ComputeError when the work is stopped.
+    """
     material = gather(folder, result)
+    parts: list[Part] = [part for part in order.parts if _goes_in(part, material)]
+    sections: list[Section] = []
+    for part in parts:
+        if should_stop():
+            raise ComputeError("The report was stopped. Nothing was written.")
+        sections.append(_MADE[part](material))
+        progress(len(sections) / len(parts))
     return Report(
         title=order.title.strip() or material.dataset.path.stem,
         below=_below(material, order),
         simulated=material.dataset.simulated,
         facts=_facts(material),
-        sections=tuple(_MADE[part](material) for part in order.parts if _goes_in(part, material)),
+        sections=tuple(sections),
     )
 
 
 def _goes_in(part: Part, material: Material) -> bool:
     """Parts of what this dataset has nothing to do with are left out, not told to be empty."""
-    held = {
+    held: dict[Part, bool] = {
         "verdict": material.asks_for_a_verdict or material.verdict is not None,
         "defects": material.inspection is not None,
         "profiles": bool(material.lines),
@@ -54,11 +73,22 @@ def _goes_in(part: Part, material: Material) -> bool:
     return held.get(part, True)
 
 
-def make_report(folder: Path, result: str, order: ReportOrder, out: Path) -> Path:
-    """Write the report of a dataset to a file; returns its path."""
+def make_report(
+    folder: Path,
+    result: str,
+    order: ReportOrder,
+    out: Path,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the report of a dataset to a file, complete or not at all; returns its path.
+
+    Raises DatasetError when the folder is no dataset or `out` cannot be written, ComputeError when the work is stopped.
+    """
     from wafer_viewer.store.report import write_report
 
-    write_report(report_of(folder, result, order), out)
+    write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
     return out
 
 

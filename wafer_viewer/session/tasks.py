@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, TypeVarTuple
 
 from wafer_viewer.model.plan import MIN_FRAMES, Field
 from wafer_viewer.model.recipe import Recipe
@@ -17,16 +17,39 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import FieldStack
 
 if TYPE_CHECKING:
+    from wafer_viewer.session.crew import Crew
     from wafer_viewer.store.dataset import Dataset
 
 Progress = Callable[[float], None]
 ShouldStop = Callable[[], bool]
+Args = TypeVarTuple("Args")
+Answer = TypeVar("Answer", covariant=True)
 PROGRESS_TOPIC = "wafer-viewer-progress"
 ASK_EVERY_S = 0.25
 LIVE_BITS = 8
 LIVE_LOOK_EVERY_S = 0.02
 LIVE_PATIENCE_S = 20.0
 """Frames of a field that is being taken come many times a second."""
+
+
+class WatchedTask(Protocol[*Args, Answer]):
+    """A function that a worker runs: it reports its progress, 0 to 1, and gives up when it is to stop."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Do it; the answer goes back to the session."""
+        ...
+
+
+class LedTask(Protocol[*Args, Answer]):
+    """A function that the compute host runs, which may hand the crew many tasks."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, crew: Crew, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Do it; the answer goes back to the session."""
+        ...
 
 
 def silent(_: float) -> None:
@@ -180,7 +203,7 @@ def _tiny_stack(x_um: float) -> FieldStack:
     )
 
 
-def run_watched(work: str, task: Callable[..., Any], args: tuple[Any, ...]) -> Any:
+def run_watched(work: str, task: WatchedTask[*Args, Answer], args: tuple[*Args]) -> Answer:
     """Run a task on a worker: its progress goes to the host, and it hears when it is to stop."""
     return task(*args, progress=_teller(work), should_stop=_listener(work))
 
