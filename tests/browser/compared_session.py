@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from tests.browser.recording import Recording
 from tests.browser.seen_session import SeenSession
 from tests.gui.stand_in import height_map
-from wafer_viewer.model.comparison import Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.comparison import Align, Change, Comparison, Face, Registration, SurfaceName
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.compared import Compared
+from wafer_viewer.session.comparing import ComparingVerbs
 
 BUMP = slice(200, 260), slice(120, 210)
 CHANGE = Change(
@@ -40,16 +42,18 @@ class ComparedSession(SeenSession):
     def __init__(self) -> None:
         super().__init__()
         self.change(comparisons=comparisons())
-        self.comparing = _Comparing()
+        self.comparing = _Comparing(ComparingVerbs, self._done, "comparing.")
         surfaces = self._painter.shelf.surfaces
         surfaces |= _faces(surfaces[0])
 
 
-class _Comparing:
+class _Comparing(Recording):
     def choices(self, show: int = 0) -> tuple[tuple[SurfaceName, SurfaceName], ...]:
         return (FIRST, AFTER), (FIRST, GOLDEN), (RAW, CLEANED)
 
-    def begin(self, *_: object) -> Future[int]:
+    def begin(
+        self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
+    ) -> Future[int]:
         done: Future[int] = Future()
         done.set_result(1)
         return done

@@ -8,11 +8,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from tests.browser.recording import Recording
 from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.golden import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.defect_files import SAME_PLACE_UM, DefectFiles
 from wafer_viewer.session.defect_shelf import DefectShelf
 from wafer_viewer.session.other_tool import laid_over
 from wafer_viewer.store.klarf import write_klarf
@@ -56,10 +58,11 @@ def _moved(defect: Defect, x_um: float, y_um: float) -> Defect:
     return replace(defect, center=Point(x_um=defect.center.x_um + x_um, y_um=defect.center.y_um + y_um))
 
 
-class FakeDefectFiles:
+class FakeDefectFiles(Recording):
     """What is kept is listed at once; a KLARF is really read."""
 
     def __init__(self, session: Any) -> None:
+        super().__init__(DefectFiles, session._done, "defects.files.")
         self._session = session
 
     @property
@@ -82,10 +85,7 @@ class FakeDefectFiles:
         kept = golden_header(name, version, "2026-03-14T10:00:00")
         return self._put("keep_golden", (name,), golden=(kept, *self._shelf.golden))
 
-    def write(self, what: str, path: Path) -> Future[Any]:
-        return self._session._done("defects.files.write", (what, path), {})
-
-    def lay_over(self, path: Path, unit: Any = None, within_um: float = 25.0) -> Future[Any]:
+    def lay_over(self, path: Path, unit: Any = None, within_um: float = SAME_PLACE_UM) -> Future[Any]:
         now = self._session.snapshot
         try:
             other = laid_over(path, now.dataset.job.alignment, now.inspection.inspection, unit, within_um)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from tests.browser.recording import Recording
+from wafer_viewer.session.exchange import Exchange
 
-class FakeExchange:
+
+class FakeExchange(Recording):
     """Says what is a surface file by its ending; what comes in is remembered as asked."""
 
     def __init__(self, session: Any) -> None:
-        self._session = session
+        super().__init__(Exchange, session._done, "exchange.")
 
     def is_surface(self, path: Path) -> bool:
         return path.suffix in (".x3p", ".gsf")
-
-    def import_surface(self, path: Path, says: Any, name: str | None) -> Future[Any]:
-        return self._session.import_surface(path, says, name)

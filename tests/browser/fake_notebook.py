@@ -7,15 +7,19 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from tests.browser.recording import Recording
 from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
+from wafer_viewer.session.notebook import NotebookVerbs
+from wafer_viewer.session.papers import Papers
 
 
-class FakeNotebook:
+class FakeNotebook(Recording):
     """Remembers what it is asked and changes the notebook of the snapshot at once."""
 
     def __init__(self, session: Any) -> None:
+        super().__init__(NotebookVerbs, session._done, "notebook.")
         self._session = session
         self._before: list[Notebook] = []
 
@@ -46,9 +50,6 @@ class FakeNotebook:
             self._show(self._before.pop())
         return self._session._done("notebook.undo", (), {})
 
-    def redo(self) -> Future[Any]:
-        return self._session._done("notebook.redo", (), {})
-
     def _put(self, verb: str, came_to: Any, **changes: Any) -> Future[Any]:
         self._before.append(self._book)
         self._show(replace(self._book, **changes))
@@ -76,10 +77,11 @@ HELD: Contents = {
 }
 
 
-class FakePapers:
+class FakePapers(Recording):
     """Pictures and reports go to a folder of a test."""
 
     def __init__(self, session: Any) -> None:
+        super().__init__(Papers, session._done, "papers.")
         self._session = session
         self.folder, self.pictures_kept = Path(), 0
         self.fails_with: Exception | None = None

@@ -16,11 +16,13 @@ from tests.browser.fake_control import fake_control
 from tests.browser.fake_exchange import FakeExchange
 from tests.browser.fake_notebook import FakeNotebook, FakePapers
 from tests.browser.fake_sections import FakeSections
+from tests.browser.recording import Recording
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.poses import Doubt, Poses
 from wafer_viewer.model.quantities import Contribution, Length
@@ -28,6 +30,7 @@ from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
+from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.state import (
     DatasetEntry,
@@ -48,10 +51,11 @@ LIMITS = virtual_limits(540, 720)
 DATA = Path("/tmp/wafers")
 
 
-class FakeSession:
+class FakeSession(Recording):
     """Every verb is remembered in `asked` and done at once; `edit_job` makes a new draft."""
 
     def __init__(self, snapshot: Snapshot) -> None:
+        super().__init__(SessionApi, lambda *asked: self._done(*asked))
         self.snapshot = snapshot
         self.latest_frame: LatestFrame | None = None
         self.asked: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
@@ -89,7 +93,7 @@ class FakeSession:
         answer.set_result(anything)
         return answer
 
-    def profile(self, line: Region, show: int = 0) -> tuple[Profile, ProfileCurve]:
+    def profile(self, line: Region, show: int = 0, levelling: Levelling | None = None) -> tuple[Profile, ProfileCurve]:
         return a_profile(line)
 
     def read_out(self, x_um: float, y_um: float, show: int = 0) -> Any:
@@ -101,11 +105,6 @@ class FakeSession:
     def paint(self, request: Any) -> Future[bytes]:
         """Nothing is on disk, so nothing can be painted: the scene stays as it is."""
         return Future()
-
-    def __getattr__(self, name: str) -> Callable[..., Future[Any]]:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return lambda *args, **kwargs: self._done(name, args, kwargs)
 
     def _done(self, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Future[Any]:
         self.asked.append((name, args, kwargs))

@@ -12,16 +12,21 @@ import numpy as np
 
 from tests.browser.fake_session import RIG, FakeSession
 from tests.browser.gauge_blocks import CALIBRATION, COLS, PIXEL_UM, ROWS, STEP_UM, blocks, certificate
-from tests.browser.measuring_session import done
+from tests.browser.measuring_session import done as came_to
+from tests.browser.recording import Recording
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
+from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session import gauge_check as work
+from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.gauge_state import GaugeState, Tick
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.studies import Studies
@@ -33,10 +38,11 @@ ADVICE = "The error is larger than its U: the correction takes away more than it
 TERMS = GaugeTerms(limit_um=0.5, temperature_c=20.4, u_temperature_c=0.2, tolerance_um=4.0)
 
 
-class FakeGauge:
+class FakeGauge(Recording):
     """The verbs of a check; each repeat is a scan of its own, a little off the one before."""
 
     def __init__(self, session: GaugeSession) -> None:
+        super().__init__(GaugeVerbs, session._done, "gauge.")
         self._session = session
 
     def load_certificate(self, path: Path) -> Future[Certificate]:
@@ -49,34 +55,37 @@ class FakeGauge:
             failed.set_exception(fault)
             return failed
         self._put(certificate=read)
-        return done(read)
+        return came_to(read)
 
-    def put_certificate(self, paper: Certificate | None) -> Future[None]:
-        self._put(certificate=paper)
-        return done(None)
+    def put_certificate(self, certificate: Certificate | None) -> Future[None]:
+        self._put(certificate=certificate)
+        return came_to(None)
 
     def set_terms(self, terms: GaugeTerms) -> Future[None]:
         self._put(terms=terms)
-        return done(None)
+        return came_to(None)
 
-    def tick(self, point: str, is_done: bool = True) -> Future[None]:
+    def tick(self, point: str, done: bool = True) -> Future[None]:
         others = tuple(tick for tick in self._state.ticks if tick.point != point)
-        self._put(ticks=(*others, Tick(point, f"{DAY}09:33:00+00:00")) if is_done else others)
-        return done(None)
+        self._put(ticks=(*others, Tick(point, f"{DAY}09:33:00+00:00")) if done else others)
+        return came_to(None)
 
-    def add_repeat(self, upper: Region, lower: Region, show: int = 0) -> Future[GaugeRepeat]:
+    def add_repeat(
+        self, upper: Region | None = None, lower: Region | None = None, show: int = 0
+    ) -> Future[GaugeRepeat]:
         n = len(self._state.repeats)
-        made = repeat_of(blocks(STEP_UM + (0.0, 0.05, -0.04, 0.02)[n % 4], seed=n + 1), upper, lower, n)
+        scanned = blocks(STEP_UM + (0.0, 0.05, -0.04, 0.02)[n % 4], seed=n + 1)
+        made = repeat_of(scanned, upper or UPPER, lower or LOWER, n)
         self._put(repeats=(*self._state.repeats, made), signed=None)
-        return done(made)
+        return came_to(made)
 
     def drop_repeat(self, n: int) -> Future[None]:
         self._put(repeats=tuple(r for k, r in enumerate(self._state.repeats) if k != n))
-        return done(None)
+        return came_to(None)
 
     def clear(self) -> Future[None]:
         self._put(repeats=(), ticks=(), signed=None)
-        return done(None)
+        return came_to(None)
 
     def sign(self, operator: str) -> Future[GaugeRecord]:
         check = self._state.check
@@ -84,7 +93,7 @@ class FakeGauge:
             raise MeasureError("There is nothing to sign.")
         record = GaugeRecord(check=replace(check, signed_by=operator, at=f"{DAY}09:41:00.000+00:00"), rig="Virtual rig")
         self._put(signed=record.check, records=(*self._state.records, record))
-        return done(record)
+        return came_to(record)
 
     def find_faces(self, show: int = 0) -> tuple[Region, Region]:
         return UPPER, LOWER
@@ -119,8 +128,15 @@ class GaugeSession(FakeSession):
     def surface_source(self, show: int) -> HeightMap:
         return self.shelf.surfaces[show]
 
-    def measure(self, *asked: Any) -> AnyFinding:
-        return self._measuring.measure(*asked)
+    def measure(
+        self,
+        tool: ToolName,
+        places: tuple[Region, ...],
+        show: int = 0,
+        levelling: Levelling | None = None,
+        options: ToolOptions | None = None,
+    ) -> AnyFinding:
+        return self._measuring.measure(tool, places, show, levelling, options)
 
     def close(self) -> None:
         self._painter.close()

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from tests.browser.fake_defect_files import FakeDefectFiles, a_shelf
+from tests.browser.fake_sections import FakeSections
+from tests.browser.recording import Recording
 from tests.browser.stitched_session import PITCH_UM, STREET_UM, StitchedSession
 from tests.store.inspections import defect, inspection
 from wafer_viewer.model.defect_limits import DefectLimits
@@ -23,6 +25,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.cutting import cut
 from wafer_viewer.session.defect_views import DefectViews, Earlier
+from wafer_viewer.session.defects import DefectVerbs
 from wafer_viewer.session.paint_request import Source
 
 GRID = DieGrid(
@@ -97,7 +100,7 @@ class InspectedSession(StitchedSession):
         self.change(inspection=dataclasses.replace(self.snapshot.inspection, inspection=found(planted)))
 
 
-class CutSections:
+class CutSections(FakeSections):
     """Sections of a surface in memory."""
 
     def __init__(self, surfaces: dict[int, HeightMap]) -> None:
@@ -106,20 +109,15 @@ class CutSections:
     def section(self, asked: SectionAsked) -> Section:
         return cut(asked, self._surfaces[asked.show], True, "coupon-07")
 
-    def others(self) -> tuple[()]:
-        return ()
 
-
-class FakeDefects:
+class FakeDefects(Recording):
     """Judges at once, with undo."""
 
     def __init__(self, session: Any) -> None:
+        super().__init__(DefectVerbs, session._done, "defects.")
         self._session = session
         self.files = FakeDefectFiles(session)
         self._before: list[Inspection] = []
-
-    def inspect(self, *asked: Any) -> Future[Any]:
-        return self._session._done("defects.inspect", asked, {})
 
     def judge(self, number: int, judgement: Any = None, kind: Any = None, note: Any = None) -> Future[Any]:
         asked = {"judgement": judgement, "judged_kind": kind, "note": note}
@@ -136,9 +134,6 @@ class FakeDefects:
         if self._before:
             self._show(self._before.pop())
         return self._session._done("defects.undo", (), {})
-
-    def redo(self) -> Future[Any]:
-        return self._session._done("defects.redo", (), {})
 
     def _put(self, verb: str, asked: tuple[Any, ...], change: Callable[[Defect], Defect]) -> Future[Any]:
         now = self._session.snapshot.inspection.inspection

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tests.browser.fake_session import FakeSession
+from tests.browser.recording import Recording
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.measure.find_faces import find_faces
 from wafer_viewer.model.calibration import Calibration
@@ -21,6 +22,7 @@ from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.history import History
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.questions import ReadOut
@@ -47,7 +49,7 @@ class MeasuringSession(FakeSession):
         self._measuring = Measuring(lambda show: self.shelf.surfaces[show], lambda: self.snapshot)
         questions = SimpleNamespace(surface_source=self.surface_source, measuring=self._measuring)
         self.sections = Sections(questions, lambda: self.snapshot)
-        self.gauge = SimpleNamespace(find_faces=lambda show=0: find_faces(self.shelf.surfaces[show], size_px=60)[:2])
+        self.gauge = _Faces(self)
         self._kept: History[tuple[AnyFinding, ...]] = History(())
 
     def surface_source(self, show: int) -> HeightMap:
@@ -108,6 +110,17 @@ class MeasuringSession(FakeSession):
 
     def _tell(self) -> None:
         self.change(findings=self._kept.value, findings_undo=self._kept.can_undo, findings_redo=self._kept.can_redo)
+
+
+class _Faces(Recording):
+    """Finds the faces of what lies in memory."""
+
+    def __init__(self, session: MeasuringSession) -> None:
+        super().__init__(GaugeVerbs, session._done, "gauge.")
+        self._surfaces = session.shelf.surfaces
+
+    def find_faces(self, show: int = 0) -> tuple[Region, Region]:
+        return find_faces(self._surfaces[show], size_px=60)[:2]
 
 
 def done(value: Any) -> Future[Any]:

@@ -27,25 +27,6 @@ PAD = replace(DIE, name="pad over die", nominal=2.0, lower_limit=1.8, upper_limi
 SEEN = ((-1996.0, 3.0), (2004.5, 2.0))
 
 
-class Verbs:
-    """A group of verbs of a session that stands still."""
-
-    def __init__(self, session: fake.FakeSession, group: str) -> None:
-        self._session, self._group = session, group
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *args, **kwargs: self._session._done(f"{self._group}.{name}", args, kwargs)
-
-
-class OperatorSession(fake.FakeSession):
-    """Remembers what it was asked of released jobs, too."""
-
-    def __init__(self, snapshot: Snapshot) -> None:
-        super().__init__(snapshot)
-        self.jobs = Verbs(self, "jobs")
-        self.trials = Verbs(self, "trials")
-
-
 def a_released_job(wafer_id: str = "", residual_um: float | None = None) -> Job:
     job = replace(release_of(fake.a_job()), product="Coupon 6 mm", revision="B", features=(DIE, PAD))
     lies = Alignment(rotation_rad=0.0003, shift_x_um=-4.2, shift_y_um=-2.5, n_marks=2, residual_um=residual_um or 0.0)

@@ -128,7 +128,7 @@ def noted() -> StitchedSession:
 
 def operated(make: Callable[[], Any], step: str = "plan", *then: Act) -> Screen:
     """A screen of a released job."""
-    return Screen(lambda: operator.OperatorSession(make()), step, then=then)
+    return Screen(lambda: FakeSession(make()), step, then=then)
 
 
 def watching(session: Any) -> Any:

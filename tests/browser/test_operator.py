@@ -101,13 +101,13 @@ def check(page: Page, what: str) -> Locator:
 def test_a_full_disk_forbids_the_start_and_says_so(serve: Callable[..., Page]):
     snapshot = day.aligned()
     full = dataclasses.replace(snapshot, draft=dataclasses.replace(snapshot.draft, free_bytes=1_000_000))
-    page = serve(day.OperatorSession(full))
+    page = serve(fake.FakeSession(full))
     expect(check(page, "Disk")).to_contain_text("1.0 MB free. Free some space")
     expect(start_button(page)).to_be_disabled()
 
 
 def test_what_is_not_as_it_should_be_is_asked_about_first(serve: Callable[..., Page]):
-    session = day.OperatorSession(dataclasses.replace(fake.planned(), rig=replace_calibration(None)))
+    session = fake.FakeSession(dataclasses.replace(fake.planned(), rig=replace_calibration(None)))
     page = serve(session)
     press(page, "Start scan")
     dialog = page.get_by_role("dialog")
@@ -123,7 +123,7 @@ def replace_calibration(calibration: None) -> fake.RigStatus:
 
 
 def test_an_engineer_adds_corners_and_a_feature_and_releases(serve: Callable[..., Page]):
-    session = day.OperatorSession(fake.planned())
+    session = fake.FakeSession(fake.planned())
     page = serve(session)
     page.get_by_text("For operators").click()
     press(page, "Corners…")
@@ -153,7 +153,7 @@ def test_an_engineer_adds_corners_and_a_feature_and_releases(serve: Callable[...
 
 def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_wafers(serve: Callable[..., Page]):
     planned = dataclasses.replace(fake.measured(), draft=day.tried().draft, operating=day.tried().operating)
-    session = day.OperatorSession(planned)
+    session = fake.FakeSession(planned)
     page = serve(session)
     page.get_by_text("For operators").click()
     expect(page.get_by_text("1 of 4 verdicts changes")).to_be_visible()
@@ -184,7 +184,7 @@ QUICK_HAND = """
 
 def test_a_list_opened_right_after_another_was_chosen_from_keeps_the_keys(serve: Callable[..., Page]):
     planned = dataclasses.replace(fake.measured(), draft=day.tried().draft, operating=day.tried().operating)
-    page = serve(day.OperatorSession(planned))
+    page = serve(fake.FakeSession(planned))
     page.get_by_text("For operators").click()
     press(page, "Feature…")
     dialog = page.get_by_role("dialog")
@@ -200,7 +200,7 @@ def test_a_list_opened_right_after_another_was_chosen_from_keeps_the_keys(serve:
 
 
 def test_everything_of_a_released_job_can_be_seen_and_nothing_changed(serve: Callable[..., Page]):
-    page = serve(day.OperatorSession(day.aligned()))
+    page = serve(fake.FakeSession(day.aligned()))
     page.get_by_role("button", name="Show everything").click()
     title_is(page, re.compile("Coupon 6 mm, revision B"))
     expect(page.get_by_role("button", name="Cover the sample")).to_be_disabled()
@@ -216,7 +216,7 @@ def test_everything_of_a_released_job_can_be_seen_and_nothing_changed(serve: Cal
     [(day.FAIL, "FAIL", "Set the wafer aside"), (day.OPEN, "INCONCLUSIVE", "times more: the mean of")],
 )
 def test_a_verdict_is_a_word_and_says_what_to_do(serve: Callable[..., Page], verdict: object, word: str, told: str):
-    session = day.OperatorSession(day.judged(verdict))
+    session = fake.FakeSession(day.judged(verdict))
     page = serve(session)
     page.get_by_role("button", name="Surface", exact=True).first.click()
     expect(page.get_by_label("Verdict")).to_contain_text(word)
@@ -227,7 +227,7 @@ def test_a_verdict_is_a_word_and_says_what_to_do(serve: Callable[..., Page], ver
 
 def test_a_plan_that_is_there_is_replaced_only_by_its_name(serve: Callable[..., Page], tmp_path: Path):
     (tmp_path / "L2231-W07.toml").write_text("an older plan")
-    session = day.OperatorSession(dataclasses.replace(fake.planned(), data_folder=tmp_path))
+    session = fake.FakeSession(dataclasses.replace(fake.planned(), data_folder=tmp_path))
     page = serve(session)
     press(page, "Save plan")
     dialog = page.get_by_role("dialog")

@@ -28,7 +28,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import WaferViewerError
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.api import SessionApi
 
 LOG_BYTES = 1_000_000
 HEARD_WITHIN_S = 0.5
@@ -46,7 +46,7 @@ class Running:
 
 
 def serve(
-    session: Session,
+    session: SessionApi,
     host: str = "127.0.0.1",
     port: int = 8080,
     announce: Callable[[str], None] = functools.partial(print, flush=True),
@@ -89,7 +89,7 @@ def _hear_requests_to_end() -> threading.Event:
     return asked
 
 
-def start(session: Session, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
+def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: str | None = None) -> Running:
     """Show the session to browsers and come back at once; port 0 takes a free one, no token a new one.
 
     Raises WaferViewerError when the port is in use.

@@ -63,7 +63,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.api import SessionApi
 
 
 class Frame:
@@ -121,7 +121,7 @@ def go_to(page: Page, step: Step) -> None:
         page.say(TITLES[step], f"Not yet: {why}", "attention")
 
 
-def build_page(client: viser.ClientHandle, session: Session) -> Page:
+def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     """Make the page of a browser that has just come, and begin to draw it."""
     page = Page(client, session)
     page.gui.main_panel.dock_right()

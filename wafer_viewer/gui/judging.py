@@ -10,11 +10,11 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.notebook import Verdict
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.api import SessionApi
     from wafer_viewer.session.state import Snapshot
 
 
-def judge(session: Session, key: str, verdict: Verdict) -> Future[Any]:
+def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:
     """Accept, reject, or leave open again."""
     number = number_of(key)
     if number is None:
@@ -22,18 +22,18 @@ def judge(session: Session, key: str, verdict: Verdict) -> Future[Any]:
     return session.defects.judge(number, JUDGEMENT_OF[verdict])
 
 
-def note(session: Session, key: str, text: str) -> Future[Any]:
+def note(session: SessionApi, key: str, text: str) -> Future[Any]:
     """Note something down."""
     number = number_of(key)
     return session.notebook.judge(key, note=text) if number is None else session.defects.judge(number, note=text)
 
 
-def undo(session: Session, view: View) -> Future[Any]:
+def undo(session: SessionApi, view: View) -> Future[Any]:
     """What was thought before of things of the kind under review."""
     return session.notebook.undo() if number_of(view.review) is None else session.defects.undo()
 
 
-def redo(session: Session, view: View) -> Future[Any]:
+def redo(session: SessionApi, view: View) -> Future[Any]:
     """What was undone of them."""
     return session.notebook.redo() if number_of(view.review) is None else session.defects.redo()
 

@@ -25,7 +25,7 @@ from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Fault, Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.api import SessionApi
 
 SETTLE_S = 0.9
 """After a change the page is drawn once more, when the widgets a person moved are at rest."""
@@ -46,7 +46,7 @@ class Page:
     refused where another browser holds them.
     """
 
-    def __init__(self, client: viser.ClientHandle, session: Session) -> None:
+    def __init__(self, client: viser.ClientHandle, session: SessionApi) -> None:
         self.client = client
         self.gui = client.gui
         self.session = seat(session, lambda: self.browser.key)

@@ -174,6 +174,9 @@ class DefectKeeper:
 class DefectVerbs:
     """What the page asks for, ``session.defects``: every verb returns a future."""
 
+    files: DefectFiles
+    views: DefectViews
+
     def __init__(
         self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles, views: DefectViews
     ) -> None:

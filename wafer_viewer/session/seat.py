@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 from wafer_viewer.model.errors import HeldByAnother
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.session import Session
+    from wafer_viewer.session.api import SessionApi
 
 FREE = frozenset(
     {
@@ -34,12 +34,12 @@ or changes the plan, the dataset or the results.
 """
 
 
-def seat(session: Session, key: Callable[[], str]) -> Session:
+def seat(session: SessionApi, key: Callable[[], str]) -> SessionApi:
     """The session as one browser may use it, `key` its key: it has all that the session has.
 
     Verbs that need the controls fail with a sentence for those who only watch.
     """
-    return cast("Session", _Seat(session, lambda: session.snapshot.hands.why_not(key()), ""))
+    return cast("SessionApi", _Seat(session, lambda: session.snapshot.hands.why_not(key()), ""))
 
 
 class _Seat:
