@@ -1,10 +1,12 @@
-"""The default tour, 3 x 3 fields of 60 frames on the virtual rig: from Start to the stitched surface.
+"""The tour on the virtual rig, from *Take the tour* to its report, by the verbs that its buttons ask for.
 
     python tests/bench/bench_tour.py [--quick]
 
-The goal is 30 s on two processors, with the page usable meanwhile: while the scan runs, the page's server is asked
-for the page twenty times a second, and the slowest answer is told. The full run also takes the tour as soon as it can
-and on a machine that has never compiled a kernel; --quick takes 2 x 1 of its fields, once.
+The goals, on two idle processors: the first surface within 20 s, the report within 90 s, and the page usable meanwhile:
+while the scan runs, the page's server is asked for the page twenty times a second, and the slowest answer is told. A
+person who reads the notes of the tour takes longer; the card of the first start promises what is told here, rounded up.
+The full run also takes the tour as soon as the rig answers, and on a machine that has never compiled a kernel;
+--quick takes it once.
 """
 
 from __future__ import annotations
@@ -15,28 +17,41 @@ import tempfile
 import threading
 import time
 import urllib.request
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+
 from wafer_viewer.gui.app import start
-from wafer_viewer.model.spec import replace
+from wafer_viewer.gui.contents import OnShow
+from wafer_viewer.gui.first_places import FIRST
+from wafer_viewer.gui.lie_of_land import Land
+from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import ReportOrder
+from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
 from wafer_viewer.session.session import Session
 
-GOAL_S, ANSWER_GOAL_S = 30.0, 0.5
+SURFACE_GOAL_S, REPORT_GOAL_S, ANSWER_GOAL_S = 20.0, 90.0, 0.5
 PATIENCE_S = 600.0
 ASK_EVERY_S = 0.05
 
 
 @dataclass(frozen=True)
 class Tour:
-    """Seconds of one tour."""
+    """Seconds from *Take the tour*, what was found, and the slowest answer of the page meanwhile."""
 
-    until_rig_s: float
-    until_warm_s: float
+    first_surface_s: float
     scan_s: float
     surface_s: float
+    kept_s: float
+    inspected_s: float
+    report_s: float
+    step: str
+    defects: str
+    report: str
     slowest_answer_s: float
-    overlap_rms_um: float | None
 
 
 class Asker:
@@ -64,54 +79,86 @@ class Asker:
             self.slowest_s = max(self.slowest_s, time.perf_counter() - asked)
 
 
-def take_tour(folder: Path, *, wait_for_kernels: bool, short: bool = False) -> Tour:
-    began = time.perf_counter()
+def take_tour(folder: Path, *, wait_for_kernels: bool) -> Tour:
+    """Take it as its notes lead."""
     session = Session(folder)
     running = start(session)
     try:
-        session.wait_until(lambda s: s.rig.state == "ready", PATIENCE_S)
-        until_rig_s = time.perf_counter() - began
+        session.wait_until(lambda s: s.rig.state == "ready" and s.overview is not None, PATIENCE_S)
         if wait_for_kernels:
             session.wait_until(lambda s: s.compute_ready, PATIENCE_S)
-        until_warm_s = time.perf_counter() - began
-        session.take_tour().result()
-        if short:
-            job = session.snapshot.draft.job
-            session.edit_job(replace(job, grid=job.grid.resized(rows=1, cols=2))).result()
-        pressed = time.perf_counter()
+        began = time.perf_counter()
+
+        def gone() -> float:
+            return time.perf_counter() - began
+
+        session.take_tour().result(PATIENCE_S)
         with Asker(running.address) as asker:
-            session.start_scan().result()
+            session.start_scan().result(PATIENCE_S)
+            session.wait_until(lambda s: s.surface is not None or bool(s.faults), PATIENCE_S)
+            first_surface_s = gone()
             session.wait_until(lambda s: not s.scanning, PATIENCE_S)
-            scan_s = time.perf_counter() - pressed
+            scan_s = gone()
             done = session.wait_until(lambda s: s.surface_is_whole or bool(s.faults), PATIENCE_S)
-            surface_s = time.perf_counter() - pressed
+            surface_s = gone()
         if done.surface is None:
             raise SystemExit(f"The tour failed: {done.faults}")
-        return Tour(until_rig_s, until_warm_s, scan_s, surface_s, asker.slowest_s, done.surface.overlap_rms_um)
+        kept = session.keep(session.measure("step", first_step(session))).result(PATIENCE_S)
+        kept_s = gone()
+        found = session.defects.inspect().result(PATIENCE_S).found
+        inspected_s = gone()
+        if found:
+            session.defects.judge(found[0].number, judgement="real").result(PATIENCE_S)
+        report = session.papers.write_report(ReportOrder()).result(PATIENCE_S)
+        height = kept.main
+        return Tour(
+            first_surface_s, scan_s, surface_s, kept_s, inspected_s, gone(),
+            step=f"{height.value:.2f} ± {height.expanded or float('nan'):.2f} um",
+            defects=", ".join(f"{n} {kind}" for kind, n in Counter(d.seen_as for d in found).most_common()) or "none",
+            report=f"{report.stat().st_size / 1e6:.1f} MB",
+            slowest_answer_s=asker.slowest_s,
+        )  # fmt: skip
     finally:
         running.stop()
         session.close()
 
 
+def first_step(session: Session) -> tuple[Region, ...]:
+    """Where the page lays the two faces of a step to begin with."""
+    source = source_of(session.snapshot, 0)
+    if source is None:
+        raise SystemExit("There is no surface to measure.")
+    facts = msgspec.msgpack.decode(session.paint(PaintRequest(source, "facts")).result(PATIENCE_S), type=Facts)
+    relief = msgspec.msgpack.decode(session.paint(PaintRequest(source, "relief")).result(PATIENCE_S), type=Relief)
+    scale = Scale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
+    land = Land(relief, OnShow(source, facts, scale, facts.lowest_um, 1.0))
+    x0, y0, x1, y1 = land.bounds_um
+    return FIRST["step"](land, ((x0 + x1) / 2, (y0 + y1) / 2))
+
+
+def goal(seconds: float, limit_s: float) -> str:
+    return f"{seconds:5.1f} s (goal {limit_s:g} s {'met' if seconds <= limit_s else 'MISSED'})"
+
+
 def report(title: str, tour: Tour) -> None:
-    met = "met" if tour.surface_s <= GOAL_S else "MISSED"
-    answered = "met" if tour.slowest_answer_s <= ANSWER_GOAL_S else "MISSED"
     print(
-        f"{title:<28} rig ready {tour.until_rig_s:6.1f} s, kernels {tour.until_warm_s:6.1f} s | from Start: scan "
-        f"{tour.scan_s:5.1f} s, surface {tour.surface_s:5.1f} s (goal {GOAL_S:.0f} s {met}) | slowest answer of the "
-        f"page {tour.slowest_answer_s * 1e3:4.0f} ms (goal {answered}) | overlap rms {tour.overlap_rms_um or 0:.3f} um",
+        f"{title:<26} from Take the tour: first surface {goal(tour.first_surface_s, SURFACE_GOAL_S)}, scan "
+        f"{tour.scan_s:5.1f} s, all fields stitched {tour.surface_s:5.1f} s, step kept {tour.kept_s:5.1f} s, "
+        f"inspected {tour.inspected_s:5.1f} s, report {goal(tour.report_s, REPORT_GOAL_S)}\n"
+        f"{'':<26} step {tour.step} | found: {tour.defects} | report of {tour.report} | slowest answer of the page "
+        f"{goal(tour.slowest_answer_s, ANSWER_GOAL_S)}",
         flush=True,
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="From Start to the stitched surface of the default tour.")
-    parser.add_argument("--quick", action="store_true", help="two fields of the tour, once")
+    parser = argparse.ArgumentParser(description="From Take the tour to the report of what was found.")
+    parser.add_argument("--quick", action="store_true", help="once, with the kernels compiled before")
     quick = parser.parse_args().quick
     with tempfile.TemporaryDirectory() as folder:
-        report("kernels compiled before", take_tour(Path(folder) / "warm", wait_for_kernels=True, short=quick))
+        report("kernels compiled before", take_tour(Path(folder) / "warm", wait_for_kernels=True))
         if not quick:
-            report("Start as soon as possible", take_tour(Path(folder) / "soon", wait_for_kernels=False))
+            report("as soon as the rig answers", take_tour(Path(folder) / "soon", wait_for_kernels=False))
             os.environ["WAFER_VIEWER_CACHE"] = str(Path(folder) / "cache")
             report("nothing compiled before", take_tour(Path(folder) / "cold", wait_for_kernels=False))
 

@@ -15,7 +15,7 @@ import io
 import threading
 from collections.abc import Callable, Generator
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, unquote, urlsplit
 
 import viser
 import websockets.asyncio.server as websocket_server
@@ -29,6 +29,7 @@ Answer = Callable[[ServerConnection, Request], Response | None]
 
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _EVERYWHERE = ("0.0.0.0", "::", "")
+_REPORTS = "/reports/"
 _HTTP_PORT = 80
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
@@ -49,6 +50,8 @@ class AccessGuard:
     def __init__(self, host: str, token: str) -> None:
         self._host = host
         self._token = token
+        self.report: Callable[[str], bytes | None] = lambda name: None
+        """The bytes of the report with a name, shown under /reports/NAME to who may open the page."""
         self._port = 0
 
     @property
@@ -77,6 +80,8 @@ class AccessGuard:
 
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
             response = self.refusal(connection, request)
+            if response is None:
+                response = self._reported(request)
             if response is None and answer is not None:
                 response = answer(connection, request)
                 if response is not None and self._has_token(request):
@@ -86,6 +91,17 @@ class AccessGuard:
             return response
 
         return guarded
+
+    def _reported(self, request: Request) -> Response | None:
+        """A report of the data folder, where one is asked for."""
+        path = unquote(urlsplit(request.path).path)
+        if not path.startswith(_REPORTS):
+            return None
+        body = self.report(path.removeprefix(_REPORTS))
+        if body is None:
+            return _text(http.HTTPStatus.NOT_FOUND, "There is no such report: write it again from the page.\n")
+        headers = Headers({"Content-Type": "text/html; charset=utf-8", "Content-Length": str(len(body))})
+        return Response(http.HTTPStatus.OK.value, http.HTTPStatus.OK.phrase, headers, body)
 
     def bound_to(self, port: int) -> None:
         """Learn the port once it is known."""

@@ -26,6 +26,7 @@ from wafer_viewer.gui.guard import log
 from wafer_viewer.gui.icons import quicken
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.papers import read_report
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
@@ -97,6 +98,7 @@ def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: st
     keep_log()
     quicken()
     server, guard = open_server(host, _free(host, port), token)
+    guard.report = lambda name: read_report(name, _report_folders(session))
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second
@@ -125,6 +127,12 @@ def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: st
             server.stop()
 
     return Running(guard.address, stop)
+
+
+def _report_folders(session: SessionApi) -> tuple[Path, ...]:
+    now = session.snapshot
+    beside = (now.dataset.path.parent,) if now.dataset is not None else ()
+    return *beside, now.data_folder
 
 
 def sweep_up() -> None:

@@ -53,6 +53,7 @@ from wafer_viewer.gui.stopping import NOT_STOPPED, stop
 from wafer_viewer.gui.style import BRAND, RIGHT_PX, sheet
 from wafer_viewer.gui.surface_panel import SurfacePanel
 from wafer_viewer.gui.toolbar import Toolbar
+from wafer_viewer.gui.tour_guide import TourGuide
 from wafer_viewer.gui.verdict_section import awaited
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.viewpoint import Viewpoint
@@ -132,7 +133,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
         ear = BrowserEar(page)
         halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
         header = Header(page.gui, lambda step: go_to(page, step), halt)
-        strip, question, contact = StatusStrip(page), Question(page), Contact(page)
+        strip, question, contact, tour = StatusStrip(page), Question(page), Contact(page), TourGuide(page)
     left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
@@ -185,6 +186,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
             GaugeGlass(page, lambda: gauge.live.answer),
         ),
         welcome,
+        tour,
         strip,
         question,
         reopened,
@@ -197,7 +199,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     left.dies.on_chosen(review.go_to)
     _listen_to_scene(page, scene, read_out, why)
     _listen_to_lines(page, scene, curves)
-    with_verbs = welcome, gauge, review, report, left.compare, left.defects, left.dies, beside, stack
+    with_verbs = welcome, tour, gauge, review, report, left.compare, left.defects, left.dies, beside, stack
     of_parts = [command for part in with_verbs for command in part.commands()]
     verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
     parts.insert(1, _palette(page, scene, verbs))

@@ -236,7 +236,9 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
 
     def leave() -> None:
         """What was opened last is left first."""
-        if page.view.explains:
+        if page.view.tour is not None:
+            page.change(tour=None)
+        elif page.view.explains:
             parts.why.close()
         elif page.view.sheet_over != "none":
             page.change(sheet="none")
@@ -256,7 +258,9 @@ def _of_the_page(page: Page, parts: Parts) -> list[Command]:
     def in_use(_: Snapshot, view: View) -> bool:
         """Escape is pressed for many things: where there is nothing to leave it is not ours."""
         selects = view.step == "surface" and (view.selecting or view.selection is not None)
-        narrowed = view.lists_some or view.sheet_over != "none" or selects or view.brush is not None
+        narrowed = (
+            view.lists_some or view.tour is not None or view.sheet_over != "none" or selects or view.brush is not None
+        )
         return view.explains or narrowed or view.tool != "none" or view.selected is not None
 
     return [

@@ -20,7 +20,7 @@ from wafer_viewer.session.state import Fault
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = (
     *("step", "look", "colour_by", "colours", "exaggeration", "hillshade", "all_in_focus", "fields", "dark"),
-    *("point_px", "depth_shade"),
+    *("point_px", "depth_shade", "tour"),
 )
 """What holds for every dataset; the rest of a view belongs to the one it was chosen for."""
 OF = "of"

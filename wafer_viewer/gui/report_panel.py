@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import viser
 
@@ -15,6 +17,7 @@ from wafer_viewer.gui.obstacles import no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
+from wafer_viewer.session.papers import newest_report
 from wafer_viewer.session.state import Snapshot
 
 UNKNOWN = Holds("…")
@@ -51,7 +54,7 @@ class ReportPanel:
             self._boxes[part].show(part in chosen)
             self._boxes[part].enable(not holds.nothing)
             told.show(_line(holds, part in chosen))
-        self._outcome.show(self._written if chosen else '<div class="wv-why">Not yet: nothing is ticked.</div>')
+        self._outcome.show(_newest(data.path) if chosen else '<div class="wv-why">Not yet: nothing is ticked.</div>')
         set_prop(self._write, "disabled", self._busy or not chosen)
 
     def commands(self) -> list[Command]:
@@ -126,11 +129,24 @@ class ReportPanel:
 
         self._page.ask("What goes in is not known", papers.contents(), found)
 
-    def _hand_out(self, path: Any) -> None:
-        words = f"<div><b>The report is written.</b><p>{html.safe(path)}</p></div>"
-        self._written = f'<div class="wv-note good" role="status">{words}</div>'
+    def _hand_out(self, path: Path) -> None:
+        self._written = str(path)
         self._page.redraw()
         self._page.client.send_file_download(path.name, path.read_bytes())
+
+
+def report_address(report: Path) -> str:
+    """The address under which the page's own server shows a report."""
+    return f"/reports/{quote(report.name)}"
+
+
+def _newest(dataset: Path) -> str:
+    """The report that was written last, to be opened in the browser."""
+    if (path := newest_report(dataset)) is None:
+        return ""
+    link = f'<a class="wv-link" href="{report_address(path)}" target="_blank" rel="noopener">Open the report</a>'
+    words = f'<div><b>The report is written.</b><p>{html.safe(path)}</p><p class="wv-foot">{link}</p></div>'
+    return f'<div class="wv-note good" role="status">{words}</div>'
 
 
 def _line(holds: Holds, chosen: bool) -> str:

@@ -28,6 +28,15 @@ OF_DEFECT = "defect "
 
 
 @dataclass(frozen=True, slots=True)
+class Tour:
+    """A tour that was taken: seconds since 1970 of its begin and of its report, and how many steps were skipped."""
+
+    since_s: float = 0.0
+    ended_s: float | None = None
+    skipped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class View:
     """Camera presets aside, everything a browser may choose for itself.
 
@@ -50,6 +59,7 @@ class View:
     drag over the scene selects. brush_um: the range of heights that lights up.
     clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
     strength of the shade in hollows. before: what becomes of points before the slab along the profile's active line.
+    tour: the tour that is under way; None: none is.
     """
 
     step: Step = "plan"
@@ -89,6 +99,7 @@ class View:
     point_px: float = 3.0
     depth_shade: float = 0.6
     before: BeforeSlab = "show"
+    tour: Tour | None = None
 
     @property
     def on_surface(self) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import glob
+import re
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
@@ -14,6 +16,7 @@ from wafer_viewer.session.library import Library
 from wafer_viewer.session.reporting import contents
 
 PICTURE, REPORT = "picture", "report"
+_REPORT_NAME = re.compile(r"[^/\\]+-report-\d+\.html")
 
 
 class Papers:
@@ -44,6 +47,19 @@ class Papers:
             beside.write_bytes(png)
         self.pictures_kept += 1
         return path
+
+
+def newest_report(dataset: Path) -> Path | None:
+    """The report of a dataset that was written last, or None."""
+    reports = dataset.parent.glob(f"{glob.escape(dataset.stem)}-{REPORT}-*.html")
+    return max(reports, key=lambda path: path.stat().st_mtime, default=None)
+
+
+def read_report(name: str, folders: Iterable[Path]) -> bytes | None:
+    """The bytes of a report by its file name, from the first of the folders that has it; None for any other file."""
+    if not _REPORT_NAME.fullmatch(name):
+        return None
+    return next((path.read_bytes() for folder in folders if (path := folder / name).is_file()), None)
 
 
 def free_path(dataset: Path, what: str, ending: str) -> Path:

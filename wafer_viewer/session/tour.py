@@ -12,6 +12,12 @@ from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig
 
 TOUR_FIELDS = 3
+TOUR_LOT = "TOUR"
+
+
+def is_tour(job: Job | None) -> bool:
+    """Whether a job is that of the tour."""
+    return job is not None and job.sample.lot == TOUR_LOT
 
 
 def tour_of(rig: Rig, config: RigConfig) -> Job | None:
@@ -30,7 +36,7 @@ def tour_of(rig: Rig, config: RigConfig) -> Job | None:
         product=shown.title,
         sample=Sample(
             name=f"Virtual {shown.name.replace('_', ' ')}",
-            lot="TOUR",
+            lot=TOUR_LOT,
             wafer_id=shown.name,
             product=shown.name,
             operator="tour",

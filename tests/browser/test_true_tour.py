@@ -1,0 +1,102 @@
+"""The tour by its true buttons: from an empty folder to a report on disk that opens in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.browser.steps import notes, press
+from wafer_viewer.session.session import Session
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.slow,
+    # The page may still be drawing when the browser of a test goes.
+    pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
+]
+WORK_S = 240
+"""Long enough for a machine that does other things too; a free one needs a tenth of it."""
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    opened = Session(tmp_path / "wafers")
+    yield opened
+    opened.close()
+
+
+def note(page: Page) -> Locator:
+    return page.locator(".wv-tour")
+
+
+def leads(page: Page, n: int, title: str, button: str) -> None:
+    """Wait until the n-th note points at a button, with its ring round it."""
+    expect(note(page)).to_contain_text(f"Tour · {n} of 7", timeout=1000 * WORK_S)
+    expect(note(page)).to_contain_text(title)
+    expect(note(page)).to_have_attribute("data-button", button, timeout=1000 * WORK_S)
+    expect(page.locator(".wv-tour-ring")).to_be_visible()
+
+
+def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, session: Session):
+    folder = session.snapshot.data_folder
+    session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
+    page.locator("[data-pick=tour]").click()
+    leads(page, 1, "Scan a wafer", "Start scan")
+    press(page, "Start scan")
+    expect(note(page)).to_contain_text("Watch the surface grow")
+    leads(page, 2, "Watch the surface grow", "Look at the surface")
+    press(page, "Look at the surface")
+    leads(page, 3, "Turn the surface", "Measure this surface")
+    press(page, "Measure this surface")
+    expect(note(page)).to_contain_text("Measure a step")
+    page.locator("[data-pick=tool][data-k=step]").click()
+    expect(page.locator(".wv-answer")).to_contain_text("µm")
+    leads(page, 4, "Measure a step", "Keep result")
+    press(page, "Keep result")
+    leads(page, 5, "Find what does not belong", "Review")
+    note(page).get_by_role("button", name="Press it for me").click()
+    leads(page, 5, "Find what does not belong", "Inspect")
+    press(page, "Inspect")
+    leads(page, 6, "Judge a defect", "Accepted")
+    kinds = {defect.seen_as for defect in session.snapshot.inspection.inspection.found}
+    assert kinds >= {"residue", "scratch", "particle"}
+    press(page, "Accepted")
+    leads(page, 7, "Write it down", "Report")
+    note(page).get_by_role("button", name="Press it for me").click()
+    leads(page, 7, "Write it down", "Write report")
+    press(page, "Write report")
+
+    card = page.get_by_role("dialog", name="Results of the tour")
+    expect(card).to_contain_text("Seen, measured, reported", timeout=1000 * WORK_S)
+    for words in ("9 fields", " ± ", f"{len(session.snapshot.inspection.inspection.found)} defects", "SIMULATED"):
+        expect(card).to_contain_text(words)
+    assert notes(page).count() == 0
+    with page.context.expect_page() as opening:
+        card.get_by_role("link", name="Open the report").click()
+    report = opening.value
+    expect(report.locator("body")).to_contain_text("SIMULATED")
+    for section in ("Results", "Defects", "Plan", "Checksums"):
+        expect(report.get_by_role("heading", name=section)).to_be_visible()
+    expect(report.locator("body")).to_contain_text(session.snapshot.findings[0].name)
+    (path,) = folder.glob("*-report-1.html")
+    assert report.title() in path.read_text()
+    card.get_by_role("button", name="Close").click()
+    expect(card).to_have_count(0)
+
+
+def test_escape_ends_the_tour_and_a_reload_does_not(page: Page, session: Session):
+    session.wait_until(lambda now: now.rig.state == "ready" and now.overview is not None, WORK_S)
+    page.locator("[data-pick=tour]").click()
+    leads(page, 1, "Scan a wafer", "Start scan")
+    page.reload()
+    leads(page, 1, "Scan a wafer", "Start scan")
+    note(page).get_by_role("button", name="Skip").click()
+    expect(note(page)).to_contain_text("Tour · 2 of 7")
+    page.keyboard.press("Escape")
+    expect(note(page)).to_have_count(0)
+    page.reload()
+    expect(page.get_by_role("button", name="Start scan")).to_be_visible()
+    expect(note(page)).to_have_count(0)

@@ -1,0 +1,45 @@
+// Places the note of the tour beside the button that it points at, with a ring round it.
+clearInterval(window.wvTourTimer);
+const RING = 5, GAP = 26, EDGE = 12, TOP = 64, BOTTOM = 34;
+const inSight = e => e.getClientRects().length > 0 && !e.matches('[data-disabled],:disabled');
+const target = note => {
+  const { at, button } = note.dataset;
+  const all = at ? [...document.querySelectorAll(at)]
+    : button ? [...document.querySelectorAll('button')].filter(b => b.textContent.trim() === button) : [];
+  return all.filter(inSight).at(-1);
+};
+let brought = '';
+const place = () => {
+  const note = document.querySelector('.wv-tour');
+  if (!note) return;
+  const ring = document.querySelector('.wv-tour-ring'), arrow = note.querySelector('.wv-tour-arrow');
+  const aim = target(note), key = `${note.dataset.at}|${note.dataset.button}`;
+  const press = note.querySelector('.wv-tour-press');
+  if (press) press.style.visibility = aim ? 'visible' : 'hidden';
+  if (aim && brought !== key) aim.scrollIntoView({ block: 'nearest' });
+  brought = aim ? key : '';
+  const { width, height } = note.getBoundingClientRect();
+  ring.style.display = arrow.style.display = aim ? 'block' : 'none';
+  let left = EDGE + 300, top = innerHeight - BOTTOM - EDGE - height;
+  if (aim) {
+    const box = aim.getBoundingClientRect();
+    Object.assign(ring.style, {
+      left: `${box.left - RING}px`, top: `${box.top - RING}px`,
+      width: `${box.width + 2 * RING}px`, height: `${box.height + 2 * RING}px`,
+    });
+    const middle = box.top + box.height / 2, below = box.top < TOP - 10;
+    const toLeft = box.left - GAP - width > EDGE && box.left > innerWidth / 2;
+    left = below ? box.left + box.width / 2 - width / 2 : toLeft ? box.left - GAP - width : box.right + GAP;
+    top = below ? box.bottom + GAP : middle - height / 2;
+    left = Math.min(Math.max(left, EDGE), innerWidth - width - EDGE);
+    top = Math.min(Math.max(top, below ? 0 : TOP), innerHeight - BOTTOM - EDGE - height);
+    const side = below ? 'up' : toLeft ? 'right' : 'left';
+    arrow.className = `wv-tour-arrow ${side}`;
+    Object.assign(arrow.style, below
+      ? { left: `${box.left + box.width / 2 - left}px`, top: '' }
+      : { left: '', top: `${Math.min(Math.max(middle - top, 16), height - 16)}px` });
+  }
+  Object.assign(note.style, { left: `${left}px`, top: `${top}px`, visibility: 'visible' });
+};
+window.wvTourPress = () => target(document.querySelector('.wv-tour'))?.click();
+window.wvTourTimer = setInterval(place, 100);
