@@ -16,6 +16,7 @@ from tests.browser.gauge_blocks import CERTIFICATE_TOML, dataset_of_blocks
 from tests.browser.steps import HAND_MS, eventually, go_to, press, set_numbers, title_is, type_into
 from wafer_viewer.gui.camera import FOV_RAD
 from wafer_viewer.session.session import Session
+from wafer_viewer.store.gauge_log import signed_checks
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SCANS = ("scan-1", "scan-2", "scan-3")
@@ -156,6 +157,8 @@ def test_three_scans_are_measured_signed_and_still_there_after_a_reload(page: Pa
     title_is(page, "Earlier check")
     expect(page.locator(".wv-sub").first).to_contain_text("Signed by K. Adler")
     expect(page.locator(".wv-dot.pass")).to_have_count(1)
+    (signed,) = signed_checks(folder)
+    assert (signed.check.signed_by, signed.check.verdict) == ("K. Adler", "pass")
     check = session.snapshot.findings[-1]
     assert (check.n, check.signed_by) == (3, "K. Adler")
     assert abs(check.deviation.value_um) < 0.15

@@ -24,6 +24,7 @@ from tests.browser.steps import (
     type_into,
 )
 from wafer_viewer.session.session import Session
+from wafer_viewer.store.dataset import Dataset
 
 pytestmark = [
     pytest.mark.browser,
@@ -31,6 +32,7 @@ pytestmark = [
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
+Z_STEP_UM, STEP_UM = 4.0, 16.0
 SCAN_S, WORK_S = 180, 240
 """Long enough for a machine that does other things too; a free one needs a tenth of it."""
 
@@ -95,7 +97,7 @@ def keep_a_step(page: Page, session: Session) -> None:
     expect(page.locator("tr[data-pick=finding]")).to_have_count(1)
 
 
-def test_images_taken_elsewhere_become_a_surface(page: Page, session: Session, tmp_path: Path):
+def test_images_taken_elsewhere_become_a_surface_and_a_kept_step(page: Page, session: Session, tmp_path: Path):
     folder = tmp_path / "stack"
     write_stack(folder)
     fill_in_import(page, str(folder))
@@ -104,6 +106,15 @@ def test_images_taken_elsewhere_become_a_surface(page: Page, session: Session, t
     expect(page.locator("[data-dock-region=right]")).to_contain_text("uncalibrated")
     expect(page.locator(".wv-mark")).not_to_contain_text("SIMULATED")
     assert session.snapshot.dataset.fields[0].number == 1
+    press(page, "Measure this surface")
+    page.locator("[data-pick=tool][data-k=step]").click()
+    expect(page.locator(".wv-answer")).to_contain_text("µm")
+    press(page, "Keep result")
+    expect(page.locator("tr[data-pick=finding]")).to_have_count(1)
+    (kept,) = Dataset.open(session.snapshot.dataset.path).result().findings().items
+    assert not kept.simulated
+    assert abs(kept.main.value) == pytest.approx(STEP_UM, abs=1.0)
+    assert notes(page).count() == 0
 
 
 def test_a_bad_import_is_told_and_writes_nothing(page: Page, session: Session, tmp_path: Path):
@@ -122,18 +133,18 @@ def test_a_bad_import_is_told_and_writes_nothing(page: Page, session: Session, t
 def fill_in_import(page: Page, path: str) -> None:
     press(page, "Import…")
     type_into(page, "Path", path)
-    set_numbers(page, "z step, µm", 4)
+    set_numbers(page, "z step, µm", Z_STEP_UM)
     set_numbers(page, "Pixel, µm", 0.5)
     put(page, text_field(page, "Name"), "elsewhere")
     page.get_by_role("dialog").get_by_role("button", name="Import").click()
 
 
 def write_stack(folder: Path) -> None:
-    """Eleven pictures of a tilted, textured plane, sharp where the plane crosses their z."""
+    """Eleven pictures of two textured faces, a step of `STEP_UM` apart, sharp where each crosses their z."""
     folder.mkdir()
-    texture = np.random.default_rng(1).integers(40, 215, (96, 128)).astype(float)
+    texture = np.random.default_rng(1).integers(40, 215, (192, 256)).astype(float)
     levels = [ndimage.gaussian_filter(texture, 0.1 + 0.7 * k) for k in range(12)]
-    crossing = np.linspace(2, 8, 128)[None, :] * np.ones((96, 1))
+    crossing = np.where(np.arange(256) < 128, 3, 3 + STEP_UM / Z_STEP_UM)[None, :] * np.ones((192, 1))
     for k in range(11):
         blur = np.abs(crossing - k).round().astype(int)
         image = np.choose(blur, levels).round().astype(np.uint8)

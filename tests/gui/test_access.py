@@ -7,6 +7,7 @@ import http.client
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -16,6 +17,7 @@ from websockets.exceptions import InvalidStatus
 
 from wafer_viewer.gui.access import AccessGuard, open_server
 from wafer_viewer.session.page_token import new_token
+from wafer_viewer.session.papers import read_report
 
 Server = tuple[viser.ViserServer, AccessGuard]
 
@@ -80,6 +82,22 @@ def test_without_the_token_nothing_is_served(server: Server, path: str) -> None:
     answer = get(server, path)
     assert answer.status == 401
     assert answer.getheader("Set-Cookie") is None
+
+
+def test_reports_are_served_to_who_may_open_the_page_and_no_other_file_is(server: Server, tmp_path: Path) -> None:
+    (tmp_path / "W7-report-1.html").write_text("<h1>W7</h1>")
+    (tmp_path / "W7.html").write_text("not a report")
+    (tmp_path.parent / "up-report-1.html").write_text("of another folder")
+    server[1].report = lambda name: read_report(name, (tmp_path / "gone", tmp_path))
+    try:
+        assert get(server, "/reports/W7-report-1.html").status == 401
+        answer = get(server, "/reports/W7-report-1.html", Cookie=cookie(server))
+        assert (answer.status, answer.getheader("Content-Length")) == (200, "11")
+        assert "default-src 'self'" in answer.getheader("Content-Security-Policy", "")
+        for name in ("W7.html", "W7-report-2.html", "..%2Fup-report-1.html", "../up-report-1.html", ""):
+            assert get(server, f"/reports/{name}", Cookie=cookie(server)).status == 404
+    finally:
+        server[1].report = lambda name: None
 
 
 def test_a_cookie_of_another_viewer_is_none(server: Server) -> None:
