@@ -25,6 +25,7 @@ from wafer_viewer.gui.build import build_page
 from wafer_viewer.gui.guard import log
 from wafer_viewer.gui.icons import quicken
 from wafer_viewer.gui.page import Page
+from wafer_viewer.gui.prop_types import cache_prop_types
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.papers import read_report
 
@@ -97,6 +98,7 @@ def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: st
     """
     keep_log()
     quicken()
+    cache_prop_types()
     server, guard = open_server(host, _free(host, port), token)
     guard.report = lambda name: read_report(name, _report_folders(session))
     server.scene.set_up_direction("+z")
