@@ -82,7 +82,7 @@ def test_a_scan_is_continued_after_its_program_was_killed(
 ):
     program, address = serve_folder()
     page = look_at(address)
-    page.locator("[data-pick=tour]").click()
+    page.locator("[data-pick=tour]").click(timeout=1000 * WORK_S)  # offered once the rig answers
     press(page, "Start scan")
     title_is(page, re.compile("field 2"))
     kill(program)

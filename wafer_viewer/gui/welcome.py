@@ -46,7 +46,8 @@ class Welcome:
             return
         self._centre()
         link = f'<span class="wv-link" {html.pick("tour")}>Take the tour on the virtual rig</span>, {TOUR_TIME}'
-        tour = f"No sample at hand? &ensp;{link}" if snapshot.rig.simulated else ""
+        way = link if snapshot.rig.limits is not None else "The virtual rig is starting …"
+        tour = f"No sample at hand? &ensp;{way}" if snapshot.rig.simulated else ""
         self._tour.show(f'<div class="wv-lab" style="text-align:center;padding:4px 0 6px">{tour}</div>')
 
     def commands(self) -> list[Command]:
