@@ -13,7 +13,7 @@ from tests.measure.patterned import Wafer, made
 from wafer_viewer.__main__ import main
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin
 from wafer_viewer.store.npz import write_npz
@@ -39,11 +39,10 @@ def one_die() -> HeightMap:
     return made(Wafer(**large, x0_um=120.0, y0_um=150.0))
 
 
-REFUSED = {
+WITHOUT_DIES = {
     "nothing repeats": (lambda: noise(made()), "No dies are found, for nothing repeats along x or y"),
     "one die only": (one_die, "are no whole dies|nothing repeats along"),
     "turned by 8 degrees": (lambda: made(Wafer(angle_deg=8)), r"turned by 8\.0 degrees and at most 5 can be found"),
-    "nothing measured": (lambda: unmeasured(made()), "hardly any measured pixels|shows no contrast"),
 }
 
 
@@ -52,9 +51,22 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("wafers")
 
 
-@pytest.mark.parametrize(("make", "says"), REFUSED.values(), ids=REFUSED.keys())
-def test_what_cannot_be_inspected_is_one_sentence(folder, capsys, make, says):
-    surface, path = make(), folder / "bad.npz"
+@pytest.mark.parametrize(("make", "says"), WITHOUT_DIES.values(), ids=WITHOUT_DIES.keys())
+def test_without_dies_the_fitted_form_is_the_reference(folder, capsys, make, says):
+    surface, path = make(), folder / "without.npz"
+    with pytest.raises(DiesNotFound, match=says) as said:
+        find_dies(surface)
+    assert str(said.value).count(". ") <= 1
+    write_npz(surface, path)
+    assert main(["measure", "defects", str(path)]) in (0, 1)
+    found = json.loads(capsys.readouterr().out)["inspection"]
+    assert found["reference"] == "form"
+    assert found["notes"][0].endswith("compared with the fitted form.")
+
+
+def test_a_surface_without_heights_is_refused_in_one_sentence(folder, capsys):
+    says = "hardly any measured pixels|shows no contrast"
+    surface, path = unmeasured(made()), folder / "bad.npz"
     with pytest.raises(MeasureError, match=says) as said:
         inspect(surface, find_dies(surface))
     assert str(said.value).count(". ") == 0

@@ -33,9 +33,9 @@ def test_dies_are_found_or_taken_as_given(surface, capsys):
     assert found["pitch_x"]["value_um"] == pytest.approx(Wafer().pitch_x_um, rel=5e-5)
     assert (found["grid"]["by"], given["grid"]["by"]) == ("found", "given")
     assert (found["pitch_x"]["status"], given["pitch_x"]["status"]) == ("uncalibrated", "not evaluated")
-    assert found["counts"] == given["counts"] == {"cut": 8, "whole": 56}
+    assert found["counts"] == given["counts"] == {"whole": 56}
     assert [die["name"] for die in found["dies"]][:2] == ["0,0", "1,0"]
-    assert [die["name"] for die in given["dies"]][:2] == ["-1,0", "0,0"], "die 0,0 is the one whose corner was given"
+    assert [die["name"] for die in given["dies"]][:2] == ["0,0", "1,0"], "die 0,0 is the one whose corner was given"
     assert found["simulated"]
     assert found["off"] is given["off"] is None
 

@@ -43,7 +43,7 @@ def test_the_scans_own_job_is_laid_over_what_is_seen(surface):
 def test_the_operators_word_goes_before_the_job(surface):
     dies = GivenDies((201.3, 147.7), (WAFER.x0_um, WAFER.y0_um), (173, 121), 1.0, as_given=True).on(surface, OWN)
     assert dies.off is None
-    assert (-1, 0) in dies.grid.places
+    assert dies.grid.angle_rad == pytest.approx(math.radians(1.0))
 
 
 def test_a_wafer_that_was_not_aligned_has_its_dies_found(surface):

@@ -21,6 +21,7 @@ from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import Image
 from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.control import Control
 from wafer_viewer.session.defects import DefectVerbs
@@ -52,6 +53,7 @@ class SessionApi(Protocol):
     gauge: GaugeVerbs
     papers: Papers
     exchange: Exchange
+    browsing: Browsing
 
     # state
     @property
@@ -130,5 +132,7 @@ class SessionApi(Protocol):
     def delete(self, number: int) -> Future[None]: ...
     def undo_findings(self) -> Future[None]: ...
     def redo_findings(self) -> Future[None]: ...
-    def export_surface(self, path: Path, field: int | None = None, every: int | None = None) -> Future[Path]: ...
+    def export_surface(
+        self, path: Path, field: int | None = None, every: int | None = None, part: Region | None = None
+    ) -> Future[Path]: ...
     def export_findings(self, path: Path) -> Future[Path]: ...
