@@ -68,7 +68,7 @@ def test_a_place_that_changed_is_measured_anew(release):
     _, lines = release(released_job(replace(STEP, places=ELSEWHERE)), "--dry-run")
     assert lines[1].startswith("  die over street: PASS -> FAIL (12.0")
     assert "; -12.0" in lines[1].replace("-11.9", "-12.0")
-    assert lines[2] == "    Place: another one; measured anew."
+    assert lines[2] == "    Place: another one; measured again."
 
 
 def test_features_that_are_new_or_gone_are_said(release):

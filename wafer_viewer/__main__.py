@@ -13,7 +13,7 @@ REFUSED, INTERRUPTED = 2, 130
 COMMANDS: dict[str, str] = {
     "serve": "open the viewer in the browser",
     "plan": "price every way to scan a plan; nothing moves",
-    "scan": "scan without the browser, or go on with an unfinished scan",
+    "scan": "scan without the browser, or continue an unfinished scan",
     "import": "make a dataset of images taken elsewhere, or of a surface file",
     "reconstruct": "make a surface of a focus stack or a dataset, as a file",
     "release": "make a plan a job that operators run with four actions",

@@ -63,7 +63,7 @@ def measure_defects(
     Args:
         src: A NAME.wafer or a surface file.
         recipe: How defects are looked for, a TOML file; that kept for the product of a NAME.wafer by default.
-        sensitivity: The dial: 0 finds only what is plain, 1 all that might be something; the recipe's by default.
+        sensitivity: The dial: 0 finds only clear defects, 1 everything that may be one; the recipe's by default.
         against: Compare dies with each other, or the surface with its fitted form.
         golden: A NAME.golden.npz to compare with instead; shows what repeats in every die. The recipe's by default.
         save_golden: Keep the typical die of this wafer as the next version of NAME.

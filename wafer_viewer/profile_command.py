@@ -42,7 +42,7 @@ def measure_profile(
         column: Columns by number; 0 is the left one.
         width_um: Width across a line that is averaged over.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
-        cleaned: For each line also the other of raw and cleaned heights.
+        cleaned: For each line also the other of measured and filtered heights.
         other: For each line also the same on the stitched surface of this other dataset.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.

@@ -183,7 +183,7 @@ def report(
         dataset: The dataset.
         out: The file, FILE.html.
         title: What stands over it; the dataset's name without one.
-        parts: What goes in, in this order; all by default.
+        parts: Contents, in this order; all by default.
         result: Name of the reconstruction.
     """
     from wafer_viewer.session.reporting import make_report

@@ -27,7 +27,7 @@ def inspected_as(n_defects: int = len(PLANTED), **state: Any) -> InspectedSessio
 
 
 def failed() -> InspectedSession:
-    """The first inspection came to nothing."""
+    """The first inspection failed."""
     session = inspected_session()
     why = "The surface has no period between 50 um and 400 um: give the dies, or inspect against the fitted form."
     session.change(inspection=InspectionState(problem=why))

@@ -60,7 +60,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     token = tmp_path / ".wafer-viewer" / "token"
     assert stat.S_IMODE(token.stat().st_mode) == 0o600
     page = look_at(address)
-    page.get_by_role("button", name="Take the sample on the stage").click()  # there once the rig has looked
+    page.get_by_role("button", name="Use the sample on the stage").click()  # there once the rig has looked
     expect(page.locator("[data-dock-region=right]")).to_contain_text("Predicted time")
     memory = tmp_path / ".wafer-viewer" / "session.json"
     eventually(memory.exists, "the plan is remembered")

@@ -42,12 +42,12 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     folder, dialog = session.snapshot.data_folder, page.get_by_role("dialog")
     page.keyboard.press("Shift+R")
     page.locator("[data-pick=defect-form]").press("Enter")
-    expect(page.get_by_text("As the surface was inspected; not kept.")).to_be_visible()
+    expect(page.get_by_text("As the surface was inspected; not saved.")).to_be_visible()
 
     press(page, "Save recipe…")
     type_into(page, "Name", "night shift")
     dialog.get_by_role("button", name="Save", exact=True).click()
-    expect(page.get_by_text("Recipe “night shift” of LX-7, as it is kept.")).to_be_visible()
+    expect(page.get_by_text("Recipe “night shift” of LX-7, as saved.")).to_be_visible()
     (kept,) = defect_recipes(folder, "LX-7")
     assert (kept.name, kept.sensitivity) == ("night shift", 0.25)
 
@@ -70,10 +70,10 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
 
     page.locator("[data-pick=defect-errand][data-k=klarf]").press("Enter")
     type_into(page, "Path", str(path.with_name("gone.klarf")))
-    dialog.get_by_role("button", name="Lay over", exact=True).click()
+    dialog.get_by_role("button", name="Overlay", exact=True).click()
     expect(dialog).to_contain_text("is not there: check the path.")
     type_into(page, "Path", str(path))
-    dialog.get_by_role("button", name="Lay over", exact=True).click()
+    dialog.get_by_role("button", name="Overlay", exact=True).click()
     expect(page.get_by_text(f"{n} places of another tool: {n} found here too, 0 not.")).to_be_visible()
     assert notes(page).count() == 0
 

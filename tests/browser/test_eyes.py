@@ -84,7 +84,7 @@ def hillshade(page: Page) -> Locator:
 def test_a_picture_at_print_size_has_that_size_and_says_simulated(page: Page, session: StitchedSession, tmp_path: Path):
     page.locator("[data-pick=picture]").click()
     eventually(lambda: list(tmp_path.glob("*.png")) != [], "the picture is kept", 120)
-    expect(page.locator(".mantine-Notification-root", has_text="Picture kept")).to_be_visible()
+    expect(page.locator(".mantine-Notification-root", has_text="Picture saved")).to_be_visible()
     picture = Image.open(next(tmp_path.glob("*.png")))
     assert picture.width == PRINT_WIDTH_PX
     assert picture.height > 900

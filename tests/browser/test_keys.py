@@ -75,7 +75,7 @@ def test_the_palette_lists_the_views_there_are_and_says_why_a_verb_is_not_possib
     asked.fill("hillshade")
     page.keyboard.press("Enter")
     told = page.locator(".mantine-Notification-root", has_text="Hillshade")
-    expect(told).to_contain_text("Not now: the surface is not on show: go to Surface first.")
+    expect(told).to_contain_text("Not now: the surface is not shown: go to Surface first.")
     expect(asked).to_be_hidden()
     page.keyboard.press("Control+k")
     asked.fill("the edge")

@@ -119,7 +119,7 @@ def test_pause_asks_nothing_and_stop_halts_before_it_asks(serve: Serve):
     session = fake.FakeSession(fake.scanning())
     page = serve(session)
     go_to(page, "Acquire")
-    title_is(page, "Taking field 5, the 5th of 9")
+    title_is(page, "Scanning field 5, 5 of 9")
     expect(page.get_by_text("it is no emergency stop")).to_be_visible()
     expect(page.locator(".wv-note.attention")).to_contain_text("Nothing to do.")
     press(page, "Pause")
@@ -208,7 +208,7 @@ def test_an_unforeseen_error_is_told_and_the_page_goes_on(serve: Serve):
     session.fails_with = ZeroDivisionError("division by zero")
     page = serve(session)
     press(page, "Cover the sample")
-    expect(notes(page)).to_contain_text("did not foresee: division by zero")
+    expect(notes(page)).to_contain_text("Unexpected error: division by zero")
     session.fails_with = None
     set_numbers(page, "Columns, rows", 2, 2)
     expect(page.get_by_text("4 fields")).to_be_visible()

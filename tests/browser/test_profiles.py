@@ -73,7 +73,7 @@ def test_lines_are_cut_read_compared_and_written(cutting: Page):
     expect(head(page)).to_contain_text(re.compile(r"Δx 100\.\d"))
 
     page.get_by_label("Compare with").click()
-    page.get_by_role("option", name="raw and cleaned heights").click()
+    page.get_by_role("option", name="measured and filtered heights").click()
     expect(curve(page, "B+")).to_have_count(1)
     expect(head(page)).to_contain_text("filled heights")
 

@@ -43,11 +43,11 @@ def test_a_surface_is_made_again_by_a_ready_recipe_with_one_change(serve: Callab
     expect(panel).to_contain_text("Width of a focus curve7.6\u202fµm")
     page.locator("[data-pick=recipe][data-k=form]").click()
     expect(dropdown(page, "Window")).to_have_value("From the data")
-    choose(page, "Ready recipe", "The paper's method")
+    choose(page, "Preset", "The paper's method")
     expect(dropdown(page, "Smoothing")).to_have_value("Levy, literal")
     expect(dropdown(page, "Beside walls")).to_be_disabled()
     choose(page, "Fill", "Small gaps")
-    expect(dropdown(page, "Ready recipe")).to_have_value("Own choice")
+    expect(dropdown(page, "Preset")).to_have_value("Custom")
     press(page, "Reconstruct again")
     assert "reconstruct" not in [name for name, _, _ in session.asked]
     press(page, "Replace the surface of coupon-07")

@@ -20,7 +20,7 @@ pytestmark = [
 TOLD = {
     "die": ("Shift+W", "112.0", "Squareness"),
     "kerf": ("Shift+U", "32.0", "Narrowest"),
-    "chipping": ("Shift+X", "4.9", "Of the edge chipped"),
+    "chipping": ("Shift+X", "4.9", "Share of the edge chipped"),
     "circle": ("Shift+Y", "13.", "Roundness RONt"),
     "coplanarity": ("Shift+Q", "1.4", "Bump at x, y"),
 }

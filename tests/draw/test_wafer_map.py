@@ -30,7 +30,7 @@ def test_ten_thousand_fields_are_few_shapes_and_quickly_drawn():
     assert len(every) == 10_000
     assert len(drawing) < 400_000
     paths = ElementTree.fromstring(drawing).findall(".//path")
-    assert sorted(path.find("title").text for path in paths) == ["measured", "to come"]
+    assert sorted(path.find("title").text for path in paths) == ["measured", "pending"]
     assert [path.get("d").count("M") for path in paths] == [5000, 5000]
     assert drawing.count("data-k=") == 1  # the one that is selected
 

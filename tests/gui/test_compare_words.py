@@ -21,7 +21,7 @@ def plain(html: str) -> str:
 
 def test_pairs_are_called_by_what_tells_them_apart():
     assert words.pair_words(FIRST, GOLDEN) == "L2231-W07-golden"
-    assert words.pair_words(RAW, CLEANED) == "Raw and cleaned"
+    assert words.pair_words(RAW, CLEANED) == "Measured and filtered"
     assert words.pair_words(FIRST, SurfaceName(path=FIRST.path, result="levy")) == "Result levy"
     assert (
         SurfaceName(path="C:\\data\\a.npz", result="levy", field=3, heights="raw").words

@@ -80,7 +80,7 @@ def test_dies_that_are_none_are_told_in_a_sentence(form: DefectForm, says: str):
     ("form", "says"),
     [
         (DefectForm(compare=GOLDEN), "No golden die is chosen"),
-        (DefectForm(scales_px="0, wide"), "The scales '0, wide' are no numbers"),
+        (DefectForm(scales_px="0, wide"), "The scales '0, wide' are not numbers"),
         (DefectForm(scales_px="0, 41"), "at least one scale, each at most 40 px"),
         (DefectForm(scales_px="0", max_per_die="few"), "'few' is no number of defects a die"),
         (DefectForm(scales_px="0", max_per_die="1.5"), "a die has whole defects"),
@@ -105,10 +105,10 @@ def test_the_form_says_which_recipe_it_stands_for():
     standard = shelf.recipe_of("LX-7")
     assert standard is not None
     assert standard.name == "standard"
-    assert which_recipe(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as it is kept."
-    assert "taken by itself" in which_recipe(standard, standard, shelf, False)
+    assert which_recipe(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as saved."
+    assert "Applied automatically" in which_recipe(standard, standard, shelf, False)
     turned = replace(standard, sensitivity=0.9)
-    assert "changed: not kept" in which_recipe(standard, turned, shelf, False)
+    assert "changed, not saved" in which_recipe(standard, turned, shelf, False)
     assert "As no recipe of LX-7" in which_recipe(DefectRecipe(), replace(turned, name=""), shelf, False)
     assert "As the surface was inspected" in which_recipe(turned, turned, shelf, True)
     other = DefectRecipe(product="LX-9")

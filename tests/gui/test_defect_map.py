@@ -100,7 +100,7 @@ def test_a_die_whose_defects_are_judged_is_passed_over_and_left_in_its_place():
 def test_a_key_lists_class_after_class_and_then_all():
     page = Reviewer()
     for kind in ["particle", "residue", "pit", "scratch", "edge chip", "pattern", "unmeasured", ""]:
-        page.press("List the next class alone")
+        page.press("Show only the next class")
         assert page.view.defects.kind == kind
     assert next_kind(INSPECTION.defects, DefectListing(kind="tilted die")) == ""
 

@@ -1,4 +1,4 @@
-"""What lies over the scene in a review: a defect beside its like, and all dies laid onto one."""
+"""What lies over the scene in a review: a defect beside its like, and all dies overlaid."""
 
 from __future__ import annotations
 
@@ -100,9 +100,11 @@ def test_the_list_names_places_dies_and_the_one_that_is_chosen(repeating):
 
 
 def test_words_stand_where_nothing_repeats_or_there_are_no_dies(repeating):
-    nothing = stacked.sheet(INSPECTION, (), DiePicture(why_not="No die was scanned whole."), (300, 300), None, None)
+    nothing = stacked.sheet(
+        INSPECTION, (), DiePicture(why_not="No die was scanned completely."), (300, 300), None, None
+    )
     assert "No 3 dies have a defect at the same place." in nothing
-    assert "No die was scanned whole." in nothing
+    assert "No die was scanned completely." in nothing
     assert stacked.NO_DIES in stacked.sheet(replace(INSPECTION, grid=None), (), None, (300, 300), None, None)
     width, height = stacked.drawing_px(repeating, SMALL)
     assert width + stacked.LIST_PX + 3 * stacked.PAD_PX <= SMALL.width_px

@@ -111,12 +111,12 @@ def test_a_die_that_was_not_inspected_never_looks_clean():
     assert "SIMULATED" in said
     assert "7 on 0.61 mm²" in said
     empty = replace(INSPECTION, defects=(), inspected_mm2=0.0)
-    assert "not a clean wafer" in nothing_found(empty)
+    assert "does not mean that the wafer is clean" in nothing_found(empty)
     assert "No defect was found" in nothing_found(replace(empty, inspected_mm2=0.5))
 
 
 def test_what_stands_against_the_list_is_said():
-    assert "made again since" in summary(InspectionState(INSPECTION, stale=True))
+    assert "reconstructed since" in summary(InspectionState(INSPECTION, stale=True))
     assert "has no period" in summary(InspectionState(problem="The surface has no period: give the dies."))
 
 

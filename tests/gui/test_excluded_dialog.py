@@ -56,5 +56,5 @@ def test_they_are_veiled_where_all_dies_lie_on_one():
     inspection = found(PLANTED)
     assert "Left out" not in die_stack_svg(inspection, ())
     drawn = die_stack_svg(replace(inspection, recipe=DefectRecipe(excluded=(SQUARE, ROUND, CORNER))), ())
-    assert drawn.count("Left out: nothing was sought here") == 3
+    assert drawn.count("Left out: not searched") == 3
     assert drawn.count("<ellipse") == 1

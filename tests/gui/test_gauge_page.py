@@ -63,7 +63,7 @@ def test_every_line_of_the_budget_is_told_with_what_is_left_out(state: GaugeStat
 def test_a_certificate_is_shown_missed_and_warned_of_before_it_runs_out():
     assert "21-0447 / 21-0448" in words.certificate(certificate(), TODAY)
     assert "No certificate is loaded." in words.certificate(None, TODAY)
-    assert "It runs out in 3 days" in words.certificate(certificate("2026-11-24"), TODAY)
+    assert "It expires in 3 days" in words.certificate(certificate("2026-11-24"), TODAY)
 
 
 def test_points_are_ticked_in_their_order():

@@ -36,8 +36,8 @@ def test_limits_are_those_that_the_specs_check():
 
 
 def test_buttons_say_the_key_of_the_verb_they_stand_for():
-    commands = [Command("Scan, pause, go on", "G", print), Command("Undo", "Z", print, modifier="cmd/ctrl")]
-    assert titles_of(commands) == {"Start scan": "Key G", "Pause": "Key G", "Go on": "Key G", "Undo": "Key Ctrl + Z"}
+    commands = [Command("Scan, pause, continue", "G", print), Command("Undo", "Z", print, modifier="cmd/ctrl")]
+    assert titles_of(commands) == {"Start scan": "Key G", "Pause": "Key G", "Continue": "Key G", "Undo": "Key Ctrl + Z"}
 
 
 def test_every_verb_that_a_button_names_is_in_the_palette():

@@ -21,8 +21,8 @@ WORK = Work("w1", "Heights of the fields")
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, "at work"),
-        ({"waits_for": "the first field"}, "waits for the first field"),
+        ({}, "running"),
+        ({"waits_for": "the first field"}, "queued: waiting for the first field"),
         ({"waits_for": "the first field", "fraction": 0.5}, "50\u202f%"),
         ({"fraction": 0.25, "seconds_left": 95.2}, "1:36 left · 25\u202f%"),
         ({"fraction": 0.99, "seconds_left": 0.4}, "99\u202f%"),
@@ -33,7 +33,7 @@ def test_a_job_says_how_it_stands(changes, said):
 
 
 def test_nothing_is_at_work_before_there_are_workers():
-    assert state_of(WORK, STARTING) == "waits for the workers"
+    assert state_of(WORK, STARTING) == "queued: waiting for the workers"
     assert state_of(dataclasses.replace(WORK, fraction=0.1), STARTING) == "10\u202f%"
 
 

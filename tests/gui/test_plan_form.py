@@ -97,7 +97,7 @@ def test_a_list_of_fields_stays_a_list():
         ({"step_um": 0.0}, "over 0"),
         ({"range_um": (5.0, 5.0)}, "higher than the first"),
         ({"range_um": (0.0, 1.5)}, "n_frames is 2"),
-        ({"exposures_us": "fast"}, "numbers of µs"),
+        ({"exposures_us": "fast"}, "times in µs"),
         ({"exposures_us": ""}, "at least one exposure"),
         ({"overlap_percent": 60.0}, "between 0 and 0.5"),
         ({"columns_rows": (0.0, 3.0)}, "cols is 0"),
@@ -111,5 +111,5 @@ def test_what_cannot_be_is_refused_in_a_sentence(changes, words):
 def test_without_a_size_or_a_rig_there_is_no_first_job():
     with pytest.raises(PlanError, match="no size"):
         job_of(PlanForm(), None, LIMITS)
-    with pytest.raises(PlanError, match="rig has not said"):
+    with pytest.raises(PlanError, match="rig has not reported"):
         job_of(PlanForm(size_mm=(1.0, 1.0)), None, None)

@@ -49,18 +49,18 @@ def test_only_what_was_left_to_the_data_is_told_as_chosen_by_them():
     assert chosen["Width of a focus curve"] == "7.6\u202fµm"
     assert chosen["Confidence from"] == "0.24"
     assert chosen["Camera noise, gain"] == "0.021 counts"
-    assert "Scale of the flights" not in chosen
+    assert "Scale of the Lévy flights" not in chosen
     by_hand = dict(words.chosen_by_data(replace(Recipe(), window=9, levy=Levy(mode="none")), fake.SETTLED))
     assert "Window" not in by_hand
     assert words.chosen_by_data(fake.SETTLED, fake.SETTLED) == []
     assert words.chosen_by_data(Recipe(), Recipe()) == []
 
 
-@pytest.mark.parametrize(("mode", "said"), [("literal", "0.50 µm"), ("guided", "0.50 × way to the guide")])
+@pytest.mark.parametrize(("mode", "said"), [("literal", "0.50 µm"), ("guided", "0.50 × distance to the guide")])
 def test_flights_are_told_where_there_are_any(mode, said):
     asked = replace(Recipe(), levy=Levy(mode=mode))
     settled = replace(fake.SETTLED, levy=Levy(mode=mode, n_sigma=3.0, alpha=0.5, iterations=30))
-    assert dict(words.chosen_by_data(asked, settled))["Scale of the flights"] == said
+    assert dict(words.chosen_by_data(asked, settled))["Scale of the Lévy flights"] == said
 
 
 def test_only_the_papers_method_believes_every_peak():

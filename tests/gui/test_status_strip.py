@@ -74,7 +74,7 @@ def test_the_rig_says_whether_it_knows_where_it_is_and_whether_it_moves(status, 
 def test_lot_wafer_and_revision_of_the_job_that_is_looked_at():
     job = replace(fake.a_job(), product="GATE-3", revision="B")
     assert sample(job) == ("Lot L2231 · Wafer W07 · Job GATE-3 rev. B", "", "not released")
-    assert sample(replace(job, sample=Sample(), product="", revision=""))[0] == "Sample without a name"
+    assert sample(replace(job, sample=Sample(), product="", revision=""))[0] == "Unnamed sample"
     assert sample(None)[0] == ""
     now = dataclasses.replace(fake.measured(), draft=fake.draft_of(None))
     assert job_shown(now, View(step="plan")) is None
@@ -84,11 +84,11 @@ def test_lot_wafer_and_revision_of_the_job_that_is_looked_at():
 def test_what_was_done_to_the_heights_on_show():
     info = fake.measured().surface
     (heights, _, _), (missing, _, reasons) = surface(info)
-    assert heights == "Smoothed heights, 0.2\u202f% filled"
+    assert heights == "Filtered heights, 0.2\u202f% filled"
     assert missing == "0.6\u202f% unmeasured"
     assert "no texture 0.4\u202f%" in reasons
     raw = dataclasses.replace(info, settled=Recipe(levy=Levy(mode="none")), filled_fraction=0.0)
-    assert surface(raw)[0][0] == "Raw heights, none filled"
+    assert surface(raw)[0][0] == "Measured heights, none filled"
     assert surface(None) == (("", "", ""), ("", "", ""))
 
 

@@ -44,7 +44,7 @@ def test_the_form_that_the_stage_alone_knows_stands_in_the_details():
     said = text(words.details(FOUND))
     assert "Known from the stage only" in said
     assert "Bow ± 0.82 µm" in said
-    assert "the farthest 7.9 µm" in said
+    assert "largest 7.9 µm" in said
     assert "nan" not in text(words.details(dataclasses.replace(FOUND, form=(("bow", float("inf")),))))
 
 
@@ -78,7 +78,7 @@ def test_what_a_person_should_look_at_is_said_in_sentences():
     )
     assert "attention" in said
     assert "<b>" not in said
-    for phrase in ("Field 7 is left out: it fits none", "3 islands", "Field 2 moved by 4 µm"):
+    for phrase in ("Field 7 is left out: it matches none", "3 islands", "Field 2 moved by 4 µm"):
         assert phrase in text(said)
     assert words.cautions(FOUND) == ""
     several = text(words.cautions(dataclasses.replace(FOUND, left_out=tuple(range(1, 12)))))

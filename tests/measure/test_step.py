@@ -114,7 +114,7 @@ def test_what_is_simulated_says_so():
 
 
 def layered():
-    """Raw heights of 10, smoothed ones of 20, and a filled part of 30 on the upper side."""
+    """Measured heights of 10, smoothed ones of 20, and a filled part of 30 on the upper side."""
     raw = np.where(np.arange(200) < 100, 10.0, 0.0) * np.ones((100, 1))
     origin = np.zeros(raw.shape, np.uint8)
     origin[:50, :100] = Origin.FILLED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -32,3 +33,25 @@ def test_the_command_prints_a_term_and_names_an_unknown_one(capsys: pytest.Captu
     assert "value ± U must lie within the limits" in capsys.readouterr().out
     assert main(["glossary", "flummox"]) == 1
     assert "flummox" in capsys.readouterr().err
+
+
+def texts_of(module: Path) -> list[str]:
+    """Every text of a module that people may read: its strings but for docstrings."""
+    tree = ast.parse(module.read_text())
+    alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    strings = (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
+    return [node.value for node in strings if id(node) not in alone]
+
+
+def test_no_text_of_the_program_uses_a_word_that_the_glossary_replaces():
+    avoided = {word: term.word for term in GLOSSARY for word in term.not_called}
+    assert len(avoided) > 5
+    wrong = [
+        f"{module.relative_to(PACKAGE)}: '{text}' (say {avoided[word]})"
+        for module in sorted(PACKAGE.rglob("*.py"))
+        if module.name not in {"glossary.py", "gwy.py"}  # gwy.py reads a title that earlier versions wrote
+        for text in texts_of(module)
+        for word in avoided
+        if word in text.lower()
+    ]
+    assert wrong == []

@@ -120,7 +120,7 @@ def test_what_may_not_be_read_says_so(browsing: Browsing, data: Path, monkeypatc
 
 
 def test_a_folder_that_cannot_be_listed_is_said_in_a_sentence(browsing: Browsing, data: Path):
-    with pytest.raises(DatasetError, match="not there"):
+    with pytest.raises(DatasetError, match="does not exist"):
         listed(browsing, data / "gone")
     (data / "file.toml").write_text("x")
     with pytest.raises(DatasetError, match="no folder"):
@@ -181,5 +181,5 @@ def test_a_file_is_saved_under_the_name_typed_inside_of_the_roots(browsing: Brow
         saved_as(browsing, "  ", data, ".gsf")
     with pytest.raises(DatasetError, match="--browse"):
         saved_as(browsing, str(tmp_path / "x.gsf"), data, ".gsf")
-    with pytest.raises(DatasetError, match="not there"):
+    with pytest.raises(DatasetError, match="does not exist"):
         saved_as(browsing, str(data / "nowhere" / "x.gsf"), data, ".gsf")

@@ -165,7 +165,7 @@ def test_one_who_asked_and_went_gets_nothing(control, hands, glass):
 def test_only_the_holder_passes_them_on(control, hands):
     with pytest.raises(WaferViewerError, match="Ask for them first"):
         control.hand_over("b", "b").result()
-    with pytest.raises(WaferViewerError, match="has gone"):
+    with pytest.raises(WaferViewerError, match="has disconnected"):
         control.hand_over("a", "z").result()
     assert hands().holds("a")
 

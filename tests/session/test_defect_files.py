@@ -126,7 +126,7 @@ def test_defects_go_out_as_they_are_judged(bench, tmp_path):
     folder = bench.do(bench.keeper.write, "training", tmp_path / "set")
     assert (folder / "0002.npy").exists()
     assert bench.desk.snapshot.works == ()
-    with pytest.raises(DatasetError, match="is there already: give the name of a new folder"):
+    with pytest.raises(DatasetError, match="exists already: give the name of a new folder"):
         bench.do(bench.keeper.write, "training", tmp_path / "set")
 
 
@@ -163,7 +163,7 @@ def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspecte
     kept = Dataset.open(inspected).result("default").path
     write_inspection(kept, replace(FOUND, mark="of an older surface"))
     for asked in ((hand_over, "training", tmp_path / "set"), (keep_golden, "lx7")):
-        with pytest.raises(DatasetError, match="made again since it was inspected: inspect it again"):
+        with pytest.raises(DatasetError, match="reconstructed since it was inspected: inspect it again"):
             asked[0](inspected, "default", *asked[1:])
     assert hand_over(inspected, "default", "csv", tmp_path / "w.csv").exists()
     write_inspection(kept, FOUND)

@@ -178,7 +178,7 @@ def test_words_stand_where_there_is_no_earlier_scan_and_no_other_die(folder: Pat
     alone = found().dies[1:2]
     seen = shown(views(folder, "W9", dies=alone).beside(1).result(20))
     assert seen["before"].why_not == "No earlier scan of wafer W9 with a surface lies in the data folder."
-    assert seen["dies"].why_not == "No other die was scanned whole."
+    assert seen["dies"].why_not == "No other die was scanned completely."
     assert seen["here"].height
     seen = shown(views(folder, "", grid=None, dies=()).beside(1).result(20))
     assert "no wafer id" in seen["before"].why_not
@@ -232,6 +232,6 @@ def test_a_die_as_all_are_is_pictured_and_repeats_are_counted(folder: Path):
     assert (picture.dies, picture.golden, picture.why_not) == (6, "", "")
     width, height = Image.open(io.BytesIO(picture.picture)).size
     assert width / height == pytest.approx(GRID.width_um / GRID.height_um, rel=0.03)
-    assert views(folder, grid=None, dies=()).die().result(20).why_not == "No die was scanned whole."
+    assert views(folder, grid=None, dies=()).die().result(20).why_not == "No die was scanned completely."
     many = tuple(replace(found().defects[0], number=n, die=f"{n},1") for n in range(3))
     assert len(views(folder, defects=many).repeats()) == 1

@@ -69,7 +69,7 @@ MARKED = replace(small_job(), marks=MARKS)
         ("Calibration", {"calibration": replace(CALIBRATION, due="2026-11-21", simulated=False)}, "ok", "in 0 days"),
         ("Calibration", {}, "ok", "of the simulation"),
         ("Calibration", {"setup": replace(SETUP, zoom=2.0)}, "attention", "zoom=2.0"),
-        ("Disk", {"free_bytes": None}, "attention", "nobody knows"),
+        ("Disk", {"free_bytes": None}, "attention", "the free space is unknown"),
         ("Disk", {"free_bytes": 540 * 720 * 40 - 1}, "stop", "15.6 MB needed"),
         ("Disk", {"free_bytes": 540 * 720 * 40}, "attention", "little is left"),
         ("Disk", {"free_bytes": 540 * 720 * 50}, "ok", "19.4 MB free"),

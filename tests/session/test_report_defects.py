@@ -64,7 +64,7 @@ def test_all_dies_lie_on_one_and_what_repeats_is_said(dataset: Path):
     said = " ".join(report.sections[0].sentences)
     assert "Place 1, x 302.5, y 200.0 µm of the die: pattern in 4 of 6 whole dies" in said
     page = report_html(report)
-    assert "All dies laid onto one, their defects by class. Rings: places that repeat." in page
+    assert "All dies overlaid, their defects by class. Rings: places that repeat." in page
     assert page.count("<title>Place 1, in 4 of 6 whole dies</title>") == 1
     assert "<title>D9, Particle, die 1,1</title>" in page
 

@@ -78,7 +78,7 @@ def other(folder, name, result=RESULT):
 def test_the_same_line_on_raw_and_cleaned_heights(sections):
     asked = SectionAsked(1, LINE)
     raw, cleaned = (sections.section(dataclasses.replace(asked, cleaned=which)) for which in (False, True))
-    assert (raw.title, cleaned.title) == ("B", "B filled")
+    assert (raw.title, cleaned.title) == ("B", "B filtered and filled heights")
     assert np.isnan(raw.curve.z_um).any()
     np.testing.assert_allclose((raw.curve.z_um - cleaned.curve.z_um)[np.isfinite(raw.curve.z_um)], 1.0, atol=0.03)
     assert raw.source == "before"

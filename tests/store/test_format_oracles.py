@@ -66,7 +66,7 @@ def test_gwyfile(written, z_um):
     gwyfile = pytest.importorskip("gwyfile")
     tree = gwyfile.load(str(written / "a.gwy"))
     channels = gwyfile.util.get_datafields(tree)
-    assert list(channels) == ["Heights", "Unsmoothed heights", "Confidence", "All in focus", "Origin"]
+    assert list(channels) == ["Heights", "Measured heights", "Confidence", "All in focus", "Origin"]
     heights = np.where(tree["/0/mask"].data > 0, np.nan, channels["Heights"].data * 1e6)
     np.testing.assert_allclose(heights, z_um, atol=1e-9)
     assert channels["Heights"].si_unit_z.unitstr == "m"

@@ -30,7 +30,7 @@ def test_a_table_gives_back_every_curve_with_its_places():
     assert "SIMULATED" in heads[1]
     assert "coupon-07" in heads[2]
     assert "levelled by stage" in heads[2]
-    assert "unsmoothed heights" in heads[2]
+    assert "measured heights" in heads[2]
 
 
 def test_a_real_surface_is_not_called_simulated():

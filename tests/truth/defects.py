@@ -69,7 +69,7 @@ def make(plan: Plan, sigma_um: float | None = None) -> Made:
 
 @lru_cache(maxsize=1)
 def height_noise_um() -> float:
-    """Robust deviation of the unsmoothed heights from the true ones, on a die's top away from walls."""
+    """Robust deviation of the measured heights from the true ones, on a die's top away from walls."""
     plan = Plan(cols=2, rows=2, seed=90_001, defective=0.0, odd_dies=False)
     surface, truth = _laid(plan, scene_of(plan, ()))
     error = (surface.z_raw_um - truth)[_inner_dies(plan)]

@@ -1,4 +1,4 @@
-"""All dies laid onto one as SVG: their defects by class over the picture of a die, rings where a place repeats. Pure.
+"""All dies overlaid as SVG: their defects by class over the picture of a die, rings where a place repeats. Pure.
 
 Colours of lines and words are custom properties (``--ink``, ``--line`` …) of whoever shows it.
 """
@@ -55,7 +55,7 @@ def die_stack_svg(
     w, h = width + 2 * _MARGIN_PX, height + 2 * _MARGIN_PX
     return (
         f'<svg class="wv-stack" viewBox="0 0 {w:.0f} {h:.0f}" width="{w:.0f}" height="{h:.0f}" role="img" '
-        f'aria-label="All dies laid onto one" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
+        f'aria-label="All dies overlaid" style="max-width:100%">{image}{frame}{areas}{rings}{marks}</svg>'
     )
 
 
@@ -85,7 +85,7 @@ def _left_out(area: Region, at: Callable[[float, float], tuple[float, float]]) -
         shape = f'<ellipse {middle} rx="{(right - left) / 2:.1f}" ry="{(low - high) / 2:.1f}" {look}/>'
     else:
         shape = f'<polygon points="{" ".join(f"{x:.1f},{y:.1f}" for x, y in (at(*c) for c in corners))}" {look}/>'
-    return f"<g><title>Left out: nothing was sought here</title>{shape}</g>"
+    return f"<g><title>Left out: not searched</title>{shape}</g>"
 
 
 def _mark(

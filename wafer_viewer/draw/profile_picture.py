@@ -14,6 +14,7 @@ from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.profile_frame import Ends, ProfileFrame, digits, frame_of, runs
 from wafer_viewer.draw.text import font, length_px, write
 from wafer_viewer.model.sections import Section
+from wafer_viewer.model.surface import LAYER_TITLES
 
 DOTS_PER_INCH = 300
 WIDTH_PX, HEIGHT_PX = 2008, 1063
@@ -149,4 +150,4 @@ def _named(section: Section) -> str:
     width = f", mean over {with_unit(profile.line.width_um, 1)}" if profile.line.width_um else ""
     level = "" if section.asked.levelling.by == "stage" else f", levelled by {section.asked.levelling.by}"
     about = f"Pt {with_unit(profile.pt.value_um, 2)}, {with_unit(profile.length_um, 0)} long{width}"
-    return f"{section.title}   {section.source}, {profile.surface}{level}   {about}"
+    return f"{section.title}   {section.source}, {LAYER_TITLES[profile.surface]}{level}   {about}"

@@ -30,10 +30,10 @@ class Ink:
 
 FIELD_INKS: dict[str, Ink] = {
     "planned": Ink("accent", 0.10, "planned"),
-    "to come": Ink("ink3", 0.0, "to come", dashed=True),
-    "being taken": Ink("accent", 0.0, "being taken", heavy=True),
-    "taken": Ink("accent", 0.08, "taken"),
-    "in reconstruction": Ink("accent", 0.14, "in reconstruction"),
+    "to come": Ink("ink3", 0.0, "pending", dashed=True),
+    "being taken": Ink("accent", 0.0, "scanning", heavy=True),
+    "taken": Ink("accent", 0.08, "scanned"),
+    "in reconstruction": Ink("accent", 0.14, "reconstructing"),
     "measured": Ink("accent", 0.30, "measured"),
     "to repeat": Ink("warn", 0.25, "to repeat", sign="!"),
     "failed": Ink("bad", 0.22, "failed", sign="×"),

@@ -24,7 +24,6 @@ from wafer_viewer.session.state import LatestFrame, OpenDataset, ScanProgress, S
 
 FRAME_EVERY_S = 0.18
 FRAME_WIDTH_PX = 720
-_ORDINALS = {1: "st", 2: "nd", 3: "rd"}
 
 
 class AcquirePanel:
@@ -61,7 +60,7 @@ class AcquirePanel:
         """Pause a running scan, go on with a paused one."""
         page = self._page
         if page.session.snapshot.rig.state == "paused":
-            page.ask("The scan did not go on", page.session.resume())
+            page.ask("The scan was not continued", page.session.resume())
         else:
             page.ask("The scan did not pause", page.session.pause())
 
@@ -99,13 +98,13 @@ class AcquirePanel:
 
     def _continue(self) -> Callable[..., None]:
         page = self._page
-        return guarded(page, "The scan did not go on")(
-            lambda _: page.ask("The scan did not go on", page.session.continue_scan())
+        return guarded(page, "The scan was not continued")(
+            lambda _: page.ask("The scan was not continued", page.session.continue_scan())
         )
 
     def _next_wafer(self) -> Callable[..., None]:
         """The same job again: back to the plan, where the wafer's id is asked for."""
-        page, failed = self._page, "The next wafer waits"
+        page, failed = self._page, "The next wafer was not prepared"
         return guarded(page, failed)(
             lambda _: page.ask(failed, page.session.jobs.next_wafer(), lambda _: page.change(step="plan"))
         )
@@ -113,7 +112,7 @@ class AcquirePanel:
     def _show_buttons(self, snapshot: Snapshot, running: bool) -> None:
         paused = snapshot.rig.state == "paused"
         set_prop(self._running, "visible", running)
-        set_prop(self._pause, "label", "Go on" if paused else "Pause")
+        set_prop(self._pause, "label", "Continue" if paused else "Pause")
         set_prop(self._pause, "icon", viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE)
         set_prop(self._pause, "disabled", snapshot.rig.state == "stopping")
         set_prop(self._stop, "disabled", snapshot.rig.state == "stopping")
@@ -176,19 +175,15 @@ def _title(snapshot: Snapshot) -> tuple[str, str]:
     scan, data = snapshot.scan, snapshot.dataset
     if snapshot.scanning and scan is not None:
         n = len(data.fields) if data else 0
-        words = {"paused": "Paused at", "stopping": "Stopping at"}.get(snapshot.rig.state, "Taking")
-        return f"{words} field {scan.field.number}, the {_ordinal(scan.order)} of {n}", _how(scan, data)
+        words = {"paused": "Paused at", "stopping": "Stopping at"}.get(snapshot.rig.state, "Scanning")
+        return f"{words} field {scan.field.number}, {scan.order} of {n}", _how(scan, data)
     if snapshot.scanning:
-        return "The scan begins", "The stage goes to the first field."
+        return "Starting the scan", "The stage moves to the first field."
     if data is not None and not data.finished:
         return "The scan is unfinished", _missing(data)
     if scan is not None:
         return "The scan is done", _waits(snapshot) or _how(scan, data)
     return "No scan yet", "Start one in Plan."
-
-
-def _ordinal(n: int) -> str:
-    return f"{n}{'th' if n % 100 in (11, 12, 13) else _ORDINALS.get(n % 10, 'th')}"
 
 
 def _how(scan: ScanProgress, data: OpenDataset | None) -> str:
@@ -200,14 +195,14 @@ def _how(scan: ScanProgress, data: OpenDataset | None) -> str:
 
 def _missing(data: OpenDataset) -> str:
     left = sum(state.value in ("to come", "being taken", "to repeat") for state in data.states.values())
-    return f"{left} of {len(data.fields)} fields are not complete; the missing frames alone are taken."
+    return f"{left} of {len(data.fields)} fields are not complete; only the missing frames are taken."
 
 
 def _waits(snapshot: Snapshot) -> str:
     if snapshot.surface is not None:
         return ""
     doing = " and ".join(work.title for work in snapshot.works)
-    return f"Until the surface is there: {doing}." if doing else "The surface is being made."
+    return f"Until the surface is there: {doing}." if doing else "The surface is being reconstructed."
 
 
 def _done(scan: ScanProgress) -> float:

@@ -15,7 +15,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.model.plan import Job
 from wafer_viewer.session.state import Draft, Snapshot
 
-FAILED = "The corner is not marked"
+FAILED = "The corner was not marked"
 
 
 class Aligning:
@@ -60,7 +60,7 @@ class Aligning:
 
     def _again(self) -> None:
         self.chosen = None
-        self.page.ask("The corners stay", self.page.session.jobs.unmark())
+        self.page.ask("The corners were not changed", self.page.session.jobs.unmark())
 
 
 class AlignSection:

@@ -43,7 +43,7 @@ class Answering:
         if asked[-1] is None or not _places(view):
             self.answer = Answer()
             return
-        self._worker.ask(lambda: guarded(self._page, "The measurement stopped")(self._measure)(view, asked))
+        self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, asked))
 
     def close(self) -> None:
         """Stop measuring: the browser has gone."""

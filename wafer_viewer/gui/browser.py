@@ -88,7 +88,7 @@ class BrowserEar:
         self._can_fly = False
         self._let_fly: Callable[[bool], None] = lambda able: None
         page.gui.add_html('<div class="wv-tells"></div>')
-        failed = "The layout is not remembered"
+        failed = "The layout was not saved"
         page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
         page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
 

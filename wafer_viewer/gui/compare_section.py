@@ -152,7 +152,7 @@ class CompareSection:
         page = self._page
         if (asked := comparison_of(page.view.show)) is not None and asked[0] == number:
             self.close()
-        page.ask("The comparison stays", page.session.comparing.remove(number))
+        page.ask("The comparison was not removed", page.session.comparing.remove(number))
 
     # --- showing
 
@@ -183,7 +183,9 @@ class CompareSection:
         asked = (data and (data.path, data.results), info and info.result, snapshot.datasets, view.show)
         if asked != self._asked:
             self._asked = asked
-            self._looking.ask(lambda: guarded(self._page, "What can be compared is not known")(self._take)(view.show))
+            self._looking.ask(
+                lambda: guarded(self._page, "The surfaces to compare were not listed")(self._take)(view.show)
+            )
 
     def _take(self, show: int) -> None:
         pairs = self._page.session.comparing.choices(show)

@@ -12,7 +12,7 @@ FACES: tuple[tuple[Face, str], ...] = (
     (Face.SECOND, "Second"),
     (Face.BESIDE, "Both"),
 )
-OUTDATED = "One of the surfaces was made anew or is gone since: compare again."
+OUTDATED = "One of the surfaces has changed or is gone: compare again."
 BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."
 LITTLE_OVERLAP = 0.5
 """From less than this on it is said how little is compared."""
@@ -23,7 +23,7 @@ _LARGE_PL = 1e3
 def pair_words(first: SurfaceName, second: SurfaceName) -> str:
     """What a choice of the list says."""
     if (first.path, first.result, first.field) == (second.path, second.result, second.field):
-        return "Raw and cleaned"
+        return "Measured and filtered"
     return f"Result {second.result}" if first.path == second.path else second.words
 
 

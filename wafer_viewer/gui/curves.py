@@ -103,7 +103,7 @@ class Curves:
                 return
             self._asked = surface, wanted
             self._measured.clear()
-            measure = guarded(self._page, "The measurement stopped")(self._measure)
+            measure = guarded(self._page, "The measurement failed")(self._measure)
             self._worker.ask(lambda: measure(surface, wanted))
 
     def _measure(self, surface: object, wanted: tuple[SectionAsked, ...]) -> None:

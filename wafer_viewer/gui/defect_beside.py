@@ -72,7 +72,7 @@ class DefectBeside:
 
     def _look(self, asked: Asked) -> None:
         """On the worker's thread; what comes for a defect that was left meanwhile is dropped."""
-        answer, told = None, "Nothing of this place was scanned."
+        answer, told = None, "This place was not scanned."
         try:
             answer = self._page.session.defects.views.beside(asked[0]).result()
         except WaferViewerError as fault:
@@ -93,5 +93,5 @@ class DefectBeside:
 
 def _instead(defect: Defect, told: str) -> str:
     """What stands there until the pictures are made, or where there are none."""
-    said = html.empty(html.micro(told) if told else "The pictures are made …")
+    said = html.empty(html.micro(told) if told else "Making the pictures …")
     return f'{head(defect)}<div style="height:{WAITING_PX}px">{said}</div>'

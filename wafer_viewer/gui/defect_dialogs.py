@@ -22,7 +22,7 @@ from wafer_viewer.session.defect_handover import Handover
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
 from wafer_viewer.session.other_tool import KlarfUnit
 
-NEAR = "A place so near a defect found here is the same"
+NEAR = "Places closer than this count as the same defect"
 WAIT_S = 20.0
 """A verb of the session is waited for, so that what it says can be mended in the dialog."""
 FORMATS: dict[str, tuple[Handover, str]] = {
@@ -31,9 +31,9 @@ FORMATS: dict[str, tuple[Handover, str]] = {
     "Training set, a folder": ("training", "-training"),
 }
 LOSES: dict[Handover, str] = {
-    "klarf": "It has no room for U, reasons, notes, unmeasured areas and who judged. Heights are in a column of ours "
-    "that other readers pass over; dies not scanned whole are left out of its test plan.",
-    "csv": "It has every number with U and every word, but no pictures and no outlines.",
+    "klarf": "It cannot hold U, reasons, notes, unmeasured areas or who judged. Heights are in a column of our own "
+    "that other readers ignore; dies not scanned whole are left out of its test plan.",
+    "csv": "It has every number with U and all text, but no pictures and no outlines.",
     "training": "Heights and picture round each defect, its features, your class and that of the rules. "
     "Unmeasured areas are left out. It takes a new folder.",
 }
@@ -45,7 +45,7 @@ def export_defects_dialog(page: Page) -> None:
     required_inspection(page)
     snapshot = page.session.snapshot
     stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
-    dialog = Dialog(page, "Export the defects", "As they are judged now; nuisances are in it and marked as such.")
+    dialog = Dialog(page, "Export the defects", "As judged now; nuisances are included and marked as such.")
     first = next(iter(FORMATS))
     with dialog.modal:
         name = f"{stem}{FORMATS[first][1]}"
@@ -62,20 +62,20 @@ def export_defects_dialog(page: Page) -> None:
     def write() -> None:
         what, target = FORMATS[kind.value][0], files.target()
         if what == "training" and target.exists():
-            raise DatasetError(f"{target} is there already: give the name of a new folder.")
+            raise DatasetError(f"{target} exists already: give the name of a new folder.")
         files.write_to(target, lambda: begin(what, target))
 
     def begin(what: Handover, target: Path) -> None:
         done = page.session.defects.files.write(what, target)
-        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
+        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
 
 
 def klarf_dialog(page: Page) -> None:
     """Lay what another tool found over the surface."""
-    below = "The places of a KLARF file beside those found here: what both found, and what only one did."
-    dialog, gui = Dialog(page, "Lay a KLARF over", below), page.gui
+    below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
+    dialog, gui = Dialog(page, "Overlay a KLARF file", below), page.gui
     with dialog.modal:
         files = FileList(dialog, "klarf", rows=7)
         files.add_upload()
@@ -88,7 +88,7 @@ def klarf_dialog(page: Page) -> None:
         _wait(page.session.defects.files.lay_over(source, UNITS[unit.value], float(within.value)))
         page.redraw()
 
-    dialog.answers("Lay over", viser.Icon.STACK_2, lay, "Nothing was laid over")
+    dialog.answers("Overlay", viser.Icon.STACK_2, lay, "The KLARF file was not overlaid")
 
 
 def golden_dialog(page: Page) -> None:
@@ -150,7 +150,9 @@ def recipes_dialog(page: Page) -> None:
     """The recipes that are kept: rename one, or delete it."""
     shelf = page.session.snapshot.shelf
     dialog = Dialog(
-        page, "Recipes for defects", "That saved last is taken by itself when a dataset of its product opens."
+        page,
+        "Recipes for defects",
+        "The one saved last is applied automatically when a dataset of its product is opened.",
     )
     with dialog.modal:
         Cell(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
@@ -167,7 +169,7 @@ def recipes_dialog(page: Page) -> None:
 def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
     """The recipes, saved last first, each with what can be done to it."""
     if not recipes:
-        return html.empty("No recipe is kept yet.")
+        return html.empty("No recipe is saved yet.")
     return html.table(
         ["Recipe", "Product", "Sensitivity", ""], [_recipe_row(*each) for each in enumerate(recipes)], "  n"
     )
@@ -184,7 +186,7 @@ def _recipe_row(place: int, recipe: DefectRecipe) -> str:
 def required_inspection(page: Page) -> Inspection:
     """What was found. Raises MeasureError before anything was looked for."""
     if (inspection := page.session.snapshot.inspection.inspection) is None:
-        raise MeasureError("Nothing was inspected yet: inspect the surface for defects first.")
+        raise MeasureError("The surface has not been inspected yet: inspect it for defects first.")
     return inspection
 
 
@@ -197,18 +199,18 @@ def _rename_dialog(page: Page, recipe: DefectRecipe) -> None:
         _wait(page.session.defects.files.rename_recipe(recipe, name.value.strip()))
         page.redraw()
 
-    dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name stays")
+    dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
 
 
 def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
-    below = f"A recipe of {recipe.product}. Its file is gone then, and no undo brings it back."
+    below = f"A recipe of {recipe.product}. Its file is deleted; this cannot be undone."
     dialog = Dialog(page, f"Delete recipe {recipe.name}?", below)
 
     def delete() -> None:
         _wait(page.session.defects.files.delete_recipe(recipe))
         page.redraw()
 
-    dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe stays")
+    dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
 
 
 def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectRecipe], None]) -> None:
@@ -242,8 +244,10 @@ class Errand:
 
 
 ERRANDS: dict[str, Errand] = {
-    "export": Errand("Export the defects…", "Export…", "Export stopped", viser.Icon.DOWNLOAD, export_defects_dialog),
+    "export": Errand("Export the defects…", "Export…", "Export failed", viser.Icon.DOWNLOAD, export_defects_dialog),
     "golden": Errand("Keep as golden die…", "Golden die…", "No golden die was kept", viser.Icon.DIAMOND, golden_dialog),
-    "klarf": Errand("Lay a KLARF over…", "Lay KLARF over…", "Nothing was laid over", viser.Icon.STACK_2, klarf_dialog),
+    "klarf": Errand(
+        "Overlay a KLARF file…", "Overlay KLARF…", "The KLARF file was not overlaid", viser.Icon.STACK_2, klarf_dialog
+    ),
 }
 """What the list of defects offers over it, and the palette too."""

@@ -22,7 +22,7 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.sections import Section, SectionAsked
 from wafer_viewer.session.state import Snapshot
 
-CUTTING = "Cutting through the defect …"
+CUTTING = "Measuring the profile …"
 
 
 class DefectDock:
@@ -47,7 +47,7 @@ class DefectDock:
         cut = cut_through(defect, snapshot.inspection.inspection, snapshot.surface.pixel_um)
         if (cut, snapshot.surface.stamp) != self._asked:
             self._asked, self._sections, self._problem = (cut, snapshot.surface.stamp), (), ""
-            measure = guarded(self._page, "The section was not cut")(self._measure)
+            measure = guarded(self._page, "The profile was not measured")(self._measure)
             asked = self._asked
             self._worker.ask(lambda: measure(asked))
         self._plot.show(f'<div class="wv-below">{self._head(defect, cut)}{self._curves()}</div>')

@@ -37,7 +37,7 @@ from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.state import Snapshot
 
 NOT_KEPT = "not kept"
-DIAL = "0 finds only what is plain, 1 all that might be something"
+DIAL = "0 finds only clear defects, 1 everything that may be one"
 FAILED = "Inspection failed"
 
 
@@ -113,18 +113,24 @@ class InspectionForm:
     def _build_recipe(self, gui: Any) -> None:
         page = self._page
         Cell(gui, html.head("Recipe"))
-        listed = gui.add_dropdown("Kept as", (NOT_KEPT,), hint="Kept by product; the one saved last is taken by itself")
-        self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe stays")
+        listed = gui.add_dropdown(
+            "Kept as", (NOT_KEPT,), hint="Saved by product; the one saved last is applied automatically"
+        )
+        self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe was not changed")
         self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
         self._product.on_update(self._redrawing())
         save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
-        kept = button(gui, "Recipes…", viser.Icon.LIST, self._on("The recipes stay", lambda: recipes_dialog(page)))
+        kept = button(
+            gui, "Recipes…", viser.Icon.LIST, self._on("The recipes were not changed", lambda: recipes_dialog(page))
+        )
         in_a_row(gui, [save, kept], 30)
 
     def _build_search(self, gui: Any) -> None:
         self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
         self._expected = Cell(gui)
-        self._against = gui.add_dropdown("Compare", AGAINST, hint="A surface of one die has no others")
+        self._against = gui.add_dropdown(
+            "Compare", AGAINST, hint="A surface with one die has no others to compare with"
+        )
         self._golden = Cell(gui)
         for widget in (self._dial, self._against):
             widget.on_update(self._redrawing())
@@ -137,7 +143,9 @@ class InspectionForm:
             widget.on_update(self._redrawing())
 
     def _build_dies(self, gui: Any) -> None:
-        self._dies = gui.add_dropdown("Dies", DIES, hint="The job's where it names any, found, or given here")
+        self._dies = gui.add_dropdown(
+            "Dies", DIES, hint="From the job where it names dies, else found, or entered here"
+        )
         self._dies.on_update(self._redrawing())
         self._given = gui.add_folder(None, visible=False)
         with self._given:
@@ -147,10 +155,10 @@ class InspectionForm:
             self._angle = gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise")
 
     def _build_limits(self, gui: Any) -> None:
-        page, failed = self._page, "The limits stay"
+        page, failed = self._page, "The limits were not changed"
         self._edits = Edits(self._limit, guarded(page, failed))
-        per_die = gui.add_text("Most a die", "", hint="Defects that a die may have; empty: no limit")
-        per_mm2 = gui.add_text("Most a mm²", "", hint="Defects that 1 mm² may have; empty: no limit")
+        per_die = gui.add_text("Most a die", "", hint="Defects allowed on a die; empty for no limit")
+        per_mm2 = gui.add_text("Most a mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
         self._per_die: Field[str] = Field(per_die, lambda _: self._edits.made(), page, failed)
         self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._edits.made(), page, failed)
 
@@ -192,7 +200,7 @@ class InspectionForm:
         if page.session.snapshot.inspection.inspection is None:
             return None
         answer = page.session.defects.limit(limits)
-        page.ask("The limits stay", answer)
+        page.ask("The limits were not changed", answer)
         return answer
 
     # --- showing
@@ -256,7 +264,7 @@ class InspectionForm:
         )
 
     def _redrawing(self) -> Any:
-        return guarded(self._page, "The form stays")(lambda _: self._page.redraw())
+        return guarded(self._page, "The form was not changed")(lambda _: self._page.redraw())
 
     def _on(self, failed: str, act: Any) -> Any:
         return guarded(self._page, failed)(lambda _: act())

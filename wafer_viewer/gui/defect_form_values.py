@@ -132,4 +132,4 @@ def _scales(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.replace(";", ",").split(",") if part.strip())
     except ValueError as fault:
-        raise MeasureError(f"The scales {text!r} are no numbers: write them as 0, 1.5, 4, 10.") from fault
+        raise MeasureError(f"The scales {text!r} are not numbers: write them as 0, 1.5, 4, 10.") from fault

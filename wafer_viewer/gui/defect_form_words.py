@@ -25,7 +25,7 @@ def expectation(sensitivity: float, inspection: Inspection | None) -> str:
     above = f"From {number(threshold_of(sensitivity), 1)} times the noise."
     expected = inspection.expected_false_at(sensitivity) if inspection is not None else None
     if inspection is None or expected is None:
-        return f"{above} How many of them are false is said after the first inspection."
+        return f"{above} The expected number of false ones is shown after the first inspection."
     here, wafer = _about(expected * inspection.inspected_mm2), _about(expected * WAFER_MM2)
     return (
         f"{above} Expected to be false by noise alone: {per_mm2(expected)}, {here} here, {wafer} on a wafer of 300 mm."
@@ -36,14 +36,14 @@ def which_recipe(recipe: DefectRecipe, now: DefectRecipe, shelf: DefectShelf, in
     """Where the form comes from, and whether it was changed since; `now` is what it asks for."""
     newest = shelf.recipe_of(recipe.product)
     if now in shelf.recipes:
-        by_itself = " It was taken by itself, as that saved last." if not inspected and now == newest else ""
-        return f"Recipe “{now.name}” of {now.product}, as it is kept.{by_itself}"
+        by_itself = " Applied automatically because it was saved last." if not inspected and now == newest else ""
+        return f"Recipe “{now.name}” of {now.product}, as saved.{by_itself}"
     if inspected and now == recipe:
-        return "As the surface was inspected; not kept."
+        return "As the surface was inspected; not saved."
     if recipe in shelf.recipes:
-        return f"Recipe “{recipe.name}” of {recipe.product}, changed: not kept."
+        return f"Recipe “{recipe.name}” of {recipe.product}, changed, not saved."
     if not now.product:
-        return "Without a product no recipe is kept."
+        return "Without a product no recipe can be saved."
     if shelf.recipes_of(now.product):
         return f"As no recipe of {now.product} that is kept."
     return f"No recipe of {now.product} is kept."

@@ -83,7 +83,7 @@ class DefectMap:
                 Command(name, key, lambda b=by: self._step_die(b), icon.GRID_DOTS, "alt", "Review")
                 for name, key, by in TO_DIES
             ),
-            Command("List the next class alone", "0", self._step_kind, icon.FILTER, group="Review"),
+            Command("Show only the next class", "0", self._step_kind, icon.FILTER, group="Review"),
             *(
                 Command(f"Dies by {name}", None, lambda b=by: self._list_by(map_by=b), icon.MAP, group="Review")
                 for by, name in BY.items()

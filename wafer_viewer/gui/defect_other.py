@@ -49,7 +49,7 @@ class OtherSection:
             self._fly(_round(place.bounds_um, LEAST_PX * now.surface.pixel_um))
 
     def _take_away(self) -> None:
-        self._page.ask("It stays laid over", self._page.session.defects.files.take_away())
+        self._page.ask("The overlay was not removed", self._page.session.defects.files.take_away())
 
 
 def other_marks(other: OtherTool | None) -> list[Mark]:

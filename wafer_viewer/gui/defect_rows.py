@@ -30,7 +30,7 @@ def rows(
 ) -> str:
     """The list, with the way to what stands before and after."""
     if not shown:
-        return html.empty("None of the defects is listed so.")
+        return html.empty("No defect matches.")
     first = items.index(shown[0])
     before, after = items[:first][::-1], items[first + len(shown) :]
     body = [

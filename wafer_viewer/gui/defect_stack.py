@@ -1,4 +1,4 @@
-"""All dies laid onto one, over the scene: which defects repeat from die to die; key Backspace."""
+"""All dies overlaid, over the scene: which defects repeat from die to die; key Backspace."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class DefectStack:
     def __init__(self, page: Page, look_at: Callable[[str], None]) -> None:
         self._page, self._look_at = page, look_at
         self._sheet = OverScene(page)
-        self._worker = Latest("dies laid onto one")
+        self._worker = Latest("dies overlaid")
         self._asked: tuple[Any, ...] | None = None
         self._defects: tuple[Defect, ...] = ()
         self._places: tuple[RepeatedPlace, ...] | None = None
@@ -50,7 +50,7 @@ class DefectStack:
         self._ask((snapshot.dataset.path, snapshot.surface.stamp, inspection.mark, inspection.recipe), inspection)
         width, height = drawing_px(inspection, self._sheet.room)
         if self._places is None:
-            waits = f'{head(inspection)}<div style="height:{WAITING_PX}px">{html.empty("Dies are compared …")}</div>'
+            waits = f'{head(inspection)}<div style="height:{WAITING_PX}px">{html.empty("Comparing dies …")}</div>'
             self._sheet.show(waits, HEAD_PX + WAITING_PX + 2 * PAD_PX)
             return
         place = place_of(view.defects.numbers, self._places)
@@ -59,7 +59,7 @@ class DefectStack:
 
     def commands(self) -> list[Command]:
         """The one key: it opens, and goes from place to place then."""
-        name, icon = "All dies on one, next place", viser.Icon.STACK_2
+        name, icon = "All dies overlaid, next place", viser.Icon.STACK_2
         return unless(nothing_inspected, Command(name, "backspace", self.go_on, icon, group="Review"))
 
     def go_on(self) -> None:
@@ -89,7 +89,7 @@ class DefectStack:
             self._asked, self._picture, self._places, self._defects = of, None, None, ()
         if inspection.defects is not self._defects or self._places is None:
             self._defects = inspection.defects
-            look = guarded(self._page, "The dies were not laid onto one")(self._look)
+            look = guarded(self._page, "The dies were not overlaid")(self._look)
             self._worker.ask(lambda: look(of))
 
     def _look(self, of: tuple[Any, ...]) -> None:
@@ -102,5 +102,5 @@ class DefectStack:
         if of == self._asked and self._picture is None:
             picture = views.die().result()
             if of == self._asked:
-                self._picture = picture or DiePicture(why_not="No die was scanned whole.")
+                self._picture = picture or DiePicture(why_not="No die was scanned completely.")
                 self._page.redraw()

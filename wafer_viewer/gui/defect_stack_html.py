@@ -1,4 +1,4 @@
-"""All dies laid onto one as HTML: the drawing, and the places that repeat from die to die."""
+"""All dies overlaid as HTML: the drawing, and the places that repeat from die to die."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wafer_viewer.session.like_place import DiePicture
 
 HEAD_PX, FOOT_PX, PAD_PX, LIST_PX = 30, 26, 12, 250
 MOST_ROWS = 60
-NO_DIES = "The surface was compared with its form: there are no dies to lay on each other."
+NO_DIES = "The surface was compared with its form: there are no dies to overlay."
 
 
 def drawing_px(inspection: Inspection, room: Room) -> tuple[int, int]:
@@ -58,7 +58,7 @@ def sheet(
 def head(inspection: Inspection) -> str:
     """What is shown, and how one leaves it."""
     whole = sum(die.state == "whole" for die in inspection.dies)
-    name = f"All {whole} whole dies laid onto one" if whole else "All dies laid onto one"
+    name = f"All {whole} whole dies overlaid" if whole else "All dies overlaid"
     away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Esc</span>'
     return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
 

@@ -17,7 +17,7 @@ TINY_PER_MM2 = 1e-3
 REFERENCES = {
     "dies": "compared with the median of the dies",
     "golden": "compared with the golden die",
-    "form": "compared with the fitted form, for want of dies",
+    "form": "compared with the fitted form",
 }
 JUDGED = {"open": "open", "real": "real defect", "nuisance": "not a defect"}
 
@@ -63,7 +63,11 @@ def summary(state: InspectionState) -> str:
     if inspection is None:
         return problem
     stale = (
-        html.note("attention", "The surface was made again since", "Inspect again: places and heights may be others.")
+        html.note(
+            "attention",
+            "The surface has been reconstructed since",
+            "Inspect again: places and heights may have changed.",
+        )
         if state.stale
         else ""
     )
@@ -83,14 +87,14 @@ def unknown(inspection: Inspection) -> str:
         told.append(f"{number(inspection.unmeasured_mm2, 2)} mm² unmeasured")
     if not told:
         return ""
-    said = f"{', '.join(told)}: nothing is known of these parts."
+    said = f"{', '.join(told)}: these parts were not inspected."
     return f'<div class="wv-blind">{html.note("attention", "Not all of it was inspected", said)}</div>'
 
 
 def nothing_found(inspection: Inspection) -> str:
     """What stands where the list would be."""
     if inspection.inspected_mm2 <= 0:
-        return html.empty("Nothing could be inspected:", "this is not a clean wafer.")
+        return html.empty("Nothing could be inspected:", "this does not mean that the wafer is clean.")
     clean = sum(die.word == "clean" for die in inspection.dies)
     dies = "the one die" if clean == 1 else f"the {clean} dies"
     where = f"on {dies} inspected whole." if clean else f"on {number(inspection.inspected_mm2, 2)} mm²."

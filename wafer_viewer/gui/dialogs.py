@@ -127,7 +127,7 @@ def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
     if not path.exists():
         write()
         return
-    below = f"It is in {path.parent} already; what it holds is gone then, and no undo brings it back."
+    below = f"It is in {path.parent} already; its contents will be lost; this cannot be undone."
     dialog = Dialog(page, f"Replace {path.name}?", below)
     dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced")
 
@@ -139,19 +139,22 @@ def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
         again()
         return
     name = snapshot.dataset.path.stem
-    below = "Its heights are made again by the recipe chosen. Frames and results stay; the heights of now are gone."
+    below = (
+        "Its heights are reconstructed with the chosen recipe. Frames and results are kept; the present heights are "
+        "replaced."
+    )
     dialog = Dialog(page, f"Replace the surface of {name}?", below)
-    dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface stays")
+    dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface was not changed")
 
 
 def rename_dialog(page: Page, number: int, old: str) -> None:
     """Give a result another name."""
-    dialog = Dialog(page, "Rename the result", "The name stands in the list, in exports and in reports.")
+    dialog = Dialog(page, "Rename the result", "The name appears in the list, in exports and in reports.")
     with dialog.modal:
         name = page.gui.add_text("Name", old)
     dialog.answers(
         "Rename",
         viser.Icon.PENCIL,
-        lambda: page.ask("The name stays", page.session.rename(number, name.value.strip())),
-        "The name stays",
+        lambda: page.ask("The name was not changed", page.session.rename(number, name.value.strip())),
+        "The name was not changed",
     )

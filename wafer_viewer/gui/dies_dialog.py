@@ -42,7 +42,7 @@ def dies_dialog(page: Page) -> None:
         )
         edit(page, dies=within_fields(lattice, required_job(page)))
 
-    dialog.answers("Keep", viser.Icon.CHECK, keep, "The dies stay")
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "The dies were not changed")
 
 
 def within_fields(lattice: Dies, job: Job) -> Dies:
@@ -53,7 +53,7 @@ def within_fields(lattice: Dies, job: Job) -> Dies:
     seen = tuple(die for die in lattice.all() if all(_in_any(x, y, fields) for x, y in _places(die, lattice)))
     if not seen:
         raise PlanError(
-            "No die of this lattice lies within the fields of the plan: mend the lattice, or lay more fields."
+            "No die of this lattice lies within the fields of the plan: correct the lattice, or add fields."
         )
     return Dies(width_um=lattice.width_um, height_um=lattice.height_um, listed=seen)
 
@@ -81,7 +81,7 @@ def on_the_die_it_is_on(places: tuple[Region, ...], dies: Dies) -> tuple[Region,
         if 0 <= x_um - die.x_um <= dies.width_um and 0 <= y_um - die.y_um <= dies.height_um:
             back = Die(name=die.name, x_um=-die.x_um, y_um=-die.y_um)
             return tuple(on_die(place, back) for place in places)
-    raise PlanError("The places lie on no die: choose a result that was measured on one, or mend the dies.")
+    raise PlanError("The places lie on no die: choose a result that was measured on one, or correct the dies.")
 
 
 def _lattice(corners: list[tuple[float, float]], width_um: float, height_um: float) -> Dies:

@@ -121,9 +121,9 @@ def export_dialog(page: Page) -> None:
 
     def export(target: Path) -> None:
         done = page.session.export_surface(target, field, int(every.value), part)
-        page.ask("Export stopped", done, lambda out: page.say("Exported", str(out)))
+        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
 
-    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export stopped")
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
 
 
 def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:

@@ -16,13 +16,13 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 
 Areas = tuple[Region, ...]
-STAYS, CORNER = "The areas stay", "corner of a new one, from that of the die; 0 in all: none"
+STAYS, CORNER = "The areas were not changed", "corner of a new one, from that of the die; 0 in all: none"
 NOWHERE = (0.0, 0.0)
 ROOM = 0.25
 """Round a defect, of its size: that of the next die differs a little."""
 BELOW = (
-    "Areas of every die, µm from its lower left corner, in which nothing is sought: numbers and probe marks differ by "
-    "nature. They are part of the recipe; what was found already stays until the surface is inspected again."
+    "Areas of every die, µm from its lower left corner, that are not searched: numbers and probe marks differ from "
+    "die to die. They are part of the recipe; defects already found stay until the surface is inspected again."
 )
 
 
@@ -83,7 +83,7 @@ def area_table(areas: Areas) -> str:
 def _row(k: int, area: Region) -> str:
     """Corners can be typed of rectangles alone."""
     x0, y0, x1, y1 = area.bounds_um
-    change, away = ("Change", "change", "Type its corners anew"), ("Remove", "away", "Search there again")
+    change, away = ("Change", "change", "Edit its corners"), ("Remove", "away", "Search there again")
     verbs = " · ".join(
         f'<span class="wv-link" title="{title}" {html.pick(f"defect-area-{what}", k)}>{verb}</span>'
         for verb, what, title in ((change, away) if area.kind == "rectangle" else (away,))

@@ -25,9 +25,9 @@ from wafer_viewer.model.region import Region
 
 AS_BEFORE, BY_HAND = "as before", "as typed below"
 MAIN = "the main one"
-STAYS = "The feature stays"
+STAYS = "The feature was not changed"
 BOTH, UPPER_ALONE, LOWER_ALONE = "both limits", "the upper one alone", "the lower one alone"
-HOW = "A step height as typed below, or any result kept on the surface on show; and when a wafer is good by it."
+HOW = "A step height as typed below, or any result kept on the surface shown, with the limits of a good wafer."
 
 
 def feature_dialog(page: Page, n: int | None = None) -> None:

@@ -192,7 +192,11 @@ def _swatch(ink: Ink) -> str:
 
 def _hint(snapshot: Snapshot, view: View) -> str:
     if view.on_surface:
-        text = "Click a field to see it alone, again for all." if view.show > 0 else "Click a field to see it alone."
+        text = (
+            "Click a field to show only that one, again for all."
+            if view.show > 0
+            else "Click a field to show only that one."
+        )
         text += " Elsewhere to fly there. The amber frame is in view."
     elif snapshot.scanning:
         return ""

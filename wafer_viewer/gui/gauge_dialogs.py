@@ -22,7 +22,7 @@ from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
 
 WAIT_S = 20.0
 """A verb of the session is waited for, so that what it says can be mended in the dialog."""
-NOT_TAKEN = "The certificate was not taken"
+NOT_TAKEN = "The certificate was not loaded"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +54,14 @@ def certificate_dialog(page: Page) -> None:
         else:
             _wait(page.session.gauge.put_certificate(_typed(form)))
 
-    dialog.answers("Take this certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
+    dialog.answers("Use this certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
 
 
 def sign_dialog(page: Page, check: GaugeCheck) -> None:
     """Sign a check: the word and the error once more, and who vouches for them."""
     word, _, tone = LOOKS[check.verdict]
     dialog = Dialog(
-        page, "Sign this check?", "It is kept with the dataset and in the log of checks, and stays as it is."
+        page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
     )
     error = with_unit(check.deviation.value_um, 3, signed=True)
     told = f'<b style="color:var(--{tone})">{word}</b> · error {error} · {check.n} scan{"" if check.n == 1 else "s"}'
@@ -71,7 +71,7 @@ def sign_dialog(page: Page, check: GaugeCheck) -> None:
 
     def sign() -> None:
         if not name.value.strip():
-            raise MeasureError("Nobody has signed: type your name.")
+            raise MeasureError("The signature is missing: type your name.")
         _wait(page.session.gauge.sign(name.value.strip()))
         page.change(check=None)
 
@@ -96,14 +96,14 @@ def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
 
     def correct() -> None:
         if not name.value.strip():
-            raise MeasureError("Nobody is named for the correction: type your name.")
+            raise MeasureError("The name for the correction is missing: type your name.")
         _wait(page.session.gauge.correct_scale(name.value.strip(), why.value.strip()))
 
-    dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale stays")
+    dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale was not changed")
 
 
 def _warned(offered: ScaleCorrection) -> str:
-    same = "A check against these blocks is no check from then on: the scale comes from them. Use others."
+    same = "These blocks can no longer check this scale, because it was set with them. Use others."
     return html.note("attention", same, offered.advice)
 
 
@@ -141,7 +141,7 @@ def _day(of: str, text: str) -> date:
     try:
         return date.fromisoformat(text.strip())
     except ValueError as fault:
-        raise MeasureError(f"The day of {of} {text.strip()!r} is no date: write it as 2027-03-14.") from fault
+        raise MeasureError(f"The day of {of} {text.strip()!r} is not a date: write it as 2027-03-14.") from fault
 
 
 def _operator(page: Page) -> str:

@@ -124,9 +124,9 @@ class GaugePanel:
     def _faces_told(self, snapshot: Snapshot, view: View) -> str:
         """What there is to say of the regions before the step is measured."""
         if self.finder.looking:
-            return html.empty("The two faces are being looked for.")
+            return html.empty("Looking for the two faces.")
         if self.finder.problem and not view.faces:
-            way = f'<span class="wv-link" {html.pick("gauge-lay")}>Lay the regions by hand</span>'
+            way = f'<span class="wv-link" {html.pick("gauge-lay")}>Place the regions by hand</span>'
             return html.note("attention", "The faces were not found", self.finder.problem, way)
         if view.faces and not isinstance(self.live.answer.finding, StepHeight) and self.live.answer.problem:
             return html.note("attention", "Nothing is measured there", self.live.answer.problem)

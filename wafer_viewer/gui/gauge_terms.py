@@ -14,7 +14,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot
 
-FAILED = "The terms of the check stay"
+FAILED = "The terms of the check were not changed"
 
 
 class TermsSection:

@@ -22,7 +22,9 @@ class GaugeVerbs:
     def __init__(self, page: Page, finder: FaceFinder) -> None:
         self._page, self._finder = page, finder
         page.on_pick("gauge-tick", self._tick)
-        page.on_pick("gauge-drop", lambda k: page.ask("The repeat stays", page.session.gauge.drop_repeat(int(k))))
+        page.on_pick(
+            "gauge-drop", lambda k: page.ask("The repeat was not changed", page.session.gauge.drop_repeat(int(k)))
+        )
         page.on_pick("gauge-lay", lambda _: finder.lay_by_hand())
         page.on_pick("gauge-find", lambda _: finder.again())
 
@@ -58,17 +60,19 @@ class GaugeVerbs:
 
     def certificate(self) -> None:
         """Ask for a certificate."""
-        guarded(self._page, "The certificate was not taken")(certificate_dialog)(self._page)
+        guarded(self._page, "The certificate was not loaded")(certificate_dialog)(self._page)
 
     def correct(self) -> None:
         """Ask whether the z scale is to be corrected."""
         offered = self._page.session.snapshot.gauge.correction
         if offered is not None:
-            guarded(self._page, "The z scale stays")(correct_dialog)(self._page, offered)
+            guarded(self._page, "The z scale was not changed")(correct_dialog)(self._page, offered)
 
     def begin_anew(self) -> None:
         """Begin another check of the same blocks."""
-        self._page.ask("The check stays", self._page.session.gauge.clear(), lambda _: self._page.change(check=None))
+        self._page.ask(
+            "The check was not changed", self._page.session.gauge.clear(), lambda _: self._page.change(check=None)
+        )
 
     def leading(self, snapshot: Snapshot) -> Lead:
         """Which verb leads on."""
@@ -94,4 +98,4 @@ class GaugeVerbs:
 
     def _tick(self, point: str) -> None:
         done = any(tick.point == point for tick in self._page.session.snapshot.gauge.ticks)
-        self._page.ask("The point stays", self._page.session.gauge.tick(point, not done))
+        self._page.ask("The point was not changed", self._page.session.gauge.tick(point, not done))

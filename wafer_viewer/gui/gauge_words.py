@@ -179,9 +179,7 @@ def _runs_out(paper: Certificate, today: date) -> str:
     left = (paper.expires - today).days
     if left < 0 or left > SOON_DAYS:
         return ""
-    return html.note(
-        "attention", f"It runs out in {left} day{'' if left == 1 else 's'}", "Have the blocks certified anew."
-    )
+    return html.note("attention", f"It expires in {left} day{'' if left == 1 else 's'}", "Have the blocks recertified.")
 
 
 def _size(face: Region) -> str:

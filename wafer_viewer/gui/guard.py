@@ -69,8 +69,8 @@ def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
         page.tell(_note(*_headline(name, str(fault))))
         return
     log.error("%s", name, exc_info=fault)
-    what = f"An error this program did not foresee: {str(fault) or type(fault).__name__}."
-    page.tell(_note(name, f"{what} The session goes on; details are in the log."))
+    what = f"Unexpected error: {str(fault) or type(fault).__name__}."
+    page.tell(_note(name, f"{what} The session continues; details are in the log."))
 
 
 def _look_at(page: Teller, name: str, done: Future[Any]) -> None:

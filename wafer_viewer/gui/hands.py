@@ -24,7 +24,7 @@ HANDS_ON = frozenset(
         *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
         *("From, to, µm", "Step, µm", "Exposures, µs"),
         *("Cover the sample", "Move to stage", "Save plan", "Load plan…", "Start scan"),
-        *("Pause", "Go on", "Continue the scan"),
+        *("Pause", "Continue", "Continue the scan"),
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
         "Try on wafers…",
@@ -94,7 +94,11 @@ class HandsOff:
             if now.holds(key):
                 page.say("You hold the controls now", "The others watch.")
             elif before.holds(key):
-                page.say(f"{now.name_of(now.holder)} holds the controls now", "You watch. A scan goes on.", "attention")
+                page.say(
+                    f"{now.name_of(now.holder)} holds the controls now",
+                    "You are watching. A running scan continues.",
+                    "attention",
+                )
         if now.kept_from == key and before.kept_from != key:
             page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
 
@@ -118,21 +122,21 @@ class Question:
 def ask(page: Page) -> None:
     """Ask for the controls; a browser without a name is asked for one first."""
     if page.browser.name:
-        page.ask("The controls stay", page.session.control.ask(page.browser.key))
+        page.ask("Control was not handed over", page.session.control.ask(page.browser.key))
     else:
         hands_dialog(page)
 
 
 def hand_over(page: Page, to: str) -> None:
     """Pass the controls on."""
-    page.ask("The controls stay", page.session.control.hand_over(page.browser.key, to))
+    page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, to))
 
 
 def hands_dialog(page: Page) -> None:
-    """Who is there, who holds the controls, what this browser is called; and the way to the controls."""
+    """Connected browsers, who holds the controls, what this browser is called; and the way to the controls."""
     hands, key = page.session.snapshot.hands, page.browser.key
     holds = hands.holds(key)
-    dialog = Dialog(page, "Who is there", "One holds the controls, all may look, measure and stop what moves.")
+    dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
     with dialog.modal:
         Cell(page.gui, _people(hands, key))
         name = page.gui.add_text("Your name", hands.name_of(key))
@@ -140,7 +144,7 @@ def hands_dialog(page: Page) -> None:
     def done() -> None:
         _call(page, name.value)
         if not holds:
-            page.ask("The controls stay", page.session.control.ask(key))
+            page.ask("Control was not handed over", page.session.control.ask(key))
 
     def pass_on(to: str) -> None:
         dialog.close()
@@ -149,17 +153,17 @@ def hands_dialog(page: Page) -> None:
 
     page.on_pick("hands-to", pass_on)
     if holds:
-        dialog.answers("Done", viser.Icon.CHECK, done, "The name stays")
+        dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed")
     else:
         verb = "Ask for the controls" if hands.holder else "Take the controls"
-        dialog.answers(verb, viser.Icon.HAND_STOP, done, "The controls stay")
+        dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over")
 
 
 def _call(page: Page, name: str) -> None:
     """Another name for this browser, remembered by it."""
     name = " ".join(name.split())
     if name and name != page.session.snapshot.hands.name_of(page.browser.key):
-        page.ask("The name stays", page.session.control.rename(page.browser.key, name))
+        page.ask("The name was not changed", page.session.control.rename(page.browser.key, name))
     if name:
         page.remember(replace(page.browser, name=name))
 
@@ -190,7 +194,7 @@ def _watching(hands: Hands, key: str) -> str:
         verb = "Ask for them" if hands.holder else "Take them"
         end = f'<span class="wv-link" {html.pick("hands-ask")}>{verb}</span>'
     sign = html.icon(viser.Icon.EYE, 18)
-    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop what moves.", end, sign)
+    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
 
 
 def _question(hands: Hands) -> str:
@@ -201,7 +205,7 @@ def _question(hands: Hands) -> str:
     return (
         f'<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
         f"<b>{name} asks for the controls</b>"
-        f"<span>Without an answer they pass in {hands.answer_s:.0f} s. A scan goes on.</span>"
+        f"<span>Without an answer they pass in {hands.answer_s:.0f} s. A running scan continues.</span>"
         f'<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
         f'<i style="animation:wv-drain {hands.answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
     )

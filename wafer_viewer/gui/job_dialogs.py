@@ -46,12 +46,12 @@ def jobs_dialog(page: Page) -> None:
         take_up(page, files.path())
 
     page.on_pick("job-in-dialog", listed)
-    dialog.answers("Take it up", viser.Icon.FOLDER_OPEN, typed, "The job was not taken up")
+    dialog.answers("Use this job", viser.Icon.FOLDER_OPEN, typed, "The job was not loaded")
 
 
 def take_up(page: Page, path: Path) -> None:
     """A released job for the next wafer."""
-    page.ask("The job was not taken up", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
+    page.ask("The job was not loaded", page.session.jobs.take_up(path), lambda _: page.change(everything=False))
 
 
 def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
@@ -69,7 +69,7 @@ def job_table(entries: tuple[JobEntry, ...], what: str) -> str:
 def start_dialog(page: Page, checks: tuple[Check, ...], start: Callable[[], None]) -> None:
     """What a person has to say is meant so, before the scan starts."""
     open_ones = tuple(check for check in checks if check.state != "ok")
-    dialog = Dialog(page, "Start all the same?", "The scan can start. This is not as it should be:")
+    dialog = Dialog(page, "Start anyway?", "The scan can start, but this needs attention:")
     with dialog.modal:
         Cell(page.gui, preflight_words.lines(open_ones))
     dialog.answers("Start", viser.Icon.PLAYER_PLAY, start, "The scan did not start")
@@ -92,13 +92,13 @@ def corners_dialog(page: Page) -> None:
         places = tuple(Mark(name=name.value.strip(), x_um=at.value[0], y_um=at.value[1]) for name, at in rows)
         edit(page, marks=Marks(places=places, limit_um=limit.value), alignment=None)
 
-    dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners stay")
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "The corners were not changed")
 
 
 def trial_dialog(page: Page) -> None:
     """Judge wafers that were measured before by the plan, and say which verdicts it changes; nothing is released."""
     required_job(page)
-    below = "Which verdicts would change, and why. Nothing kept is written over; a changed recipe takes its time."
+    below = "Shows which verdicts would change, and why. Nothing stored is overwritten; a changed recipe takes longer."
     dialog = Dialog(page, "Try on stored wafers", below)
     with dialog.modal:
         files = FileList(dialog, "wafers", rows=7)
@@ -107,15 +107,15 @@ def trial_dialog(page: Page) -> None:
 
     def begin() -> None:
         paths = (files.path(),)
-        page.ask("The plan was not tried", page.session.trials.begin(paths, result.value.strip() or DEFAULT_RESULT))
+        page.ask("The trial failed", page.session.trials.begin(paths, result.value.strip() or DEFAULT_RESULT))
 
-    dialog.answers("Try it", viser.Icon.HISTORY, begin, "The plan was not tried")
+    dialog.answers("Try it", viser.Icon.HISTORY, begin, "The trial failed")
 
 
 def release_dialog(page: Page) -> None:
     """Release the plan under a product and a revision: from then on it stays as it is."""
     job = required_job(page)
-    below = "Operators run it with four actions. Nothing of it can be changed any more; a change is another revision."
+    below = "Operators run it with four actions. It cannot be changed afterwards; a change is a new revision."
     dialog, now = Dialog(page, "Release the job", below), page.session.snapshot
     with dialog.modal:
         Cell(page.gui, before_release(now.operating, trial_is_old(now)))
@@ -144,7 +144,7 @@ def trial_is_old(now: Snapshot) -> bool:
 
 def edit(page: Page, then: Callable[[Any], None] | None = None, **changes: Any) -> None:
     """Change something of the plan."""
-    page.ask("The plan stays", page.session.edit_job(replace(required_job(page), **changes)), then)
+    page.ask("The plan was not changed", page.session.edit_job(replace(required_job(page), **changes)), then)
 
 
 def required_job(page: Page) -> Job:

@@ -26,8 +26,8 @@ def state_of(work: Work, snapshot: Snapshot) -> str:
     """How a job stands, in words."""
     if work.fraction is None:
         if not snapshot.compute_ready:
-            return "waits for the workers"
-        return f"waits for {work.waits_for}" if work.waits_for else "at work"
+            return "queued: waiting for the workers"
+        return f"queued: waiting for {work.waits_for}" if work.waits_for else "running"
     left_s = work.seconds_left
     left = f"{duration(left_s)} left · " if left_s is not None and left_s >= HINT_S else ""
     return left + share(work.fraction, 0)

@@ -100,16 +100,21 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
     def why_not(snapshot: Snapshot, _: View) -> str | None:
         return None if snapshot.scanning else parts.plan.why_not(snapshot)
 
-    close = ask("The dataset stays open", session.close_dataset)
+    close = ask("The dataset was not closed", session.close_dataset)
     return [
-        Command("Scan, pause, go on", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan", why_not=why_not),
+        Command("Scan, pause, continue", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan", why_not=why_not),
         Command(
-            "Cover the sample", "C", ask("The grid stays", session.cover_sample), ICON.ARROWS_MAXIMIZE, "shift", "Plan"
+            "Cover the sample",
+            "C",
+            ask("The grid was not changed", session.cover_sample),
+            ICON.ARROWS_MAXIMIZE,
+            "shift",
+            "Plan",
         ),
         Command(
             "Move the grid to the stage",
             None,
-            ask("The grid stays", session.centre_on_stage),
+            ask("The grid was not changed", session.centre_on_stage),
             ICON.CROSSHAIR,
             group="Plan",
         ),
@@ -129,9 +134,9 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
 
 
 def _acquiring(page: Page, parts: Parts) -> list[Command]:
-    go_on = _asking(page)("The scan did not go on", page.session.continue_scan)
+    go_on = _asking(page)("The scan was not continued", page.session.continue_scan)
     return [
-        Command("Stop what moves", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
+        Command("Stop all motion", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
         Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire", why_not=no_dataset),
     ]
 
@@ -193,7 +198,7 @@ def _measuring(page: Page, parts: Parts) -> list[Command]:
     def delete() -> None:
         if page.view.step == "measure" and page.view.selected is not None:
             deleted = session.delete(page.view.selected)
-            page.ask("The result stays", deleted, lambda _: page.change(selected=None))
+            page.ask("The result was not changed", deleted, lambda _: page.change(selected=None))
 
     tools = [
         Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), ICONS[tool], held, "Measure")

@@ -21,10 +21,10 @@ SCRIPTS = "names.js", "files.js", "keyboard.js"
 FILE_PICKS = "file-mark", "file-open", "file-parent"
 BESIDE_THE_TABLE: dict[Group, tuple[tuple[str, str], ...]] = {
     "Page": (
-        ("Every verb by its name", "Ctrl + K"),
+        ("Every command by name", "Ctrl + K"),
         ("This list", "F1 or ?"),
         ("Next, previous field or button", "Tab"),
-        ("Leave a field that is typed into", "Enter or Esc"),
+        ("Leave a text field", "Enter or Esc"),
     ),
     "Look": (("Saved view 1 … 9", "Shift + 1 … 9"), ("Move the camera", "W A S D Q E"), ("Turn it", "arrows")),
 }
@@ -42,7 +42,7 @@ def add_keys_sheet(page: Page, commands: Sequence[Command]) -> Command:
     """Put the script of keys on the page, and return the verb that shows the sheet."""
 
     def show() -> None:
-        dialog = Dialog(page, "Keys", "Every verb is in the command palette too: Ctrl + K.")
+        dialog = Dialog(page, "Keys", "Every command is also in the command palette: Ctrl + K.")
         with dialog.modal:
             Cell(page.gui, sheet_html(commands))
         dialog.way_out("Close")

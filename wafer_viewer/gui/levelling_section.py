@@ -29,7 +29,7 @@ class LevellingSection:
     def __init__(self, page: Page, scene: SceneView) -> None:
         self._page, self._scene = page, scene
         choice = page.gui.add_dropdown("Heights from", tuple(NAMES))
-        self._choice: Field[str] = Field(choice, self._choose, page, "Heights stay as they are")
+        self._choice: Field[str] = Field(choice, self._choose, page, "The zero of heights was not changed")
         self._told = Cell(page.gui)
         page.on_pick("stage-zero", lambda _: page.change(levelling=Levelling(), range_um=None))
 

@@ -59,7 +59,7 @@ class MapClicks:
     def _ask_to_move(self, x_um: float, y_um: float) -> None:
         place = f"X {number(x_um / 1000, 4, signed=True)}, Y {number(y_um / 1000, 4, signed=True)} mm"
         page = self._page
-        dialog = Dialog(page, "Move the stage?", f"To {place}. Z stays: look that nothing is in the way.")
+        dialog = Dialog(page, "Move the stage?", f"To {place}. Z does not change: check that nothing is in the way.")
         dialog.answers(
             "Move there",
             viser.Icon.CROSSHAIR,

@@ -34,7 +34,7 @@ __all__ = ["Answer", "MeasurePanel"]
 
 PICTURE_WAIT_S = 1.5
 """A result is kept without a small picture where the painter is busy for longer."""
-WAITS = "The answer comes as soon as the handles lie on the surface."
+WAITS = "The result appears when the handles lie on the surface."
 
 
 class MeasurePanel:
@@ -132,7 +132,7 @@ class MeasurePanel:
         if (missing := elsewhere("measure")(snapshot, view)) is not None:
             return missing
         if view.tool == "none" or view.selected is not None:
-            return "no tool measures anything now: choose one first."
+            return "no tool is active: choose one first."
         if data is not None and data.read_only is not None:
             return data.read_only
         return None if self.answer.finding is not None else self.answer.problem or WAITS

@@ -28,13 +28,9 @@ from wafer_viewer.model.levelling import LevelBy
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.site_range import SiteRanges
+from wafer_viewer.model.surface import LAYER_TITLES
 from wafer_viewer.model.texture import Roughness, Texture
 
-_SURFACES = {
-    "unsmoothed": "measured heights, unsmoothed",
-    "smoothed": "smoothed heights",
-    "filled": "filled heights too",
-}
 ZERO: dict[LevelBy, str] = {
     "stage": "the stage's zero",
     "three points": "the plane through three points",
@@ -172,7 +168,7 @@ def _angle(profile: Profile) -> float:
 
 def _measured_on(finding: AnyFinding) -> str:
     lines = [
-        f"On the {where(finding)}: {_SURFACES[finding.surface]}, filter: {finding.filter}.",
+        f"On the {where(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
         f"Heights are read from {ZERO[finding.levelling.by]}.",
     ]
     if isinstance(finding, _ON_PICTURE):

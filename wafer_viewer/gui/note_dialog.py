@@ -14,11 +14,11 @@ FAILED = "The note stays"
 
 def note_dialog(page: Page, item: ReviewItem) -> None:
     """Ask for the note; Enter keeps it."""
-    dialog = Dialog(page, f"Note on {item.sign} · {item.title}", "Kept with the judgement; it stands in the report.")
+    dialog = Dialog(page, f"Note on {item.sign} · {item.title}", "Saved with the judgement and shown in the report.")
     with dialog.modal:
-        text = page.gui.add_text("Note", item.judgement.note, hint="Enter keeps it, Escape leaves the old one")
+        text = page.gui.add_text("Note", item.judgement.note, hint="Enter saves, Escape cancels")
     dialog.answers(
-        "Keep the note",
+        "Save the note",
         viser.Icon.NOTE,
         lambda: page.ask(FAILED, judging.note(page.session, item.key, text.value)),
         FAILED,

@@ -27,7 +27,7 @@ def out_of_sight(snapshot: Snapshot, view: View) -> str | None:
     """For what changes how the surface is drawn."""
     if not possible("surface", snapshot):
         return no_dataset(snapshot, view) or "no field has heights yet."
-    return "the surface is not on show: go to Surface first." if view.step == "plan" else None
+    return "the surface is not shown: go to Surface first." if view.step == "plan" else None
 
 
 def no_fields_to_show(snapshot: Snapshot, view: View) -> str | None:
@@ -40,7 +40,7 @@ def no_fields_to_show(snapshot: Snapshot, view: View) -> str | None:
 def off_surface(snapshot: Snapshot, view: View) -> str | None:
     """For what is done to the surface that is looked at."""
     missing = no_dataset(snapshot, view)
-    return missing or (None if view.on_surface else "the surface is not looked at: go to Surface first.")
+    return missing or (None if view.on_surface else "the surface is not shown: go to Surface first.")
 
 
 def no_way_to(step: Step) -> Obstacle:
@@ -62,7 +62,7 @@ def elsewhere(step: Step) -> Obstacle:
 
 def no_comparison(_: Snapshot, view: View) -> str | None:
     """For what is done to two surfaces compared."""
-    return None if view.show < 0 else "no comparison is on show."
+    return None if view.show < 0 else "no comparison is shown."
 
 
 def no_defects(snapshot: Snapshot, view: View) -> str | None:
@@ -81,13 +81,13 @@ def no_defect(snapshot: Snapshot, view: View) -> str | None:
 def nothing_inspected(snapshot: Snapshot, view: View) -> str | None:
     """For what is made of an inspection."""
     there = snapshot.inspection.inspection is not None
-    return elsewhere("review")(snapshot, view) or (None if there else "no defects were searched for yet.")
+    return elsewhere("review")(snapshot, view) or (None if there else "the surface has not been inspected yet.")
 
 
 def no_line(_: Snapshot, view: View) -> str | None:
     """For what is done to profile lines."""
     shown = view.step == "measure" and view.tool == "profile" and view.lines
-    return None if shown else "no profile is on show: key L lays a line."
+    return None if shown else "no profile is shown: key L adds a line."
 
 
 def no_room_for_lines(snapshot: Snapshot, view: View) -> str | None:

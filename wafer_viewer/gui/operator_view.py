@@ -18,7 +18,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.preflight import Check
 from wafer_viewer.session.state import Snapshot
 
-FAILED = "The names stay"
+FAILED = "The names were not changed"
 FOCUS = (
     '<img src="data:," alt="" hidden onerror="setTimeout(()=>document.querySelector('
     "'div:has(>.wv-scan)+div input')?.focus(),300)\">"

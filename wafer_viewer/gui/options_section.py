@@ -16,7 +16,7 @@ from wafer_viewer.gui.view import Tool, View
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.spec import replace
 
-FAILED = "The setting stays"
+FAILED = "The setting was not changed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
                 "Over the upper face": "upper_face",
                 "At the joint": "joint",
             },
-            "Faces that are tilted against each other are differently far apart at every place",
+            "The distance between tilted faces depends on the place",
         ),
         *CONDITIONS,
     ),

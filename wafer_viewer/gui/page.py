@@ -163,7 +163,7 @@ class Page:
     def add_picks(self) -> None:
         """Make the hidden field through which elements of HTML tell that they were chosen."""
         self.gui.add_html('<div class="wv-picks"></div>')
-        self.gui.add_text("picks", "").on_update(guarded(self, "That click came to nothing")(self._picked))
+        self.gui.add_text("picks", "").on_update(guarded(self, "The click failed")(self._picked))
 
     # --- what the operator is told
 
@@ -223,7 +223,7 @@ class Page:
             self._last_pick = max((number for number, _, _ in news), default=self._last_pick)
         for _, what, key in news:
             if what in self._picks:
-                guarded(self, "That click came to nothing")(self._picks[what])(key)
+                guarded(self, "The click failed")(self._picks[what])(key)
 
     # --- drawing
 

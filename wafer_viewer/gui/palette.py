@@ -45,7 +45,7 @@ class Palette:
             modifier=command.modifier,
             icon=command.icon,
         )
-        heard = guarded(self._page, f"{command.name} came to nothing")(lambda _: carry_out(self._page, command))
+        heard = guarded(self._page, f"{command.name} failed")(lambda _: carry_out(self._page, command))
         handle.on_trigger(heard)
         return handle
 

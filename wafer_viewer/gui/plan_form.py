@@ -120,7 +120,7 @@ def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, flo
 def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
     width_um, height_um = (1000 * side for side in form.size_mm)
     if limits is None:
-        raise PlanError("The rig has not said yet what it can do: the grid follows when it is ready.")
+        raise PlanError("The rig has not reported its limits yet: the grid follows when it is ready.")
     if width_um <= 0 or height_um <= 0:
         raise PlanError("The sample has no size yet: both sides must be over 0 mm.")
     step_um = max(0.5, math.floor(limits.depth_of_field_um) / 2)
@@ -169,7 +169,7 @@ def _exposures(text: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.replace(";", ",").split(",") if part.strip())
     except ValueError:
-        raise PlanError(f"The exposures read '{text}': they must be numbers of µs with commas between them.") from None
+        raise PlanError(f"The exposures read '{text}': they must be times in µs, separated by commas.") from None
 
 
 def _rounded(pair: tuple[float, float]) -> tuple[float, float]:

@@ -36,7 +36,7 @@ class PlanPanel:
 
     def __init__(self, page: Page) -> None:
         self._page = page
-        self._edits = Edits(self._commit, guarded(page, "The plan stays"))
+        self._edits = Edits(self._commit, guarded(page, "The plan was not changed"))
         self._typed_range_um: tuple[float, float] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -153,8 +153,12 @@ class PlanPanel:
             self._columns_rows = self._field(gui.add_vector2("Columns, rows", (1.0, 1.0), min=(1, 1), step=1))
             self._overlap = self._field(gui.add_slider("Overlap, %", 0.0, 50.0, 0.5, 10.0))
             self._centre = self._field(gui.add_vector2("Centre, µm", (0.0, 0.0), step=0.1))
-            cover = button(gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid stays", self._cover))
-            centre = button(gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid stays", self._to_stage))
+            cover = button(
+                gui, "Cover the sample", viser.Icon.ARROWS_MAXIMIZE, self._on("The grid was not changed", self._cover)
+            )
+            centre = button(
+                gui, "Move to stage", viser.Icon.CROSSHAIR, self._on("The grid was not changed", self._to_stage)
+            )
             self._moves = (cover, centre)
             in_a_row(gui, self._moves)
 
@@ -164,7 +168,7 @@ class PlanPanel:
         self._sweep_fields = gui.add_folder(None, visible=False)
         with self._sweep_fields:
             sweep = gui.add_vector2("From, to, µm", (0.0, 0.0), step=0.5)
-            self._range: Field[tuple[float, float]] = Field(sweep, self._typed, self._page, "The plan stays")
+            self._range: Field[tuple[float, float]] = Field(sweep, self._typed, self._page, "The plan was not changed")
             self._step = self._field(gui.add_number("Step, µm", 1.0, min=0.0, step=0.05))
             self._exposures = self._field(gui.add_text("Exposures, µs", "100"))
             self._depth = Cell(gui)
@@ -176,7 +180,7 @@ class PlanPanel:
         return (*places, self._range, self._step, self._exposures)
 
     def _field(self, handle: Any) -> Field[Any]:
-        return Field(handle, lambda _: self._edits.made(), self._page, "The plan stays")
+        return Field(handle, lambda _: self._edits.made(), self._page, "The plan was not changed")
 
     def _on(self, name: str, verb: Any) -> Any:
         return guarded(self._page, name)(lambda _: verb())
@@ -240,25 +244,25 @@ class PlanPanel:
         if job == snapshot.draft.job:
             return page.session.keep_typed(None)
         answer = page.session.edit_job(job)
-        page.ask("The plan stays", answer)
+        page.ask("The plan was not changed", answer)
         return answer
 
     def _choose_strategy(self, name: str) -> None:
         job = self._page.session.snapshot.draft.job
         if job is not None:
-            self._page.ask("The strategy stays", self._page.session.edit_job(replace(job, strategy=name)))
+            self._page.ask("The strategy was not changed", self._page.session.edit_job(replace(job, strategy=name)))
 
     def _cover(self) -> None:
-        self._page.ask("The grid stays", self._page.session.cover_sample())
+        self._page.ask("The grid was not changed", self._page.session.cover_sample())
 
     def _to_stage(self) -> None:
-        self._page.ask("The grid stays", self._page.session.centre_on_stage())
+        self._page.ask("The grid was not changed", self._page.session.centre_on_stage())
 
     def _show_words(self, snapshot: Snapshot, draft: Draft) -> None:
         below = (
-            "Lay the fields, choose the depth, take the cheapest way."
+            "Lay out the fields, choose the focus range and the fastest strategy."
             if draft.job
-            else "Say how large the sample is; the grid follows."
+            else "Enter the size of the sample; the grid follows."
         )
         released = draft.job is not None and draft.job.released
         title = f"{draft.job.product}, revision {draft.job.revision}" if draft.job and released else "Plan the scan"

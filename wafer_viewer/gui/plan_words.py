@@ -45,7 +45,7 @@ def _on_stage(snapshot: Snapshot) -> str:
     """The short way to a grid, where the rig has a picture of what is on its stage."""
     if snapshot.overview is None:
         return ""
-    return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Take the sample on the stage</span></div>'
+    return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Use the sample on the stage</span></div>'
 
 
 def sweep(draft: Draft) -> str:
@@ -129,7 +129,7 @@ def _by_hand(strategy: str) -> str:
     """The way back from a strategy chosen by hand."""
     if strategy == "auto":
         return ""
-    link = f'<span class="wv-link" {html.pick("strategy", "auto")}>Take the fastest</span>'
+    link = f'<span class="wv-link" {html.pick("strategy", "auto")}>Use the fastest</span>'
     return f'<div class="wv-lab" style="padding:4px 6px">Chosen by hand. {link}</div>'
 
 

@@ -11,7 +11,7 @@ from wafer_viewer.model.sections import OtherSurface
 class PlotView:
     """cursors: shares of the active line's length; span_um: the part of the lines shown, None all of them.
 
-    cleaned: the other of raw and cleaned heights is drawn too; of: so is another surface along the same line.
+    cleaned: the other of measured and filtered heights is drawn too; of: so is another surface along the same line.
     """
 
     cursors: tuple[float, float] = (0.0, 1.0)

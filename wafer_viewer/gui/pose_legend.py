@@ -76,12 +76,12 @@ def _rows(fields: Fields) -> list[tuple[str, str]]:
     """What is drawn, in words, the quiet first."""
     many = f" (every {number(fields.every, 0)}th)" if fields.every > 1 else ""
     rows = [
-        ("field", f"field, where it lies{many}"),
-        ("arrow", f"off the stage's place, drawn × {number(fields.times, 0)}"),
-        ("circle", f"U of its place (k = 2), drawn × {number(fields.times, 0)}"),
-        ("stitch", "overlap believed"),
+        ("field", f"field, position found{many}"),
+        ("arrow", f"offset from the stage, drawn × {number(fields.times, 0)}"),
+        ("circle", f"U of its position (k = 2), drawn × {number(fields.times, 0)}"),
+        ("stitch", "overlap accepted"),
         ("blank", "nothing to compare"),
-        ("doubt", "overlap not believed"),
+        ("doubt", "overlap rejected"),
         ("out", "field left out"),
     ]
     there = {

@@ -54,7 +54,7 @@ class PrintPicture:
 
     def _take(self) -> None:
         told = self._page.client.add_notification(
-            "Picture", "The surface is drawn finer …", loading=True, with_close_button=False, color=RGB_OF_TONE["busy"]
+            "Picture", "Refining the surface …", loading=True, with_close_button=False, color=RGB_OF_TONE["busy"]
         )
         try:
             whole = self._scene.settle(PRINT_WIDTH_PX, SETTLE_S)
@@ -93,11 +93,11 @@ class PrintPicture:
 
         def kept(path: Any) -> None:
             coarse = "" if whole else " Parts were still being drawn finer: press P again for a sharper one."
-            page.say("Picture kept", f"{path}{coarse}")
+            page.say("Picture saved", f"{path}{coarse}")
             page.client.send_file_download(path.name, data)
             page.redraw()
 
-        page.ask("The picture was not kept", page.session.papers.keep_picture(data), kept)
+        page.ask("The picture was not saved", page.session.papers.keep_picture(data), kept)
 
     def _key(self, view: View) -> ColourKey | None:
         from wafer_viewer.draw.print_picture import ColourKey

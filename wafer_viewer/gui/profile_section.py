@@ -23,11 +23,11 @@ from wafer_viewer.model.cuts import MOST_LINES
 from wafer_viewer.model.sections import OtherSurface
 from wafer_viewer.session.state import Snapshot
 
-ALONE, CLEANED = "nothing", "raw and cleaned heights"
+ALONE, CLEANED = "nothing", "measured and filtered heights"
 HINT = "A second curve along the active line: its other heights, or those of another surface"
 BEFORE: tuple[tuple[BeforeSlab, str], ...] = (("show", "Show"), ("pale", "Pale"), ("hide", "Hide"))
 """What becomes of points before the slab along the active line, where points are drawn."""
-FAILED = "The line stays"
+FAILED = "The line was not changed"
 ICON = viser.Icon
 
 
@@ -129,7 +129,7 @@ class ProfileSection:
         listed = snapshot.datasets, shown and (shown.path, shown.results), snapshot.surface and snapshot.surface.result
         if listed != self._listed:
             self._listed = listed
-            self._worker.ask(guarded(self._page, "The other surfaces are not listed")(self._read_others))
+            self._worker.ask(guarded(self._page, "The other surfaces were not listed")(self._read_others))
 
     def _read_others(self) -> None:
         self._others = {other.title: other for other in self._page.session.sections.others()}

@@ -10,10 +10,11 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging
 from wafer_viewer.model.cuts import LETTERS, Gap
 from wafer_viewer.model.sections import Section
+from wafer_viewer.model.surface import LAYER_TITLES
 
 _CROWDED = ("", "", " wv-two", " wv-many")
 """Where there are many lines, only the figures that matter most have room."""
-WAITS = "The curve comes as soon as the line lies on the surface."
+WAITS = "The curve appears when the line lies on the surface."
 
 
 def head(
@@ -56,6 +57,6 @@ def _numbers(section: Section) -> str:
 
 
 def _second(section: Section) -> str:
-    name = section.asked.of.title if section.asked.of is not None else f"{section.profile.surface} heights"
+    name = section.asked.of.title if section.asked.of is not None else LAYER_TITLES[section.profile.surface]
     pt = with_unit(section.profile.pt.value_um, 2)
     return f'<span class="wv-second"><i></i>{html.safe(name)} <span class="dim">Pt {pt}</span></span>'

@@ -51,7 +51,7 @@ class RecipeSection:
     def _build(self) -> None:
         """The choices in the order in which they are made use of."""
         gui = self._page.gui
-        self._ready = self._dropdown("Ready recipe", tuple(words.READY), self._take_ready)
+        self._ready = self._dropdown("Preset", tuple(words.READY), self._take_ready)
         self._add("Drift", words.DRIFT, lambda r: r.drift, lambda r, v: replace(r, drift=v))
         self._add("Focus measure", words.FOCUS, lambda r: r.focus_measure, lambda r, v: replace(r, focus_measure=v))
         self._add("Window", words.WINDOW, lambda r: r.window, lambda r, v: replace(r, window=v))
@@ -72,7 +72,7 @@ class RecipeSection:
             lambda r, v: replace(r, outliers=replace(r.outliers, mode=v)),
         )
         self._add("Fill", words.FILL, lambda r: r.fill.mode, lambda r, v: replace(r, fill=replace(r.fill, mode=v)))
-        again = guarded(self._page, "The surface stays")(lambda _: self._again())
+        again = guarded(self._page, "The surface was not changed")(lambda _: self._again())
         self._button = button(gui, "Reconstruct again", viser.Icon.REFRESH, again)
         in_a_row(gui, [self._button], 34)
 
@@ -84,7 +84,7 @@ class RecipeSection:
 
     def _dropdown(self, label: str, options: tuple[str, ...], act: Callable[[str], None]) -> Field[str]:
         dropdown = self._page.gui.add_dropdown(label, options)
-        return Field(dropdown, lambda event: act(event.target.value), self._page, "The recipe stays")
+        return Field(dropdown, lambda event: act(event.target.value), self._page, "The recipe was not changed")
 
     # --- choices
 
@@ -106,7 +106,7 @@ class RecipeSection:
 
     def _again(self) -> None:
         page, recipe = self._page, self._now()
-        reconstruct_dialog(page, lambda: page.ask("The surface stays", page.session.reconstruct(recipe)))
+        reconstruct_dialog(page, lambda: page.ask("The surface was not changed", page.session.reconstruct(recipe)))
 
     # --- showing
 

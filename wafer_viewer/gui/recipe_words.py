@@ -13,14 +13,14 @@ from wafer_viewer.gui import html
 from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 
 READY = {"Default": "default", "The paper's method": "paper"}
-OWN = "Own choice"
+OWN = "Custom"
 """How a recipe reads that is none of the ready ones."""
 DRIFT = {"Correct": "correct", "Leave": "none"}
 FOCUS = {"Log-Laplacian": "log_laplacian", "Tenengrad": "tenengrad", "SML": "sml", "GLV": "glv"}
 WINDOW = {"From the data": "auto", **{f"{n} px": n for n in range(3, 27, 2)}}
 PEAK = {"Blur law": "blur_law", "Tent": "tent", "Gaussian": "gaussian", "Highest frame": "argmax"}
-SECOND_WINDOW = {"Must agree": True, "Not looked at": False}
-EDGES = {"Measure the rims": "rims", "Only what agrees": "band", "Not looked at": "none"}
+SECOND_WINDOW = {"Must agree": True, "Not tested": False}
+EDGES = {"Measure the rims": "rims", "Only what agrees": "band", "Not tested": "none"}
 SMOOTHING = {
     "Sigma filter": "sigma_filter",
     "Switching median": "switching_median",
@@ -30,7 +30,7 @@ SMOOTHING = {
 }
 OUTLIERS = {"Lattice": "lattice", "Cloud": "cloud", "None": "none"}
 FILL = {"Small gaps": "small_gaps", "All gaps": "all", "None": "none"}
-BELIEVES_ALL = "Every peak is believed here: nothing is held against a second window or a wall."
+BELIEVES_ALL = "Every peak is accepted: neither the second window nor walls are tested."
 _FLIES = ("literal", "guided")
 
 
@@ -92,7 +92,7 @@ def _figures(value: float | str) -> str:
 
 def _flight(recipe: Recipe) -> str:
     scale = _figures(recipe.levy.alpha)
-    return f"{scale} µm" if recipe.levy.mode == "literal" else f"{scale} × way to the guide"
+    return f"{scale} µm" if recipe.levy.mode == "literal" else f"{scale} × distance to the guide"
 
 
 _LEFT_TO_DATA: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]], ...] = (
@@ -106,14 +106,14 @@ _LEFT_TO_DATA: tuple[tuple[str, Callable[[Recipe], Any], Callable[[Recipe], str]
         lambda r: None if r.levy.mode == "none" else r.levy.n_sigma,
         lambda r: f"up to {number(float(r.levy.n_sigma), 1)} σ",
     ),
-    ("Scale of the flights", lambda r: r.levy.alpha if r.levy.mode in _FLIES else None, _flight),
+    ("Scale of the Lévy flights", lambda r: r.levy.alpha if r.levy.mode in _FLIES else None, _flight),
     (
         "Rounds of smoothing",
         lambda r: None if r.levy.mode == "none" else r.levy.iterations,
         lambda r: number(float(r.levy.iterations), 0),
     ),
     (
-        "Outliers are off by",
+        "Outlier threshold",
         lambda r: None if r.outliers.mode == "none" else r.outliers.floor_um,
         lambda r: f"over {with_unit(float(r.outliers.floor_um), 2)}",
     ),

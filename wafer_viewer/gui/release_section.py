@@ -68,10 +68,12 @@ class ReleaseSection:
         set_prop(self._copy, "visible", job.released)
 
     def _button(self, name: str, icon: Any, ask: Any) -> Any:
-        return button(self._page.gui, name, icon, guarded(self._page, "The plan stays")(lambda _: ask(self._page)))
+        return button(
+            self._page.gui, name, icon, guarded(self._page, "The plan was not changed")(lambda _: ask(self._page))
+        )
 
     def _to_copy(self, page: Page) -> None:
-        page.ask("The job stays", page.session.jobs.copy(), lambda _: page.change(everything=False))
+        page.ask("The job was not changed", page.session.jobs.copy(), lambda _: page.change(everything=False))
 
     def _drop(self, n: int) -> None:
         features = required_job(self._page).features

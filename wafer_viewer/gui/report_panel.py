@@ -46,7 +46,7 @@ class ReportPanel:
             self._of = None
             return
         self._ask_contents(snapshot)
-        self._title.show(html.title("Report", "One HTML file that stands alone and prints on A4."))
+        self._title.show(html.title("Report", "A self-contained HTML file that prints on A4."))
         self._notes.show(self._page.notes(snapshot))
         chosen = self._chosen()
         for part, told in self._told.items():
@@ -54,7 +54,9 @@ class ReportPanel:
             self._boxes[part].show(part in chosen)
             self._boxes[part].enable(not holds.nothing)
             told.show(_line(holds, part in chosen))
-        self._outcome.show(_newest(data.path) if chosen else '<div class="wv-why">Not yet: nothing is ticked.</div>')
+        self._outcome.show(
+            _newest(data.path) if chosen else '<div class="wv-why">Not yet: no section is selected.</div>'
+        )
         set_prop(self._write, "disabled", self._busy or not chosen)
 
     def commands(self) -> list[Command]:
@@ -67,7 +69,7 @@ class ReportPanel:
             return missing
         if self._busy:
             return "a report is being written."
-        return None if self._chosen() else "nothing is ticked of what goes in."
+        return None if self._chosen() else "no section is selected."
 
     def write(self) -> None:
         """Write the report."""
@@ -82,12 +84,12 @@ class ReportPanel:
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
         self._title, self._notes = Cell(gui), Cell(gui)
-        self._name = gui.add_text("Title", "", hint="Stands over the report; without one the dataset's name does")
-        Cell(gui, html.head("What goes in"))
+        self._name = gui.add_text("Title", "", hint="Heading of the report; without one the dataset's name")
+        Cell(gui, html.head("Contents"))
         self._boxes: dict[Part, Field[bool]] = {}
         self._told: dict[Part, Cell] = {}
         for part in PARTS:
-            hint = f"Whether the report has a section {PART_TITLES[part]}"
+            hint = f"Include the section {PART_TITLES[part]}"
             box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
             self._boxes[part] = Field(box, lambda event, p=part: self._tick(p, event.target.value), page, "It stays")
             self._told[part] = Cell(gui)
@@ -105,7 +107,7 @@ class ReportPanel:
         return self._writing is not None and not self._writing.done()
 
     def _chosen(self) -> tuple[Part, ...]:
-        """What goes in: all that holds something, without what a person left out."""
+        """Contents: all that holds something, without what a person left out."""
         nothing = {part for part, holds in self._contents.items() if holds.nothing}
         return tuple(part for part in PARTS if part not in self._left_out and part not in nothing)
 
@@ -127,7 +129,7 @@ class ReportPanel:
             self._contents = contents
             self._page.redraw()
 
-        self._page.ask("What goes in is not known", papers.contents(), found)
+        self._page.ask("The contents were not read", papers.contents(), found)
 
     def _hand_out(self, path: Path) -> None:
         self._written = str(path)

@@ -37,9 +37,13 @@ class ResultList:
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
             self._list = Cell(gui)
-            self._csv = button(gui, "CSV", viser.Icon.TABLE_EXPORT, self._on("Export stopped", self._export))
-            self._rename = button(gui, "Rename", viser.Icon.PENCIL, self._on("The name stays", self._ask_name))
-            self._delete = button(gui, "Delete", viser.Icon.TRASH, self._on("The result stays", self._delete_it))
+            self._csv = button(gui, "CSV", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
+            self._rename = button(
+                gui, "Rename", viser.Icon.PENCIL, self._on("The name was not changed", self._ask_name)
+            )
+            self._delete = button(
+                gui, "Delete", viser.Icon.TRASH, self._on("The result was not changed", self._delete_it)
+            )
             in_a_row(gui, [self._csv, self._rename, self._delete], 30)
             self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._on("Nothing was undone", self.undo))
             self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._on("Nothing was redone", self.redo))
@@ -99,14 +103,14 @@ class ResultList:
     def _delete_it(self) -> None:
         page, number = self._page, self._page.view.selected
         if number is not None:
-            page.ask("The result stays", page.session.delete(number), lambda _: page.change(selected=None))
+            page.ask("The result was not changed", page.session.delete(number), lambda _: page.change(selected=None))
 
     def _export(self) -> None:
         page, data = self._page, self._page.session.snapshot.dataset
         if data is not None:
             target = page.session.snapshot.data_folder / f"{data.path.stem}-results.csv"
             done = page.session.export_findings(target)
-            page.ask("Export stopped", done, lambda path: page.say("Results exported", str(path)))
+            page.ask("Export failed", done, lambda path: page.say("Results exported", str(path)))
 
     def _rows(self, snapshot: Snapshot, view: View) -> str:
         if not snapshot.findings:

@@ -23,6 +23,7 @@ from wafer_viewer.model.notebook import key_of_result, keys_of_features
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.quantities import Length, Quantity
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import LAYER_TITLES
 from wafer_viewer.model.verdict import Judged, Word
 from wafer_viewer.session.finding_numbers import title_of
 from wafer_viewer.session.state import Snapshot
@@ -123,7 +124,7 @@ SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] =
 def _kind(finding: AnyFinding) -> str:
     titles = {tool: made.title for tool, made in TOOLS.items()}
     tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
-    words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), f"{finding.surface} heights")
+    words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), LAYER_TITLES[finding.surface])
     return " · ".join(word for word in words if word)
 
 

@@ -117,13 +117,13 @@ class ReviewPanel:
         page, item = self._page, self._chosen
         if item is not None:
             new: Verdict = "open" if item.judgement.verdict == verdict else verdict
-            page.ask("The judgement stays", judging.judge(page.session, item.key, new))
+            page.ask("The judgement was not saved", judging.judge(page.session, item.key, new))
 
     def classify(self, kind: DefectClass) -> None:
         """Put the defect into a class."""
         page, item = self._page, self._chosen
         if item is not None and item.defect is not None:
-            page.ask("The class stays", page.session.defects.judge(item.defect, kind=kind))
+            page.ask("The class was not changed", page.session.defects.judge(item.defect, kind=kind))
 
     def note(self) -> None:
         """Note something down without the mouse."""
@@ -141,14 +141,16 @@ class ReviewPanel:
         page, gui = self._page, self._page.gui
         self._title, self._notes, self._picture, self._numbers, self._classes = (Cell(gui) for _ in range(5))
         Cell(gui, html.head("", "keys Y and N"))
-        self._judgement = Choice(gui, "Judgement", JUDGEMENTS, guarded(page, "The judgement stays")(self.judge))
-        note = gui.add_text("Note", "", hint="Kept with the judgement; it stands in the report")
+        self._judgement = Choice(gui, "Judgement", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge))
+        note = gui.add_text("Note", "", hint="Saved with the judgement and shown in the report")
         self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note stays")
         self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
         self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
         in_a_row(gui, [self._undo, self._redo], 30)
         self._done = Cell(gui)
-        on = button(gui, "Next", viser.Icon.ARROW_RIGHT, guarded(page, "This stays on show")(lambda _: self.step(1)))
+        on = button(
+            gui, "Next", viser.Icon.ARROW_RIGHT, guarded(page, "The item was not changed")(lambda _: self.step(1))
+        )
         leading(gui, on)
 
     def _taking_back(self, verb: Literal["undo", "redo"]) -> Callable[[Any], Any]:
@@ -207,7 +209,7 @@ def _nothing_yet(snapshot: Snapshot) -> str:
     say = (
         "No defect was found, and no result is kept." if there else "Inspect for defects on the left, or keep a result."
     )
-    return html.title("Review", "One thing after the other, by keyboard alone.") + html.empty(say)
+    return html.title("Review", "One item after the other, by keyboard alone.") + html.empty(say)
 
 
 def framed(item: ReviewItem, snapshot: Snapshot) -> tuple[float, float, float, float]:

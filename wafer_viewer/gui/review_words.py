@@ -58,7 +58,7 @@ def progress(items: tuple[ReviewItem, ...]) -> str:
     left = sum(item.judgement.verdict == "open" for item in items)
     rejected = sum(item.judgement.verdict == "rejected" for item in items)
     said = f"{left} still open" if left else "Everything is judged"
-    on = "Page Down goes to the next open one" if left else "Page Down goes on"
+    on = "Page Down goes to the next open one" if left else "Page Down continues"
     return f'<div class="wv-why">{said}{f" · {rejected} rejected" if rejected else ""} · {on}</div>'
 
 

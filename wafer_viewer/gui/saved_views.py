@@ -82,17 +82,17 @@ class SavedViews:
         page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
         if kept is None:
             raise DatasetError(f"There is no view {number}: it was deleted.")
-        dialog = Dialog(page, "Rename the view", "The name stands in every browser's list.")
+        dialog = Dialog(page, "Rename the view", "The name appears in every browser's list.")
         with dialog.modal:
             name = page.gui.add_text("Name", kept.name)
 
         def rename() -> None:
-            page.ask("The name stays", page.session.notebook.rename_view(number, name.value))
+            page.ask("The name was not changed", page.session.notebook.rename_view(number, name.value))
 
-        dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name stays")
+        dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
 
     def _delete(self, number: int) -> None:
-        self._page.ask("The view stays", self._page.session.notebook.delete_view(number))
+        self._page.ask("The view was not changed", self._page.session.notebook.delete_view(number))
 
 
 def saved(view: View, pose: Pose, name: str) -> SavedView:

@@ -61,7 +61,7 @@ def chipping(finding: Chipping) -> str:
             ("Chips", number(finding.n_chips, 0)),
             ("Their area", whole(finding.area)),
             ("Longest", whole(finding.longest.quantity)),
-            ("Of the edge chipped", share(finding.chipped_fraction)),
+            ("Share of the edge chipped", share(finding.chipped_fraction)),
             ("Length of the edge", with_unit(finding.edge_length_um, 1)),
             ("Die on the", f"{finding.die} side"),
         ]

@@ -20,7 +20,7 @@ class SliceSection:
         self._page = page
         gui = page.gui
         self._head = Cell(gui)
-        self._on = Field(gui.add_checkbox("One frame", False), self._switch, page, "The picture stays")
+        self._on = Field(gui.add_checkbox("One frame", False), self._switch, page, "The frame was not changed")
         self._frame = self._slider(gui.add_slider("Frame", 1, 3, 1, 1, visible=False), self._choose_frame)
         self._z = self._slider(gui.add_slider("z, µm", 0.0, 1.0, 0.1, 0.0, visible=False), self._choose_z)
 
@@ -48,7 +48,7 @@ class SliceSection:
             self._z.show(view.slice_z_um)
 
     def _slider(self, handle: Any, act: Any) -> Field[Any]:
-        return Field(handle, act, self._page, "The picture stays")
+        return Field(handle, act, self._page, "The frame was not changed")
 
     def _switch(self, event: Any) -> None:
         page, data = self._page, self._page.session.snapshot.dataset

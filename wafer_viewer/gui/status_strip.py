@@ -69,7 +69,7 @@ def sample(job: Job | None) -> Words:
     if job is None:
         return "", "", ""
     names = [f"{word} {name}" for word, name in (("Lot", job.sample.lot), ("Wafer", job.sample.wafer_id)) if name] or [
-        job.sample.name or "Sample without a name"
+        job.sample.name or "Unnamed sample"
     ]
     if job.product or job.revision:
         names.append(" ".join(w for w in ("Job", job.product, job.revision and f"rev. {job.revision}") if w))
@@ -82,7 +82,7 @@ def motion(rig: RigStatus) -> Words:
     if rig.state in ("fault", "absent"):
         return f"Rig {word}", "fault", rig.message
     if rig.homed is False:
-        return f"Not homed · {word}", "attention", "The axes do not know where they are: home them before a move."
+        return f"Not homed · {word}", "attention", "The axes have no reference: home them before a move."
     return (f"Homed · {word}" if rig.homed else f"Rig {word}"), "busy" if rig.state != "ready" else "", rig.message
 
 
@@ -116,7 +116,7 @@ def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View
     if info is None:
         return ("", "", ""), ("", "", "")
     smooth = info.settled is not None and info.settled.levy.mode != "none"
-    done = "Smoothed heights" if smooth else "Raw heights"
+    done = "Filtered heights" if smooth else "Measured heights"
     counted = told if told is not None else info
     if told is None and view is not None and view.show:
         return (done, "", f"Result {info.result}."), ("", "", "")

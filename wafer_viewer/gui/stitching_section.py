@@ -24,7 +24,9 @@ class StitchingSection:
             self._head = Cell(gui)
             gui.add_html('<div class="wv-wide"></div>')
             box = gui.add_checkbox("Fields and overlaps", False, hint="Key O")
-            self._on = Field(box, lambda event: page.change(fields=bool(event.target.value)), page, "The look stays")
+            self._on = Field(
+                box, lambda event: page.change(fields=bool(event.target.value)), page, "The display was not changed"
+            )
             self._said = Cell(gui)
         page.on_pick("stitching", self._toggle)
 

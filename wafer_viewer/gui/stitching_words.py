@@ -11,7 +11,7 @@ from wafer_viewer.gui.recipe_words import notes
 from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
 from wafer_viewer.session.state import StitchingInfo
 
-BY_STAGE = "Fields lie where the stage says: their overlaps were not looked at."
+BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."
 SHOWN, LISTED = 6, 60
 """Overlaps named at once, and with those that unfold."""
 NAMED = 8
@@ -21,14 +21,14 @@ Rows = list[tuple[str, str]]
 
 def numbers(info: StitchingInfo) -> str:
     """What an operator wants to know of every surface."""
-    rows: Rows = [("Overlaps believed", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
+    rows: Rows = [("Overlaps accepted", f"{number(info.n_believed, 0)} of {number(info.n_overlaps, 0)}")]
     rows += [(f"– {words}", number(n, 0)) for words, n in info.doubts if n]
     if info.step_median_um is not None:
         rows.append(("Step left at a seam, median", _length(info.step_median_um)))
     if info.step_p95_um is not None:
         rows.append(("– 95 % are under", _length(info.step_p95_um)))
     rows += [
-        ("Place of a field, U (k = 2)", _plus_minus(info.position_u_um)),
+        ("Position of a field, U (k = 2)", _plus_minus(info.position_u_um)),
         ("Height of a field, U (k = 2)", _plus_minus(info.height_u_um)),
     ]
     return html.pairs(rows)
@@ -37,15 +37,15 @@ def numbers(info: StitchingInfo) -> str:
 def details(info: StitchingInfo) -> str:
     """The stage as it was found, and the part of the form that nothing but the stage tells."""
     rows: Rows = [
-        ("Fields off the stage's place, rms", _length(info.moved_rms_um)),
-        ("– the farthest", _length(info.moved_max_um)),
+        ("Field offset from the stage, rms", _length(info.moved_rms_um)),
+        ("– largest", _length(info.moved_max_um)),
         ("Error of the stage, x and y", _length(info.stage_error_um)),
         ("– along z", _length(info.z_error_um)),
     ]
     said = f'<div class="wv-chosen">{html.pairs(rows)}</div>'
     form = [(name[:1].upper() + name[1:], _plus_minus(u)) for name, u in info.form]
     if form:
-        head = '<div class="wv-lab">Known from the stage only, U (k = 2) at the rim</div>'
+        head = '<div class="wv-lab">Known from the stage only, U (k = 2) at the edge</div>'
         said += f'<div class="wv-chosen">{head}{html.pairs(form)}</div>'
     return said
 
@@ -58,7 +58,7 @@ def cautions(info: StitchingInfo) -> str:
     if info.n_groups > 1 and not info.n_by_stage:
         said.append(
             f"The fields fall into {info.n_groups} islands: no overlap joins them, so between islands "
-            "places and heights are the stage's."
+            "positions and heights are the stage's."
         )
     return notes((*said, *info.notes), viser.Icon.ALERT_TRIANGLE, "attention")
 
@@ -78,7 +78,7 @@ def doubted(poses: Poses, pixel_um: float) -> str:
     rows = _doubted_rows(poses, pixel_um)
     if not rows:
         return ""
-    said = _table(("Fields", "Not believed, because", "Off, µm", "px"), rows[:SHOWN])
+    said = _table(("Fields", "Rejected because", "Off, µm", "px"), rows[:SHOWN])
     if len(rows) > SHOWN:
         beyond = len(rows) - LISTED
         tail = f'<div class="wv-lab">and {number(beyond, 0)} that are less far off</div>' if beyond > 0 else ""
@@ -113,10 +113,10 @@ def _doubted_row(poses: Poses, row: int, off_um: float, pixel_um: float) -> str:
 
 def _left_out(fields: tuple[int, ...]) -> str:
     if len(fields) == 1:
-        return f"Field {fields[0]} is left out: it fits none of its neighbours. Look at its frames, or take it again."
+        return f"Field {fields[0]} is left out: it matches none of its neighbours. Check its frames, or scan it again."
     named, more = [str(n) for n in fields[:NAMED]], len(fields) - NAMED
     names = f"{', '.join(named)} and {more} more" if more > 0 else f"{', '.join(named[:-1])} and {named[-1]}"
-    return f"Fields {names} are left out: they fit none of their neighbours. Look at their frames, or take them again."
+    return f"Fields {names} are left out: they match none of their neighbours. Check their frames, or scan them again."
 
 
 def _length(value_um: float) -> str:

@@ -33,7 +33,8 @@ class StudySection:
 
     def show(self) -> None:
         """Bring the section up to date."""
-        waits = '<div class="wv-lab" style="margin-bottom:6px">How much of a spread is the gauge\'s, by AIAG.</div>'
+        what = "Share of the variation that comes from the gauge, by AIAG."
+        waits = f'<div class="wv-lab" style="margin-bottom:6px">{what}</div>'
         self._cell.show(html.head(HEAD) + (self._told or waits))
 
     def ask(self) -> None:

@@ -37,7 +37,7 @@ COLOUR_BY: dict[str, ColourBy] = {
     "Deviation from plane": "deviation",
     "Deviation from form": "form",
     "Overlap difference": "overlap",
-    "Picture in focus": "grey",
+    "All-in-focus picture": "grey",
     "Origin": "origin",
 }
 TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
@@ -160,7 +160,7 @@ class SurfacePanel:
         self._focus = self._field(focus, lambda percent: page.change(all_in_focus=percent / 100))
 
     def _field(self, handle: Any, act: Callable[[Any], Any]) -> Field[Any]:
-        return Field(handle, lambda event: act(event.target.value), self._page, "The look stays")
+        return Field(handle, lambda event: act(event.target.value), self._page, "The display was not changed")
 
     # --- choices
 

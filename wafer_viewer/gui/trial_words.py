@@ -35,7 +35,7 @@ def before_release(now: Operating, outdated: bool) -> str:
     """What is known of the plan on stored wafers, for the question whether to release it."""
     if now.trial is None or outdated:
         since = "since it was changed" if now.trial is not None else "yet"
-        return html.note("busy", f"Not tried on stored wafers {since}", "Whether verdicts change is not known.")
+        return html.note("busy", f"Not tried on stored wafers {since}", "It is not known whether verdicts change.")
     return html.note(_tone(now.trial), "On stored wafers", now.trial.summary)
 
 

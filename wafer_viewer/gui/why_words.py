@@ -53,7 +53,7 @@ def answer(curve: FocusCurve) -> str:
         peak = f"no height; the peak is at {with_unit(curve.peak_z_um, 2, signed=True)}"
         return _card("Not measured", html.safe(_capital(curve.origin)), "", peak, "color:var(--attention)", 24)
     trust = f"{html.safe(curve.origin)}, confidence {number(curve.confidence, 2)}"
-    return _card("Height, before smoothing", number(curve.height_um, 2, signed=True), "µm", trust, "", 40)
+    return _card("Measured height", number(curve.height_um, 2, signed=True), "µm", trust, "", 40)
 
 
 def verdicts(curve: FocusCurve) -> str:

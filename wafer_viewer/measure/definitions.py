@@ -1,6 +1,6 @@
 """What the height of a step is: where the planes of its two faces are compared, and how they are levelled.
 
-Faces that are tilted against each other are differently far apart at every place, so the definition of h belongs to
+The distance between tilted faces depends on the place, so the definition of h belongs to
 the result. Each definition is a pair of gradients: h is their product with (slope x, slope y, height in the middle) of
 the upper and of the lower face.
 """

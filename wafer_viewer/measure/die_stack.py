@@ -1,4 +1,4 @@
-"""All dies laid onto one: where several of them have a defect at the same place, it is no chance. Pure."""
+"""All dies overlaid: where several of them have a defect at the same place, it is no chance. Pure."""
 
 from __future__ import annotations
 

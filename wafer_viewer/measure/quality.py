@@ -68,7 +68,7 @@ def compare_with_truth(
 ) -> Quality:
     """How far a height map is from the truth on its lattice [row, col] in um, NaN where no truth is known.
 
-    What measurements use is compared: gated, unsmoothed heights as a rule; count_filled: the cleaned ones with their
+    What measurements use is compared: the measured heights as a rule; count_filled: the filtered ones with their
     filled pixels. tolerance_um: a step of the sweep when left out. Raises MeasureError for another shape.
     """
     tolerance = height.provenance.z_step_um if tolerance_um is None else tolerance_um

@@ -29,7 +29,7 @@ DULLEST_SIGMA, KEENEST_SIGMA = 8.0, 2.0
 class DefectRecipe(Spec, frozen=True, kw_only=True):
     """How defects are looked for; recipes are saved by product.
 
-    sensitivity: the one dial, 0 finds only what is plain, 1 all that might be something; scales_px: standard deviations
+    sensitivity: the one dial, 0 finds only clear defects, 1 everything that may be one; scales_px: standard deviations
     of the Gaussian filters through which heights are looked at, 0 is unfiltered, and of what is wide and faint in the
     picture, in which discs of 4 to 14 px are sought besides; golden: name of the stored golden die to compare with,
     none: the median of the dies of the wafer itself; form_order: of the polynomial that is taken off first; excluded:

@@ -9,7 +9,7 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Positive, Spec
 
 _HEIGHTS_ONLY = (
-    "It holds heights only: confidence, the all-in-focus picture, unsmoothed heights, what was filled in and why "
+    "It holds heights only: confidence, the all-in-focus picture, measured heights, what was filled in and why "
     "pixels are unmeasured stay behind"
 )
 _MESH = "It is a drawing, not data: a part of the heights as a mesh, without gaps marked, and is not read back"
@@ -53,23 +53,23 @@ FORMATS: dict[str, FileFormat] = {
     ".tiff": FileFormat(title="TIFF, heights as 32-bit float", loses=f"{_HEIGHTS_ONLY}."),
     ".ply": FileFormat(
         title="PLY, points with colour",
-        loses="It holds points with a height: unsmoothed heights and why pixels are unmeasured stay behind, "
+        loses="It holds points with a height: measured heights and why pixels are unmeasured stay behind, "
         "16-bit pictures become 8-bit.",
     ),
     ".pcd": FileFormat(
         title="PCD, points",
         loses="It holds points with a height as 32-bit floats, x and y from the corner of the surface: confidence, the "
-        "all-in-focus picture, unsmoothed heights and why pixels are unmeasured stay behind.",
+        "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
     ),
     ".csv": FileFormat(
         title="CSV, x y z",
         loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
-        "all-in-focus picture, unsmoothed heights and why pixels are unmeasured stay behind.",
+        "all-in-focus picture, measured heights and why pixels are unmeasured stay behind.",
     ),
     ".xyz": FileFormat(
         title="XYZ, x y z",
         loses="It holds points with a height, rounded to 0.1 nm in x and y and 0.01 nm in z: confidence, the "
-        "all-in-focus picture, unsmoothed heights, what was filled in and why pixels are unmeasured stay behind.",
+        "all-in-focus picture, measured heights, what was filled in and why pixels are unmeasured stay behind.",
     ),
     ".stl": FileFormat(
         title="STL, a mesh",
@@ -86,7 +86,7 @@ MESHES = tuple(ending for ending, kind in FORMATS.items() if kind.is_mesh)
 
 
 def every_for(shape: tuple[int, int], most_points: int) -> int:
-    """The smallest density, as every so manieth pixel, that makes at most so many points."""
+    """The smallest density, as every n-th pixel, that makes at most so many points."""
     every = max(1, int(math.sqrt(shape[0] * shape[1] / most_points)))
     while -(-shape[0] // every) * -(-shape[1] // every) > most_points:
         every += 1

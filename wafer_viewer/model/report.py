@@ -55,7 +55,7 @@ Pairs = tuple[tuple[str, str], ...]
 
 
 class ReportOrder(Spec, frozen=True, kw_only=True):
-    """What goes into a report; without a title the dataset's name stands over it."""
+    """Contentsto a report; without a title the dataset's name stands over it."""
 
     error: ClassVar[type[WaferViewerError]] = DatasetError
     title: str = ""

@@ -9,6 +9,7 @@ from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.findings import Profile, ProfileCurve
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface import LAYER_TITLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +30,8 @@ class OtherSurface:
 class SectionAsked:
     """One curve: a line, of what surface, read from what zero.
 
-    place: the line's, 0 is A; show: 0 the stitched surface, else a field; cleaned: the other of raw and cleaned heights
-    than those that are measured on; of: another surface instead.
+    place: the line's, 0 is A; show: 0 the stitched surface, else a field; cleaned: the other of measured and filtered
+    heights than those that are measured on; of: another surface instead.
     """
 
     place: int
@@ -65,4 +66,4 @@ class Section:
         """What tells it from the others: ``A``, ``A filled``, ``A coupon-08``."""
         if self.asked.of is not None:
             return f"{self.asked.letter} {self.asked.of.title}"
-        return f"{self.asked.letter} {self.profile.surface}" if self.asked.cleaned else self.asked.letter
+        return f"{self.asked.letter} {LAYER_TITLES[self.profile.surface]}" if self.asked.cleaned else self.asked.letter

@@ -205,6 +205,12 @@ class Mosaic(Outline, Protocol):
 
 
 HeightLayer = Literal["unsmoothed", "smoothed", "filled"]
+LAYER_TITLES: dict[HeightLayer, str] = {
+    "unsmoothed": "measured heights",
+    "smoothed": "filtered heights",
+    "filled": "filtered and filled heights",
+}
+"""The words of page, reports and files for each layer of heights; its name is that of recipes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

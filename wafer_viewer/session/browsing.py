@@ -172,7 +172,7 @@ class Browsing:
         """Return the path that a person typed, of something that is there. Raises DatasetError otherwise."""
         path = self.path_of(text, folder)
         if not path.exists():
-            raise DatasetError(f"{path} is not there: check the path.")
+            raise DatasetError(f"{path} does not exist: check the path.")
         return path
 
     # --- folders

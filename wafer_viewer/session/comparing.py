@@ -64,7 +64,7 @@ class ComparingKeeper:
         if found is None:
             raise DatasetError(f"There is no comparison {number}: choose one of the list.")
         if (why := self._library.shown.read_only) is not None:
-            raise DatasetError(f"The comparison stays: {why}")
+            raise DatasetError(f"The comparison was not removed: {why}")
         path = self._library.dataset.result(found.name).path
         try:
             shutil.rmtree(path)

@@ -159,9 +159,9 @@ class Conductor:
         self.drafting.require_confirmed()
         shown = self.library.shown
         if shown.read_only is not None:
-            raise DatasetError(f"The scan cannot go on: {shown.read_only}")
+            raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
         if not self.library.dataset.missing():
-            raise DatasetError(f"{shown.name} has all its frames: there is nothing to go on with.")
+            raise DatasetError(f"{shown.name} has all its frames: there is nothing to continue.")
         self.library.let_go()
         return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
 
@@ -213,7 +213,7 @@ class Conductor:
     def _path_for(self, name: str) -> Path:
         path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
         if path.exists():
-            raise DatasetError(f"There is a dataset {path.name} already: choose another name, or go on with its scan.")
+            raise DatasetError(f"There is a dataset {path.name} already: choose another name, or continue its scan.")
         return path
 
     def _begin(self, scan: Scan) -> Future[Path]:

@@ -142,7 +142,7 @@ class Control:
     def _hand_over(self, key: str, to: str) -> None:
         self._require_holder(key)
         if self._hands.browser(to) is None:
-            raise WaferViewerError("That browser has gone: the controls stay.")
+            raise WaferViewerError("That browser has disconnected: control was not handed over.")
         self._pass_to(to)
 
     def _keep(self, key: str) -> None:

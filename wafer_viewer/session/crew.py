@@ -120,7 +120,7 @@ class Cluster:
             self._seen_at = now
         elif now - self._seen_at > NO_WORKER_PATIENCE_S:
             raise ComputeError(
-                f"The cluster has had no worker for {NO_WORKER_PATIENCE_S:.0f} s: start one and begin anew; "
+                f"The cluster has had no worker for {NO_WORKER_PATIENCE_S:.0f} s: start one and try again; "
                 "what was done is kept."
             )
         return self._n_hands

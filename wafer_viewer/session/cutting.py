@@ -27,7 +27,7 @@ def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> 
 
 
 def other_layer(surface: Mosaic) -> Layer:
-    """Of raw and cleaned heights those that are not measured on."""
+    """Of measured and filtered heights those that are not measured on."""
     return "unsmoothed" if surface.provenance.recipe.measure_on == "smoothed" else "filled"
 
 

@@ -40,7 +40,7 @@ class Desk:
         """Carry out a verb on the session's thread; one that answers with a future is done when that future is."""
         answer: Future[Any] = Future()
         if self._closed:
-            answer.set_exception(WaferViewerError("The session is closed: start the viewer anew."))
+            answer.set_exception(WaferViewerError("The session is closed: restart the viewer."))
         else:
             done = self._thread.submit(self._carry_out, verb, *args, **kwargs)
             done.add_done_callback(lambda done: _hand_on(done, answer))

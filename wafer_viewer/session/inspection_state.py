@@ -11,7 +11,7 @@ from wafer_viewer.model.defects import Defect, Inspection
 class InspectionState:
     """What was found on the surface on show; without an inspection nothing is known of its defects.
 
-    stale: the surface was made again since. problem: why the last inspection came to nothing, or what is kept of one
+    stale: the surface was made again since. problem: why the last inspection failed, or what is kept of one
     cannot be read. work: the id of the one under way. Two states are equal where they are the same: lists of thousands
     of defects are not compared.
     """

@@ -116,7 +116,7 @@ class Instrument:
 
     def resume(self) -> Future[None]:
         """Go on after a pause."""
-        self._require_scan("go on with")
+        self._require_scan("continue")
         self._show(message="")
         return self.start().ask(Resume())
 
@@ -228,8 +228,8 @@ class Instrument:
             return
         kept = " The frames of complete passes are kept." if snapshot.scanning else ""
         text = f"The rig's process ended (exit code {exit_code}).{kept}"
-        self._show(state="fault", message=f"{text} The next move or scan starts it anew.")
-        self._notices.fault("The rig stopped answering", f"{text} The next move or scan starts it anew.", "rig")
+        self._show(state="fault", message=f"{text} The next move or scan restarts it.")
+        self._notices.fault("The rig stopped answering", f"{text} The next move or scan restarts it.", "rig")
         if snapshot.scanning:
             self._reports.scan_ended(None)
 

@@ -149,4 +149,4 @@ def live_in_the_background(niceness: int = 0) -> None:
 
 
 def _gone() -> WaferViewerError:
-    return ChildGone("The process that should do this has ended: try again, it is started anew.")
+    return ChildGone("The process that should do this has ended: try again, it is restarted.")

@@ -167,7 +167,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
     if not data.fields:
         raise DatasetError(f"{data.path.name} is a surface without frames: there is nothing to reconstruct.")
     if not complete:
-        raise DatasetError(f"{data.path.name} has no field with all its frames yet: go on with its scan.")
+        raise DatasetError(f"{data.path.name} has no field with all its frames yet: continue its scan.")
     same = kept.exists and kept.surfaces_done(data.fields) and kept.has_heights_of(recipe)
     kept.save_recipe(recipe)
     done = kept.surfaces_done(data.fields) if same and not again else set[int]()

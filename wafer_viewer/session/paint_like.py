@@ -74,7 +74,7 @@ def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture
 
     folder: the data folder, where golden dies lie.
     """
-    nothing = DiePicture(why_not="No die was scanned whole.")
+    nothing = DiePicture(why_not="No die was scanned completely.")
     if like.grid is None or not (like.dies or like.golden):
         return nothing
     place = like.dies[0] if like.dies else (like.grid.first_col, like.grid.first_row)
@@ -107,7 +107,7 @@ def _of_dies(like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
         return Seen("dies", why_not="The place lies outside of the dies."), None
     laid = list(_laid(surface, like, patch, own))
     if not laid:
-        return Seen("dies", why_not="No other die was scanned whole."), None
+        return Seen("dies", why_not="No other die was scanned completely."), None
     return Seen("dies", dies=len(laid)), usual(own, [one.cut for one in laid])
 
 

@@ -108,7 +108,7 @@ def sample(now: Preflight) -> Check:
     of_lot = f"{named} of lot {who.lot}" if who.lot else named
     if not now.confirmed:
         found = f"{of_lot}: not confirmed since the plan was opened again."
-        return Check("Sample", "stop", found, "Look, and confirm it.")
+        return Check("Sample", "stop", found, "Check and confirm it.")
     return Check("Sample", "ok", f"{of_lot}.")
 
 
@@ -146,7 +146,7 @@ def disk(now: Preflight) -> Check:
     """Whether the frames have room."""
     needs = now.plan.bytes_on_disk
     if now.free_bytes is None:
-        return Check("Disk", "attention", f"{size(needs)} needed; nobody knows how much is free.", "Look at the disk.")
+        return Check("Disk", "attention", f"{size(needs)} needed; the free space is unknown.", "Look at the disk.")
     words = f"{size(needs)} needed, {size(now.free_bytes)} free"
     if now.free_bytes < needs:
         return Check("Disk", "stop", f"{words}.", "Free some space or serve another folder.")
@@ -173,7 +173,7 @@ def clearance(now: Preflight) -> Check:
         found = (
             f"The sweep ends {highest_um - objective.safe_z_um:.0f} um over the safe height {objective.safe_z_um:g} um."
         )
-        return Check("Clearance", "stop", found, "Mount the sample lower, or have the safe height set anew.")
+        return Check("Clearance", "stop", found, "Mount the sample lower, or have the safe height reset.")
     return Check("Clearance", "ok", f"{words}.")
 
 

@@ -249,7 +249,7 @@ class Reconstruction:
         self._restarts += 1
         mended = self._restarts <= RESTARTS
         text = f"The process that hosts the workers ended (exit code {exit_code})."
-        mend = "A new one takes over. Nothing to do." if mended else "Start the viewer anew."
+        mend = "A new one takes over. Nothing to do." if mended else "Restart the viewer."
         self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
         if mended:
             self.compute.start()

@@ -25,7 +25,7 @@ def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
         return
     places = repeated_places(found)
     ringed = " Rings: places that repeat." if places else ""
-    caption = f"All dies laid onto one, their defects by class.{ringed}"
+    caption = f"All dies overlaid, their defects by class.{ringed}"
     yield Figure("", caption, svg=die_stack_svg(found, places, _ground(material, found), width_px=WIDTH_PX))
 
 

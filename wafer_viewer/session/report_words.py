@@ -13,6 +13,7 @@ from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
 from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface import LAYER_TITLES
 from wafer_viewer.model.verdict import Judged, WaferVerdict
 from wafer_viewer.session.finding_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.state import SurfaceInfo
@@ -91,7 +92,7 @@ def surface_pairs(info: SurfaceInfo) -> Pairs:
         rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     if (placed := info.stitching) is not None:
         rows += [
-            ("Overlaps believed", f"{placed.n_believed} of {placed.n_overlaps}"),
+            ("Overlaps accepted", f"{placed.n_believed} of {placed.n_overlaps}"),
             ("Places, U (k = 2)", with_unit(placed.position_u_um, 3)),
             ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
         ]
@@ -146,7 +147,7 @@ def calibration_pairs(calibration: Calibration) -> Pairs:
 def _terms(finding: AnyFinding) -> str:
     """On which heights, from which zero."""
     levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
-    return f", {finding.surface}{levelled}"
+    return f", {LAYER_TITLES[finding.surface]}{levelled}"
 
 
 def _regions_of(value: Any) -> Iterator[Region]:

@@ -13,7 +13,7 @@ from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.verdict import Judged
 
 RULES: dict[DecisionRule, str] = {"guard_band": "guard band", "simple_acceptance": "simple acceptance"}
-NOTHING_DIFFERS = "Nothing of the feature differs: it was measured anew, with the calibration as it holds today."
+NOTHING_DIFFERS = "Nothing of the feature differs: it was measured again with today's calibration."
 
 
 def added(judged_before: bool) -> str:
@@ -49,7 +49,7 @@ def _of_feature(then: Judged, now: Judged, other_dies: bool) -> Iterator[str]:
     if old.quantity != new.quantity:
         yield f"Quantity: {old.quantity or 'the main one'} before, {new.quantity or 'the main one'} now."
     if (old.places, old.per_die) != (new.places, new.per_die) or (now.die and other_dies):
-        yield "Place: another one; measured anew."
+        yield "Place: another one; measured again."
     if old.tool == new.tool and (old.options or ToolOptions()) != (new.options or ToolOptions()):
         yield from (f"Option: {words}." for words in _settings(_own(old), _own(new), ""))
 

@@ -64,7 +64,7 @@ def scan_to(
         ended = take(scan, rig, writer, report, steering)
         kept = len(writer.kept)
     words = f"{kept} of {scan.plan.n_frames} frames kept"
-    more = "; the same command goes on with it" if ended.stopped else ""
+    more = "; the same command continues it" if ended.stopped else ""
     return Ended(f"{words}{more}", ended.stopped, ended.error)
 
 

@@ -262,7 +262,7 @@ class Dataset:
         if n_present < MIN_FRAMES:
             raise DatasetError(
                 f"Field {field.number} of {self.path.name} has {n_present} of {self.scan.plan.sweep.n_frames} frames "
-                f"and at least {MIN_FRAMES} are needed: go on with the scan."
+                f"and at least {MIN_FRAMES} are needed: continue the scan."
             )
 
     def _require_good_tags(self, field: Field, expected: int | None) -> None:

@@ -55,7 +55,7 @@ def export(
 ) -> Path:
     """Write a surface strip by strip, whole or not at all; a mosaic is read at its full resolution.
 
-    every: only every so manieth row and column; all of them by default, of a mesh as many as make a million points.
+    every: only every n-th row and column; all of them by default, of a mesh as many as make a million points.
     Raises DatasetError when the ending names no format, the file cannot be written, or the work is stopped.
     """
     target = Path(path)

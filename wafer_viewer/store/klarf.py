@@ -2,7 +2,7 @@
 
 Lengths in um. XREL and YREL are the centre of a defect from the lower left corner of its die, along the lattice's axes;
 SampleCenterLocation is the wafer's centre from the lower left corner of die 0,0. HEIGHT, signed, is a column of ours
-that other readers pass over. Only dies that were inspected as a whole, or that have defects, stand in the test plan: a
+that other readers ignore. Only dies that were inspected as a whole, or that have defects, stand in the test plan: a
 die that was not or only partly scanned must not look clean.
 """
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import zip_longest
 
 from wafer_viewer.model.sections import Section
+from wafer_viewer.model.surface import LAYER_TITLES
 
 COLUMNS = ("distance_um", "x_um", "y_um", "z_um")
 
@@ -40,7 +41,7 @@ def _about(section: Section) -> str:
         section.source,
         f"from ({xa:.2f}, {ya:.2f}) to ({xb:.2f}, {yb:.2f}) um",
         f"width {profile.line.width_um:g} um",
-        f"{profile.surface} heights",
+        LAYER_TITLES[profile.surface],
         f"filter {profile.filter}",
         f"levelled by {section.asked.levelling.by}",
         "SIMULATED" if profile.simulated else "real",

@@ -40,7 +40,7 @@ def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Pa
     """
     place = Path(folder)
     if place.exists():
-        raise DatasetError(f"{place} is there already: give the name of a new folder.")
+        raise DatasetError(f"{place} exists already: give the name of a new folder.")
     if not inspection.found:
         raise DatasetError("There are no defects to write a training set of.")
     with replacing(place) as beside:

@@ -93,7 +93,7 @@ class DatasetWriter:
 
     @classmethod
     def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
-        """Hold a dataset to go on with its scan. Raises DatasetError when it is none or another process holds it."""
+        """Hold a dataset to continue its scan. Raises DatasetError when it is none or another process holds it."""
         folder = Path(path)
         record = Dataset.open(folder).scan
         lock = Lock.take(folder)
@@ -199,7 +199,9 @@ class DatasetWriter:
     def _checked(self, shot: Shot, image: Image) -> Image:
         pages = self.record.pages
         if shot.field not in self._fields or not 0 <= self.record.page_of(shot.k, shot.exposure) < pages.n_pages:
-            raise DatasetError(f"{shot} is not in the plan of {self.path.name}: go on with the plan it was begun with.")
+            raise DatasetError(
+                f"{shot} is not in the plan of {self.path.name}: continue with the plan it was begun with."
+            )
         if image.shape != (pages.rows, pages.cols) or image.dtype.itemsize != pages.dtype.itemsize:
             raise DatasetError(
                 f"The frame of {shot} is {image.shape[1]} x {image.shape[0]} px of {image.dtype}, "
@@ -217,7 +219,7 @@ class DatasetWriter:
 
 def _make_folder(folder: Path) -> None:
     if folder.exists():
-        raise DatasetError(f"{folder} exists already: choose another name, or go on with its scan.")
+        raise DatasetError(f"{folder} exists already: choose another name, or continue its scan.")
     with writing(folder):
         folder.mkdir()
 
