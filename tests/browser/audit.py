@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -142,37 +141,37 @@ GROUPS = {
             "form": click("[data-pick=defect-form]", ".wv-title"),
         },
     ),
-    "operator": Group(lambda: operator.OperatorSession(operator.tried()), "plan", {"operator": None}),
+    "operator": Group(
+        lambda: FakeSession(operator.waiting()),
+        "plan",
+        {
+            "wafer": None,
+            "aligned": shows(operator.aligned, "Plan"),
+            "taking": shows(operator.taking, "Acquire"),
+            "judged": shows(lambda: operator.judged(operator.on_dies()), "Review"),
+            "trial": shows(operator.tried, "Plan"),
+        },
+    ),
     "compared": Group(ComparedSession, "surface", {"compare": click("[data-pick=compare-new]", ".wv-title")}),
 }
 
 
-ALLOWED: dict[str, str] = {
-    r"name: input\[text\] ": "text and number fields of viser are not tied to their labels",
-    r"name: div \"mantine-focus-auto .*Slider-thu": "nor are its sliders",
-}
-"""What is known and awaits its mend elsewhere: a pattern, and why. One that meets nothing any more has to go."""
+def look(page: Page, width: int) -> list[str]:
+    """Return what one look finds."""
+    return page.evaluate(LOOK, {"widthPx": width})
 
 
-def look(page: Page, width: int, met: set[str]) -> list[str]:
-    """Return what one look finds, without what is allowed; `met` learns which of the allowed was found."""
-    found: list[str] = page.evaluate(LOOK, {"widthPx": width})
-    allowed = {what: why for what in found for why in ALLOWED if re.match(why, what)}
-    met.update(allowed.values())
-    return [what for what in found if what not in allowed]
-
-
-def audit(page: Page, sizes: tuple[tuple[int, int], ...], met: set[str]) -> Iterator[tuple[str, str]]:
+def audit(page: Page, sizes: tuple[tuple[int, int], ...]) -> Iterator[tuple[str, str]]:
     """Look over the page as it stands at every size; gives size and finding."""
     for width, height in sizes:
         page.set_viewport_size({"width": width, "height": height})
         page.evaluate(SETTLED)
-        found = look(page, width, met)
+        found = look(page, width)
         for _ in range(PATIENCE):  # panels follow the scene with a moment's delay
             if not found:
                 break
             page.wait_for_timeout(250)
-            found = look(page, width, met)
+            found = look(page, width)
         for what in found:
             yield f"{width}", what
 
@@ -209,7 +208,7 @@ def opened(browser: Browser, group: Group) -> Iterator[tuple[Page, Any, list[str
             session.close()
 
 
-def look_over(browser: Browser, group: Group, met: set[str]) -> dict[str, list[str]]:
+def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
     """Return all that was found in a group, with the states and sizes where; light and dark take turns to begin."""
     found: dict[str, list[str]] = {}
     dark = False
@@ -221,7 +220,7 @@ def look_over(browser: Browser, group: Group, met: set[str]) -> dict[str, list[s
                 if again:
                     dark = not dark
                     turn(page, dark)
-                for size, what in audit(page, DARK_SIZES if dark else SIZES, met):
+                for size, what in audit(page, DARK_SIZES if dark else SIZES):
                     found.setdefault(what, []).append(f"{name} at {size}{' dark' if dark else ''}")
         for error in errors:
             found.setdefault(f"console: {error}", []).append("console")
@@ -239,10 +238,9 @@ def main() -> None:
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        met: set[str] = set()
         for name in sys.argv[1:] or GROUPS:
             began = time.monotonic()
-            for what, where in sorted(look_over(browser, GROUPS[name], met).items()):
+            for what, where in sorted(look_over(browser, GROUPS[name]).items()):
                 print(f"{what}   [{', '.join(dict.fromkeys(where))}]")
             print(f"== {name}: {time.monotonic() - began:.0f} s", flush=True)
         browser.close()

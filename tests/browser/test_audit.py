@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from playwright.sync_api import Browser
 
-from tests.browser.audit import ALLOWED, GROUPS, look_over
+from tests.browser.audit import GROUPS, look_over
 
 pytestmark = [
     pytest.mark.browser,
@@ -13,19 +13,11 @@ pytestmark = [
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
-MET: set[str] = set()
 
 
 @pytest.mark.parametrize("name", GROUPS)
 def test_nothing_is_covered_cut_nameless_or_pale(browser: Browser, name: str):
-    found = look_over(browser, GROUPS[name], MET)
+    found = look_over(browser, GROUPS[name])
     assert not found, "\n".join(
         f"{what}   [{', '.join(dict.fromkeys(where))}]" for what, where in sorted(found.items())
     )
-
-
-def test_nothing_is_allowed_that_is_mended():
-    """Runs after the looks above, in the same process."""
-    if not MET and ALLOWED:
-        pytest.skip("no look ran before this in the same process")
-    assert set(ALLOWED) <= MET, f"no longer needed: {sorted(set(ALLOWED) - MET)}"

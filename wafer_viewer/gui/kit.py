@@ -17,6 +17,9 @@ Gui = viser.GuiApi
 QUIET_S = 0.7
 """For so long after a person moved a widget, the session's slightly older value does not move it back."""
 
+TIGHT_ROW = 3
+"""Buttons in a row from which on there is no room to spare beside their words."""
+
 
 class Cell:
     """A piece of HTML on the page."""
@@ -132,6 +135,7 @@ def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any 
         f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;vertical-align:top;width:{width};margin-right:0!important;"
         f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}"
         + (_high(b, height_px) if b is filled else _outlined(b, height_px))
+        + (_tight(b) if len(buttons) >= TIGHT_ROW else "")
         for k, b in enumerate(buttons)
     )
     gui.add_html(f"<style>{rules}</style>")
@@ -227,6 +231,16 @@ class Overlay:
     def _framed(self, content: str) -> str:
         right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
         return f'<div class="wv-ov" style="{right}">{content}</div>'
+
+
+def _tight(handle: Any) -> str:
+    """A sign and a word in a third of the left panel."""
+    at = by_id(handle._impl.uuid)
+    label, sign = (
+        f"{at} .mantine-Button-label{{font-size:12.5px}}",
+        f"{at} .mantine-Button-section{{margin-inline-end:4px}}",
+    )
+    return f"{at}{{padding:0 2px!important}}{label}{sign}"
 
 
 def _high(handle: Any, height_px: int) -> str:

@@ -23,6 +23,8 @@ WAYS_TO_LOOK = (
 _WIDTH_PX, _HEIGHT_PX = 520, 42
 NARROW_SCENE_PX = 640
 """Scenes narrower than this have no room for words beside the legend."""
+_BESIDE_PX = 124 + 2 * EDGE_PX + 8
+"""The colour bar, which the tools must not reach: in a narrow scene they take two rows."""
 
 
 class Toolbar:
@@ -35,12 +37,16 @@ class Toolbar:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the toolbar up to date."""
         measuring = view.step == "measure"
-        short = measuring or 0 < self._camera.image_width < NARROW_SCENE_PX
+        scene_px = self._camera.image_width
+        short = measuring or 0 < scene_px < NARROW_SCENE_PX
         looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
         parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
         if view.step == "surface":
             parts += GAP + _select(view.selecting)
-        self._glass.show(f'<div class="wv-glass wv-tools{" many" if measuring else ""}">{parts}</div>')
+        two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
+        room = f' style="flex-wrap:wrap;max-width:{scene_px - _BESIDE_PX - EDGE_PX}px"' if two_rows else ""
+        content = f'<div class="wv-glass wv-tools{" many" if measuring else ""}"{room}>{parts}</div>'
+        self._glass.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX)
 
 
 def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
