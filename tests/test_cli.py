@@ -171,7 +171,8 @@ def test_a_damaged_stitched_surface_is_neither_measured_nor_kept(scan, tmp_path)
     assert "Stitched surfaces: " in viewer("check", copy).stdout
     shard = copy / "results/default/mosaic.zarr/z_raw_um/0/c/0/0"
     content = bytearray(shard.read_bytes())
-    content[len(content) // 3] ^= 32
+    for at in range(0, len(content), 1000):  # every chunk: the step reads some of them
+        content[at] ^= 32
     shard.write_bytes(content)
     checked = viewer("check", copy)
     assert checked.returncode == 1
@@ -248,7 +249,7 @@ def test_a_scan_that_was_interrupted_goes_on(tmp_path):
     first.send_signal(signal.SIGINT)
     out, err = first.communicate(timeout=240)
     assert first.returncode == 130, err
-    assert "goes on with it" in out
+    assert "continues it" in out
     assert "Traceback" not in err
     refused("scan", tmp_path / "plan.toml", "-o", tmp_path / "long.wafer" / "frames")
     second = viewer("scan", "plan.toml", "-o", "long.wafer", cwd=tmp_path)

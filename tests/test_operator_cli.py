@@ -37,6 +37,7 @@ def test_a_released_job_goes_from_the_wafers_id_to_its_verdict(judged):
     assert "PASS         die over street: 30.0" in said.stdout or "PASS         die over street: 29.9" in said.stdout
     assert said.stdout.splitlines()[-1] == "PASS SIMULATED: Take the next wafer."
     kept = json.loads((path / "results" / "default" / "verdict.json").read_text())
+    assert len(kept.pop("crc32c")) == 8
     assert (kept["wafer_id"], kept["job"], kept["simulated"]) == ("W07", "demonstration wafer A", True)
     again = viewer("measure", "verdict", path)
     assert (again.returncode, json.loads(again.stdout)) == (0, kept)

@@ -179,6 +179,7 @@ def test_a_bump_on_a_surface_is_found_by_the_work_and_belongs_to_its_surface(pai
 
 
 @pytest.mark.slow
-def test_a_surface_on_which_nothing_repeats_is_refused_in_a_sentence(pair):
-    with pytest.raises(MeasureError):
-        inspect_dataset(pair[1], "default", DefectRecipe())
+def test_a_surface_on_which_nothing_repeats_is_compared_with_the_fitted_form(pair):
+    found = inspect_dataset(pair[1], "default", DefectRecipe())
+    assert found.reference == "form"
+    assert "compared with the fitted form" in found.notes[0]

@@ -11,7 +11,13 @@ import pytest
 from wafer_viewer.gui.defect_form_values import DefectForm, against_of, dies_of, form_of, recipe_of
 from wafer_viewer.model.defects import Defect, DefectRecipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.rigs.virtual.scenes.tour_wafer import DEPTH_UM, DROP_HEIGHT_UM, Planted, planted
+from wafer_viewer.rigs.virtual.scenes.tour_wafer import (
+    DEPTH_UM,
+    DROP_HEIGHT_UM,
+    Planted,
+    planted,
+    scratch_middle,
+)
 
 pytestmark = pytest.mark.slow
 NEAR_UM = 6.0
@@ -31,8 +37,14 @@ def inspection(session, surfaced, patience_s):
 
 def near(found: tuple[Defect, ...], one: Planted) -> list[Defect]:
     """What was found of a planted defect: of a scratch, its parts on each die."""
-    reach_um = one.length_um / 2 if one.kind == "scratch" else NEAR_UM
-    return [d for d in found if math.hypot(d.center.x_um - one.x_um, d.center.y_um - one.y_um) <= reach_um]
+    if one.kind == "scratch":
+        return [d for d in found if _along(d.center.x_um, d.center.y_um, one)]
+    return [d for d in found if math.hypot(d.center.x_um - one.x_um, d.center.y_um - one.y_um) <= NEAR_UM]
+
+
+def _along(x_um: float, y_um: float, scratch: Planted) -> bool:
+    """Whether a place lies on the bent line of the scratch."""
+    return abs(x_um - scratch.x_um) <= scratch.length_um / 2 and abs(y_um - scratch_middle(x_um)) <= NEAR_UM
 
 
 def test_the_rig_carries_the_sample_of_the_tour_until_another_plan_is_taken_up(session, inspection, patience_s):
@@ -59,7 +71,7 @@ def test_each_planted_defect_is_found_and_classed(inspection, one):
     assert {defect.kind for defect in found} == {one.kind}
     if one.kind == "particle":
         (particle,) = found
-        assert particle.major.value_um == pytest.approx(one.length_um, rel=0.35)
+        assert particle.major.value_um == pytest.approx(one.length_um, rel=0.5)  # the focus window widens it
         assert 0 < particle.height.value_um <= 1.1 * one.height_um
 
 
