@@ -60,7 +60,7 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     assert open_golden(folder / "golden" / "lx7.1.golden.npz").header.made_of == "w7"
 
     page.locator("[data-pick=defect-errand][data-k=export]").press("Enter")
-    expect(dialog).to_contain_text("It has no room for U")
+    expect(dialog).to_contain_text("It cannot hold U")
     expect(text_field(page, "File name")).to_have_value("w7-defects.klarf")
     path = folder / "w7-defects.klarf"
     dialog.get_by_role("button", name="Export", exact=True).click()
@@ -71,7 +71,7 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     page.locator("[data-pick=defect-errand][data-k=klarf]").press("Enter")
     type_into(page, "Path", str(path.with_name("gone.klarf")))
     dialog.get_by_role("button", name="Overlay", exact=True).click()
-    expect(dialog).to_contain_text("is not there: check the path.")
+    expect(dialog).to_contain_text("does not exist: check the path.")
     type_into(page, "Path", str(path))
     dialog.get_by_role("button", name="Overlay", exact=True).click()
     expect(page.get_by_text(f"{n} places of another tool: {n} found here too, 0 not.")).to_be_visible()

@@ -41,7 +41,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 def inspect(page: Page, session: Session, name: str) -> None:
     """Open a dataset and press Inspect in Review."""
-    session.open(session.snapshot.data_folder / name).result(READY_S)
+    session.open_dataset(session.snapshot.data_folder / name).result(READY_S)
     session.wait_until(lambda now: now.surface is not None, READY_S)
     go_to(page, "Review")
     press(page, "Inspect")

@@ -136,7 +136,7 @@ def fill_in_import(page: Page, path: str) -> None:
     set_numbers(page, "z step, µm", Z_STEP_UM)
     set_numbers(page, "Pixel, µm", 0.5)
     put(page, text_field(page, "Name"), "elsewhere")
-    page.get_by_role("dialog").get_by_role("button", name="Import").click()
+    page.get_by_role("dialog").get_by_role("button", name="Import", exact=True).click()
 
 
 def write_stack(folder: Path) -> None:

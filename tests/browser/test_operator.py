@@ -151,7 +151,9 @@ def test_an_engineer_adds_corners_and_a_feature_and_releases(serve: Callable[...
     assert (session.snapshot.draft.job.product, session.snapshot.draft.job.revision) == ("coupon", "A")
 
 
-def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_wafers(serve: Callable[..., Page]):
+def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_wafers(
+    serve: Callable[..., Page], tmp_path: Path
+):
     planned = dataclasses.replace(fake.measured(), draft=day.tried().draft, operating=day.tried().operating)
     session = fake.FakeSession(planned)
     page = serve(session)
@@ -168,6 +170,7 @@ def test_an_engineer_makes_a_kept_result_a_feature_and_tries_the_plan_on_stored_
     eventually(lambda: len(session.snapshot.draft.job.features) == 3, "the feature is kept")
     assert session.snapshot.draft.job.features[-1].places
     press(page, "Try on wafers…")
+    put(page, text_field(page, "Path"), str(tmp_path))
     press(page, "Try it")
     eventually(lambda: "trials.begin" in [name for name, _, _ in session.asked], "the plan is tried")
 

@@ -79,7 +79,7 @@ def test_lines_are_cut_read_compared_and_written(cutting: Page):
 
     text = written(page, "CSV").decode()
     table = columns(text)
-    assert {name.rpartition(" ")[0] for name in table} == {"A", "B", "B filled"}
+    assert {name.rpartition(" ")[0] for name in table} == {"A", "B", "B filtered and filled heights"}
     assert len(set(table["B y_um"])) == 1
     assert text.startswith("# Wafer Viewer")
     assert "levelled by stage" in text

@@ -82,11 +82,12 @@ def exported(page: Page, session: Session, ending: str) -> str:
     """Export the defects to the file that the dialog proposes, with another ending."""
     page.locator("[data-pick=defect-errand][data-k=export]").press("Enter")
     dialog = page.get_by_role("dialog")
-    path = Path(text_field(page, "Path").input_value()).with_suffix(ending)
+    name = text_field(page, "File name").input_value()
+    path = (session.snapshot.data_folder / name).with_suffix(ending)
     if ending != ".klarf":
         dialog.get_by_label("Format").click()
         page.get_by_role("option").filter(has_text="CSV").click()
-        expect(text_field(page, "Path")).to_have_value(str(path))
+        expect(text_field(page, "File name")).to_have_value(path.name)
     dialog.get_by_role("button", name="Export", exact=True).click()
     eventually(path.exists, f"{path.name} is written")
     expect(dialog).to_have_count(0)

@@ -59,10 +59,10 @@ def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, 
     note(page).get_by_role("button", name="Press it for me").click()
     leads(page, 5, "Find what does not belong", "Inspect")
     press(page, "Inspect")
-    leads(page, 6, "Judge a defect", "Accepted")
+    leads(page, 6, "Judge a defect", "Accept")
     kinds = {defect.seen_as for defect in session.snapshot.inspection.inspection.found}
     assert kinds >= {"residue", "scratch", "particle"}
-    press(page, "Accepted")
+    press(page, "Accept")
     leads(page, 7, "Write it down", "Report")
     note(page).get_by_role("button", name="Press it for me").click()
     leads(page, 7, "Write it down", "Write report")
