@@ -46,7 +46,7 @@ def test_rows_and_columns_are_cut_by_number_from_edge_to_edge(tilted, capsys):
 
 def test_raw_and_cleaned_heights_are_two_curves_of_one_line(tilted, capsys):
     raw, cleaned = told(capsys, tilted, "--row", 30, "--cleaned")
-    assert (raw["curve"], cleaned["curve"]) == ("A", "A filled")
+    assert (raw["curve"], cleaned["curve"]) == ("A", "A filtered and filled heights")
     assert raw["measured_fraction"] < cleaned["measured_fraction"] == 1.0
 
 

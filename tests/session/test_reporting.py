@@ -111,7 +111,7 @@ def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
     report = report_of(dataset, RESULT, ReportOrder(parts=("results",)))
     ((number, name, kind, value, place, thought),) = report.sections[0].table.rows
     assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
-    assert kind == "Step height, unsmoothed"
+    assert kind == "Step height, measured heights"
     assert value.startswith("12.0")
     (sheet,) = report.sections[0].sheets
     assert (sheet.number, sheet.title, sheet.value) == ("1", "Die <b>", value)

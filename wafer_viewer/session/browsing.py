@@ -303,7 +303,7 @@ def saved_as(browsing: Browsing, text: str, folder: Path, ending: str) -> Path:
         raise DatasetError("The file has no name: type one.")
     path = browsing.path_of(text, folder)
     if not path.parent.is_dir():
-        raise DatasetError(f"The folder {path.parent} is not there: choose one from the list.")
+        raise DatasetError(f"The folder {path.parent} does not exist: choose one from the list.")
     return path if path.name.lower().endswith(ending.lower()) else path.with_name(f"{path.name}{ending}")
 
 

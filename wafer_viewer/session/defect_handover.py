@@ -97,5 +97,5 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
     if (found := wafer.before) is None:
         raise DatasetError(f"{dataset.stem} was not inspected for defects yet: inspect it first.")
     if same_surface and found.mark not in ("", mosaic_mark(Dataset.open(dataset).result(result))):
-        raise DatasetError(f"The surface of {dataset.stem} was made again since it was inspected: inspect it again.")
+        raise DatasetError(f"The surface of {dataset.stem} was reconstructed since it was inspected: inspect it again.")
     return wafer, found
