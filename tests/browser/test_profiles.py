@@ -65,10 +65,10 @@ def test_lines_are_cut_read_compared_and_written(cutting: Page):
     expect(head(page).get_by_label("Line B")).to_have_attribute("aria-pressed", "true")
 
     press(page, "Horizontal cut")
+    expect(head(page)).to_contain_text(re.compile(r"336.µm long"))  # a person waits for the curve, too
     row = numbers(page, "Row").first
     put(page, row, "200")
     expect(page.get_by_text("Rows 0 to")).to_be_visible()
-    expect(head(page)).to_contain_text(re.compile(r"336.µm long"))  # a person waits for the curve, too
     set_numbers(page, "Cursors, µm", 20, 120)
     expect(head(page)).to_contain_text(re.compile(r"Δx 100\.\d"))
 

@@ -55,6 +55,12 @@ if (!window.wvContact) {
     for (const part of document.body.children) if (part !== bar) part.inert = !yes;
   };
 
+  const startedAnew = now => {
+    until = Infinity;
+    show('anew', `${icon(ANEW)}<div><b>The instrument was started anew at ${safe(now.since)}</b>${safe(now.anew)}</div>
+      <button type="button">${safe(now.look)}</button>`);
+  };
+
   let last = null, wasClosed = false, heardAt = 0, lostAt = 0, beat = null, silent = 0, tickAt = Date.now(), until = 0;
 
   const lose = () => {
@@ -78,9 +84,7 @@ if (!window.wvContact) {
       until = Date.now() + BACK_MS;
       show('back', `${icon(PLUG)}<div><b>Contact again after ${gone}</b>${safe(now.back)}</div><span>${clock(Date.now())}</span>`);
     } else {
-      until = Infinity;
-      show('anew', `${icon(ANEW)}<div><b>The instrument was started anew at ${safe(now.since)}</b>${safe(now.anew)}</div>
-        <button type="button">${safe(now.look)}</button>`);
+      startedAnew(now);
     }
   };
   bar.addEventListener('click', event => {
@@ -110,7 +114,12 @@ if (!window.wvContact) {
     if (lostAt && !lost && element && !(wasClosed && element.dataset.page === last.page)) regain(element.dataset);
     else if (!lostAt && lost && last) lose();
     if (lostAt) count();
-    else if (element) last = { ...element.dataset };
+    else if (element) {
+      /* A program that was just started still reads what it had kept: the bar follows it. */
+      const { anew, look } = element.dataset, changed = last && (anew !== last.anew || look !== last.look);
+      last = { ...element.dataset };
+      if (changed && bar.classList.contains('anew')) startedAnew(last);
+    }
     if (until && Date.now() > until) { until = 0; show('', ''); }
   }, TICK_MS);
 }
