@@ -130,12 +130,12 @@ if [ "$what" = all ] || [ "$what" = fast ]; then
   step "Format" "$bin/ruff" format --check --quiet .
   step "Layers" "$bin/lint-imports"
   start_types
-  step "Fast tests" "$bin/python" -m pytest -q -n 2 --dist worksteal -m "not slow and not browser and not hardware"
+  step "Fast tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist worksteal -m "not slow and not browser and not hardware"
   step "Types, begun beside the fast tests" end_types
 fi
 if [ "$what" = all ]; then
-  step "Slow tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "slow and not browser and not hardware"
-  step "Browser tests" "$bin/python" -m pytest -q -n 2 --dist loadfile -m "not hardware" tests/browser
+  step "Slow tests" "$bin/python" -m pytest -q -n 2 --durations=15 --dist loadfile -m "slow and not browser and not hardware"
+  step "Browser tests" "$bin/python" -m pytest -q -n 2 --durations=25 --dist loadfile -m "not hardware" tests/browser
 fi
 if [ "$what" = bench ]; then step "Benchmarks, quick runs" quick_benchmarks; fi
 if [ ${#missing[@]} -gt 0 ]; then

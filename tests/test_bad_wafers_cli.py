@@ -40,7 +40,7 @@ def one_die() -> HeightMap:
 
 
 WITHOUT_DIES = {
-    "nothing repeats": (lambda: noise(made()), "No dies are found, for nothing repeats along x or y"),
+    "nothing repeats": (lambda: noise(made()), "No dies are found, because nothing repeats along x or y"),
     "one die only": (one_die, "are no whole dies|nothing repeats along"),
     "turned by 8 degrees": (lambda: made(Wafer(angle_deg=8)), r"turned by 8\.0 degrees and at most 5 can be found"),
 }

@@ -211,7 +211,7 @@ def test_a_scan_names_what_slipped_and_takes_it_again(plan, scan, tmp_path):
     assert "counted 1 edge that the pulse box did not send" in done.stderr
     checked = viewer("check", tmp_path / "slipped.wafer")
     assert checked.returncode == 0
-    assert "2 passes held against the counts of the pulse box" in checked.stdout
+    assert "2 passes checked against the counts of the pulse box" in checked.stdout
     assert "none in doubt" in checked.stdout
     assert "noted during the scan: None of the 12 frames" in checked.stdout
     clean, slipped = Dataset.open(scan), Dataset.open(tmp_path / "slipped.wafer")

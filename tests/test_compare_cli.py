@@ -56,7 +56,7 @@ def test_a_difference_is_kept_with_the_first_dataset_under_a_name(folder):
     [
         (("a.npz", "other.npz", "-o", "x.npz"), "do not look alike"),
         (("a.npz", "gone.npz"), "does not exist"),
-        (("a.npz", "b.npz", "-o", "name"), "is no file: give it an ending"),
+        (("a.npz", "b.npz", "-o", "name"), "is not a file: give it an ending"),
         (("a.npz", "b.npz", "-o", "off.abc"), "has no ending that is known"),
         (("a.npz", "b.npz", "--align", "somehow"), "somehow"),
         (("before.wafer", "after.wafer", "--second-result", "levy"), "has no stitched surface"),

@@ -101,7 +101,7 @@ def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, told, refuse
     assert corrected.z_scale == pytest.approx(done["factor"])
     assert "corrected by this check already" in refused("calibrate", "z", folder, "--by", "Ann")
     again = scan_of_blocks(tmp_path, 9, calibration=corrected)
-    assert "so a comparison with it is no check" in refused("measure", "gauge", str(again), *CHECK)
+    assert "so a comparison with it checks nothing" in refused("measure", "gauge", str(again), *CHECK)
 
 
 @pytest.mark.parametrize(

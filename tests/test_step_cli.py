@@ -45,7 +45,7 @@ def test_a_step_of_several_rectangles_by_a_definition(blocks, capsys):
 def test_faces_are_found_where_none_are_given(blocks, capsys, words):
     found = told(capsys, "step", blocks, *words)
     assert abs(found["height"]["value_um"] - STEP_UM) < 1
-    assert found["notes"][0] == "The faces were found by themselves."
+    assert found["notes"][0] == "The faces were found automatically."
 
 
 def test_a_single_step_along_a_line(blocks, capsys):

@@ -12,14 +12,14 @@ PROGRAM = "wafer-viewer"
 REFUSED, INTERRUPTED = 2, 130
 COMMANDS: dict[str, str] = {
     "serve": "open the viewer in the browser",
-    "plan": "price every way to scan a plan; nothing moves",
+    "plan": "estimate the time of every way to scan a plan; nothing moves",
     "scan": "scan without the browser, or continue an unfinished scan",
     "import": "make a dataset of images taken elsewhere, or of a surface file",
     "reconstruct": "make a surface of a focus stack or a dataset, as a file",
     "release": "make a plan a job that operators run with four actions",
     "stitch": "make the stitched surface of a dataset",
     "measure point": "the height at a point",
-    "measure distance": "the way between two points",
+    "measure distance": "the distance between two points",
     "measure step": "the height of one region over another",
     "measure groove": "the depth of a groove, or the height of a step, along a line",
     "measure angle": "the angle between two faces",
@@ -48,7 +48,7 @@ COMMANDS: dict[str, str] = {
     "cluster": "make what several machines need to work together",
     "convert": "write a surface in another format",
     "glossary": "what the words of this program mean",
-    "doctor": "what this machine has and lacks, and the line that mends it",
+    "doctor": "what this machine has and lacks, and how to fix it",
 }
 FUNCTIONS = {"import": "import_", "measure site-range": "measure_site_range"}
 """The functions that are not called as their command is, with underscores for spaces."""

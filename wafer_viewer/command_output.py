@@ -155,7 +155,7 @@ def print_check(data: Dataset, report: CheckReport) -> None:
 def print_passes(report: PassReport) -> None:
     """Whether counts and times of the passes fit their frames, and what the scan itself reported."""
     print(
-        f"{report.n_passes} passes held against the counts of the pulse box, {report.n_timed} of them against the "
+        f"{report.n_passes} passes checked against the counts of the pulse box, {report.n_timed} of them against the "
         f"times of their frames: {len(report.doubts) or 'none'} in doubt"
     )
     for doubt in report.doubts:
@@ -171,7 +171,7 @@ def print_digests(digests: Iterable[Digest]) -> None:
 
 
 def print_checks(checks: Iterable[Check]) -> int:
-    """One line for each thing looked at, and the line that mends it; 1 when there is something to mend."""
+    """One line for each thing looked at, and how to fix it; 1 when there is something to mend."""
     status = 0
     for check in checks:
         print(f"{'ok  ' if check.well else 'LACK'} {check.what}: {check.found}", flush=True)
@@ -186,8 +186,8 @@ def print_cluster(folder: Path, host: str) -> None:
     there = f"cd {shlex.quote(str(folder))} && DASK_CONFIG=."
     ours = f"DASK_CONFIG={shlex.quote(str(folder))} wafer-viewer"
     closed = "--dashboard-address 127.0.0.1:0"
-    print(rf"""{folder} has the cluster's certificates. Copy it to every machine, wherever it fits there, and show it to
-nobody: whoever has it can run code on them. On {host}, which shares out the work:
+    print(rf"""{folder} has the cluster's certificates. Copy it to every machine, wherever it fits there, and keep it
+secret: whoever has it can run code on them. On {host}, which shares out the work:
   {there} dask scheduler {closed}
 On every machine that works, with as many workers as it has processors and 3 GiB for each:
   {there} dask worker tls://{host}:8786 --nworkers 2 --nthreads 1 --memory-limit 3GiB \

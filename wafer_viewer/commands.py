@@ -249,7 +249,7 @@ def cluster(folder: Folder, host: Text = None) -> None:
 
 
 def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
-    """What this machine has and lacks, and the line that mends it; status 1 when something is lacking.
+    """What this machine has and lacks, and how to fix it; status 1 when something is lacking.
 
     Args:
         rig: RIG.toml of the instrument; the virtual rig without it.

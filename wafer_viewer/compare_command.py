@@ -57,7 +57,9 @@ def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, 
 
     if out is not None and not out.suffix:
         if Path(one.path).suffix != ".wafer" or out.name != str(out):
-            raise DatasetError(f"{out} is no file: give it an ending such as .npz, or compare with a NAME.wafer first.")
+            raise DatasetError(
+                f"{out} is not a file: give it an ending such as .npz, or compare with a NAME.wafer first."
+            )
         with progress("Comparison") as tell:
             return keep_difference(Path(one.path), out.name, one, other, align, keep_z, tell)
     if out is not None:

@@ -122,7 +122,7 @@ def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
     recipe = next((recipe for recipe in kept if recipe.product == product), None)
     if recipe is None:
         return DefectRecipe(product=product)
-    warn(f"Recipe '{recipe.name}' of {product} is taken, for it was saved last: --recipe takes another.")
+    warn(f"Recipe '{recipe.name}' of {product} is used because it was saved last: --recipe takes another.")
     return recipe
 
 

@@ -131,4 +131,4 @@ def _faces(
     from wafer_viewer.measure.find_faces import find_faces
 
     found = find_faces(surface)
-    return (found.upper,), (found.lower,), ("The faces were found by themselves.", *found.notes)
+    return (found.upper,), (found.lower,), ("The faces were found automatically.", *found.notes)

@@ -185,7 +185,7 @@ def test_a_counter_that_starts_anywhere_is_set_by_the_stages_position(virtual_ri
     rig, ledger = virtual_rig(), Ledger()
     rig.stage.move_to(z_um=50.0)
     rig._firmware.reboot()
-    with pytest.raises(RigError, match="started anew"):
+    with pytest.raises(RigError, match="restarted during a pass"):
         rig.box.count("z")
     run_scan(small_plan(rig, **FIELDS), rig, ledger, control())
     assert len(ledger.kept) == N

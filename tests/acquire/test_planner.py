@@ -38,7 +38,7 @@ def price(strategy, fields=GAUGE_BLOCKS, sweep=SWEEP, exposures_us=(100.0,), lim
     return next(p for p in price_all(fields, sweep, exposures_us, limits) if p.strategy == strategy)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     strategy=st.sampled_from(list(STRATEGIES)),
     rows=st.integers(1, 4),

@@ -53,7 +53,7 @@ def right(frame, one):
     return one.shots[int(frame.image[0, 0])] == frame.shot
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     lost=st.sets(st.integers(0, N - 1), max_size=12),
     counter=st.booleans(),

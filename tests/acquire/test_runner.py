@@ -180,7 +180,7 @@ def test_a_box_that_lost_its_power_aborts_the_pass_and_leaves_the_rig_at_rest(
 ):
     rig = virtual_rig(faults=Faults(reboots=(25,)))
     plan = small_plan(rig, strategy)
-    with pytest.raises(RigError, match="started anew"):
+    with pytest.raises(RigError, match="restarted during a pass"):
         run_scan(plan, rig, recorder, control())
     rig.stage.wait()
     assert not rig.stage.moving()

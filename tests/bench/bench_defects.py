@@ -50,7 +50,7 @@ def main() -> int:
     inspect((clean := made(side, given.seed, ())).surface, clean.grid)
     rows = [case(side, given.seed, ())]
     rows += [case(side, given.seed + k, scattered(k, N_PLANTED, shape, *c)) for k, c in enumerate(CASES, 1)]
-    header = ("Planted", "Mpx", "captured", "%", "goal", "false", "a mm2", "goal", "foretold", "s", "cpu s", "goal")
+    header = ("Planted", "Mpx", "captured", "%", "goal", "false", "per mm2", "goal", "foretold", "s", "cpu s", "goal")
     show("Defects on noisy height maps", header, rows)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(f"\nPeak memory, the wafers themselves with it: {peak:.2f} GB (goal {GIGABYTES:g} GB).")

@@ -15,7 +15,7 @@ from tests.browser.screens import FLAGS, dismiss_viser_warning
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 
-PATIENCE_MS = 60_000
+PATIENCE_MS = 120_000
 """A machine without a graphics card draws slowly; no test waits that long where it does not have to."""
 WINDOW = {"width": 1366, "height": 768}
 LIGHT = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
@@ -27,7 +27,7 @@ CHROMIUM = next((p for p in ("chromium", "chromium-browser", "google-chrome") if
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium")
-    expect.set_options(timeout=PATIENCE_MS / 2)
+    expect.set_options(timeout=PATIENCE_MS)
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=shutil.which(CHROMIUM), args=[*FLAGS, *LIGHT])
         yield chromium

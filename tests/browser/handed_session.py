@@ -26,4 +26,4 @@ def with_other_tool() -> InspectedSession:
 def with_golden(page: Page) -> None:
     """Compare with a golden die: the list of them unfolds."""
     page.get_by_label("Compare", exact=True).click()
-    page.get_by_role("option", name="With a golden die").click()
+    page.get_by_role("option", name="Die to golden die").click()

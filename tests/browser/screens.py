@@ -83,6 +83,7 @@ def tour(page: Page, folder: Path, dark: bool) -> None:
             session.wait_until(lambda now: now.rig.state == "ready", 60)
             take(page, folder / "1-start.png")
             page.locator("[data-pick=tour]").click()
+            page.get_by_role("button", name="Start scan").last.click()
             session.wait_until(lambda now: now.scan is not None and now.scan.frames_done > 250, 120)
             take(page, folder / "2-acquire.png")
             session.wait_until(lambda now: now.surface_is_whole, 240)

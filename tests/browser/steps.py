@@ -77,7 +77,7 @@ def click_the_surface(page: Page, right_px: float = 0.0, down_px: float = 0.0) -
     eventually(answered, "the surface was hit")
 
 
-def eventually(holds: Callable[[], bool], what: str, within_s: float = 30.0) -> None:
+def eventually(holds: Callable[[], bool], what: str, within_s: float = 120.0) -> None:
     """Wait for something outside the browser."""
     deadline = time.monotonic() + within_s
     while not holds():

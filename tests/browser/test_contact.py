@@ -79,7 +79,7 @@ def test_an_open_page_comes_back_by_itself_after_the_program_was_killed(
     _, again = program()
     assert again == address
     expect(bar).to_have_css("background-color", AMBER)
-    expect(bar).to_contain_text(re.compile(r"The instrument was started anew at \d\d:\d\d:\d\d"))
+    expect(bar).to_contain_text(re.compile(r"The instrument was restarted at \d\d:\d\d:\d\d"))
     expect(bar).to_contain_text("Nothing moves before the sample is confirmed.")
     bar.get_by_role("button", name="Look, and confirm the sample").click()
     expect(bar).to_be_hidden()

@@ -1,4 +1,4 @@
-"""A defect beside its like and all dies on one, by keys alone."""
+"""A defect compared and all dies on one, by keys alone."""
 
 from __future__ import annotations
 

@@ -70,9 +70,9 @@ def test_the_switch_and_its_key_show_the_fields_with_a_legend_and_name_what_is_d
 def test_details_unfold_to_what_the_stage_alone_knows(serve: Serve, stitched: StitchedSession):
     page = serve(stitched)
     go_to(page, "Surface")
-    expect(panel(page)).not_to_contain_text("Known from the stage only")
+    expect(panel(page)).not_to_contain_text("Known only from the stage")
     page.locator("[data-pick=stitching]").click()
-    expect(panel(page)).to_contain_text("Known from the stage only")
+    expect(panel(page)).to_contain_text("Known only from the stage")
     expect(panel(page)).to_contain_text("Bow±\u202f0.82\u202fµm")
 
 

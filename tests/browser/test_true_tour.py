@@ -55,17 +55,17 @@ def test_the_tour_leads_from_an_empty_folder_to_a_report_that_opens(page: Page, 
     expect(page.locator(".wv-answer")).to_contain_text("µm", timeout=1000 * WORK_S)
     leads(page, 4, "Measure a step", "Keep result")
     press(page, "Keep result")
-    leads(page, 5, "Find what does not belong", "Review")
+    leads(page, 5, "Find the defects", "Review")
     note(page).get_by_role("button", name="Press it for me").click()
-    leads(page, 5, "Find what does not belong", "Inspect")
+    leads(page, 5, "Find the defects", "Inspect")
     press(page, "Inspect")
     leads(page, 6, "Judge a defect", "Accept")
     kinds = {defect.seen_as for defect in session.snapshot.inspection.inspection.found}
     assert kinds >= {"residue", "scratch", "particle"}
     press(page, "Accept")
-    leads(page, 7, "Write it down", "Report")
+    leads(page, 7, "Write the report", "Report")
     note(page).get_by_role("button", name="Press it for me").click()
-    leads(page, 7, "Write it down", "Write report")
+    leads(page, 7, "Write the report", "Write report")
     press(page, "Write report")
 
     card = page.get_by_role("dialog", name="Results of the tour")

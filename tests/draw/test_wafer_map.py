@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from xml.etree import ElementTree
 
 import pytest
@@ -21,12 +20,10 @@ def fields(side: int = SIDE):
     return grid.centred_on(0.0, 0.0).fields()
 
 
-def test_ten_thousand_fields_are_few_shapes_and_quickly_drawn():
+def test_ten_thousand_fields_are_few_shapes():
     every = fields()
     states = {f.number: "measured" if f.row < SIDE / 2 else "to come" for f in every}
-    began = time.perf_counter()
     drawing = field_map_svg(every, *SIZE_UM, states, selected=7, onclick="go()")
-    assert time.perf_counter() - began < 1.0
     assert len(every) == 10_000
     assert len(drawing) < 400_000
     paths = ElementTree.fromstring(drawing).findall(".//path")

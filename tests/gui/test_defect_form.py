@@ -82,8 +82,8 @@ def test_dies_that_are_none_are_told_in_a_sentence(form: DefectForm, says: str):
         (DefectForm(compare=GOLDEN), "No golden die is chosen"),
         (DefectForm(scales_px="0, wide"), "The scales '0, wide' are not numbers"),
         (DefectForm(scales_px="0, 41"), "at least one scale, each at most 40 px"),
-        (DefectForm(scales_px="0", max_per_die="few"), "'few' is no number of defects a die"),
-        (DefectForm(scales_px="0", max_per_die="1.5"), "a die has whole defects"),
+        (DefectForm(scales_px="0", max_per_die="few"), "'few' is not a number of defects per die"),
+        (DefectForm(scales_px="0", max_per_die="1.5"), "give a whole number"),
         (DefectForm(scales_px="0", max_per_mm2="-1"), "it must be at least 0"),
         (DefectForm(scales_px="0", max_per_mm2="nan"), "it must be at least 0"),
     ],
@@ -95,7 +95,7 @@ def test_a_form_that_makes_no_recipe_is_told_in_a_sentence(form: DefectForm, say
 
 def test_turning_the_dial_says_what_it_costs_here_and_on_a_whole_wafer():
     said = expectation(0.5, INSPECTION)
-    assert "0.040 a mm², under 0.1 here, 2\u202f800 on a wafer of 300 mm" in said
+    assert "0.040 per mm², under 0.1 here, 2\u202f800 on a wafer of 300 mm" in said
     assert "2\u202f800" not in expectation(0.8, INSPECTION)
     assert "after the first inspection" in expectation(0.5, None)
 
@@ -132,7 +132,7 @@ def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name()
 def test_what_is_folded_away_is_told_in_a_line():
     assert "no limits" in more(form_of(DefectRecipe(), None), False)
     line = more(form_of(KEPT, None), False)
-    assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 a die and 0.1 a mm²" in unescape(line)
+    assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
     assert "scales" not in more(form_of(KEPT, None), True)
 
 
@@ -145,7 +145,7 @@ def test_limits_are_typed_and_lead_to_a_verdict():
     beyond = verdict(replace(INSPECTION, recipe=DefectRecipe(limits=limits)))
     assert "Not within the limits" in beyond
     assert "so not clean" in beyond
-    assert "a mm²," in beyond
+    assert "per mm²," in beyond
     scanned = tuple(replace(die, state="whole") for die in INSPECTION.dies)
     loose = DefectLimits(max_per_die=9)
     assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))

@@ -1,4 +1,4 @@
-"""What lies over the scene in a review: a defect beside its like, and all dies overlaid."""
+"""What lies over the scene in a review: a defect compared, and all dies overlaid."""
 
 from __future__ import annotations
 

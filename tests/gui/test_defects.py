@@ -121,7 +121,7 @@ def test_what_stands_against_the_list_is_said():
 
 
 def test_the_expected_false_count_is_shown_from_the_data():
-    assert per_mm2(INSPECTION.expected_false_at(0.5)) == "0.040 a mm²"
+    assert per_mm2(INSPECTION.expected_false_at(0.5)) == "0.040 per mm²"
     assert per_mm2(None) == "not known before an inspection"
     assert per_mm2(1e-6).startswith("under")
 

@@ -56,7 +56,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 def a_field(page: Page) -> tuple[Field[float], Handle]:
     handle = Handle()
-    return Field(handle, lambda event: None, page, "It stays"), handle
+    return Field(handle, lambda event: None, page, "The report was not changed"), handle
 
 
 def test_it_shows_what_the_session_has(clock: SimpleNamespace):

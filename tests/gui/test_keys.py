@@ -139,7 +139,7 @@ def test_only_views_that_exist_are_listed_by_the_name_they_have_now():
         (PLANNED, View(), "Accept", "no dataset is open"),
         (MEASURED, View(step="review"), "Class: Particle", "no defect is under review"),
         (MEASURED, View(), "Hillshade", "go to Surface first"),
-        (MEASURED, View(step="review"), "Beside its like", "no defect is under review"),
+        (MEASURED, View(step="review"), "Compare the defect", "no defect is under review"),
         (MEASURED, View(step="review"), "All dies overlaid, next place", "the surface has not been inspected yet"),
         (MEASURED, View(step="surface"), "Accept", "go to Review first"),
         (MEASURED, View(step="surface", show=2), "Fields and overlaps", "over the stitched surface"),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.gui.stand_in import MemoryShelf, height_map
@@ -165,7 +165,6 @@ SHAPED = {
 
 
 @pytest.mark.parametrize("kind", list(SHAPES))
-@settings(deadline=None)
 @given(to=PLACES_ON_IT)
 def test_whatever_is_pulled_stays_on_the_surface_and_of_its_kind(kind, to) -> None:
     for hold in SHAPES[kind].holds(SHAPED[kind]):

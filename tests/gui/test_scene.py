@@ -52,7 +52,7 @@ def two_levels() -> HeightMap:
     return height_map(z, pixel, -(cols - 1) / 2 * pixel, (rows - 1) / 2 * pixel)
 
 
-def until(condition: Callable[[], object], timeout_s: float = 20.0) -> None:
+def until(condition: Callable[[], object], timeout_s: float = 120.0) -> None:
     """Watch for something that another thread brings about."""
     end = time.monotonic() + timeout_s
     while not condition():

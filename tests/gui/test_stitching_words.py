@@ -42,7 +42,7 @@ def test_steps_that_are_not_known_are_not_told():
 
 def test_the_form_that_the_stage_alone_knows_stands_in_the_details():
     said = text(words.details(FOUND))
-    assert "Known from the stage only" in said
+    assert "Known only from the stage" in said
     assert "Bow ± 0.82 µm" in said
     assert "largest 7.9 µm" in said
     assert "nan" not in text(words.details(dataclasses.replace(FOUND, form=(("bow", float("inf")),))))
@@ -66,7 +66,7 @@ def test_many_doubted_overlaps_unfold_and_the_rest_is_counted():
     said = words.doubted(all_doubted, 0.5)
     assert len(rows_of(said)) == words.LISTED
     assert f"{180 - words.SHOWN} more" in text(said)
-    assert f"and {180 - words.LISTED} that are less far off" in text(said)
+    assert f"and {180 - words.LISTED} with smaller offsets" in text(said)
     assert words.doubted(dataclasses.replace(poses, shifts=shifts), 0.5) == ""
 
 

@@ -62,7 +62,7 @@ def test_where_nothing_is_seen_they_stay_as_given_and_it_is_said():
     fitted = fitted_dies(dataclasses.replace(surface, z_um=noise, z_raw_um=noise, all_in_focus=blank), TRUE)
     assert fitted.off is None
     assert replace(fitted.grid, notes=()) == TRUE
-    assert "taken as given" in fitted.grid.notes[0]
+    assert "used as given" in fitted.grid.notes[0]
 
 
 def test_a_turned_wafer_keeps_its_turn():

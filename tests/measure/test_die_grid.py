@@ -167,7 +167,7 @@ def test_noise_and_a_blank_surface_are_no_dies():
     surface = made()
     noise = np.random.default_rng(5).standard_normal(surface.shape).astype(np.float32)
     plain = dataclasses.replace(surface, z_um=noise, z_raw_um=noise, all_in_focus=np.full(surface.shape, 80, np.uint8))
-    with pytest.raises(MeasureError, match="No dies are found, for nothing repeats along x or y"):
+    with pytest.raises(MeasureError, match="No dies are found, because nothing repeats along x or y"):
         find_dies(plain)
     with pytest.raises(MeasureError, match="shows no contrast that dies could be found by"):
         find_dies(plain, evidence="picture")

@@ -19,7 +19,7 @@ def scattered(n=2000, seed=1):
 
 
 @given(a=SLOPES, b=SLOPES, c=st.floats(-1e4, 1e4))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_plane_far_from_the_origin_is_found_exactly(a, b, c):
     _, x_um, y_um = scattered()
     plane, fit = fit_plane(Points(x_um, y_um, a * x_um + b * y_um + c))

@@ -23,7 +23,7 @@ INSIDE = st.tuples(st.floats(-28, 28), st.floats(-18, 18))
 
 
 @given(start=INSIDE, end=INSIDE, width_um=st.floats(0, 3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_plane_is_cut_exactly_along_any_line(start, end, width_um):
     if np.hypot(end[0] - start[0], end[1] - start[1]) < 1:
         return

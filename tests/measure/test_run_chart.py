@@ -69,7 +69,7 @@ def test_two_days_tell_no_drift():
 def test_a_drift_that_leaves_the_limit_before_the_next_check_is_warned_of(interval, said):
     errors = [0.0, 0.021, 0.04, 0.059, 0.08]
     (warning,) = run_chart(of_errors(*errors, interval_days=interval)).warnings
-    assert "drifts by +0.02 um a day" in warning
+    assert "drifts by +0.02 um per day" in warning
     assert said in warning
 
 

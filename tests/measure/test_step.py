@@ -211,7 +211,7 @@ def surface_of_half(fine):
 
 
 @given(height=st.floats(-500, 500), slope_x=st.floats(-0.05, 0.05), slope_y=st.floats(-0.05, 0.05))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_any_step_on_any_plane_is_found(height, slope_x, slope_y):
     x_um, y_um = np.meshgrid((np.arange(120) - 59.5) * 0.5, (29.5 - np.arange(60)) * 0.5)
     surface = surface_of(slope_x * x_um + slope_y * y_um + np.where(x_um < 0, height, 0.0))

@@ -218,7 +218,7 @@ def test_a_quantity_that_is_not_there_or_in_another_unit_has_no_verdict(change, 
     [
         ({"upper_limit": None}, "or else lower_limit"),
         ({"lower_limit": 4.0}, "over the lower limit 4 um"),
-        ({"places": BLOCKS.places}, r"measured at face \(rectangle\); here are rectangle, rectangle"),
+        ({"places": BLOCKS.places}, r"measured at face \(rectangle\); rectangle, rectangle are given"),
         ({"tool": "point"}, "tool 'point' is measured at point"),
     ],
 )

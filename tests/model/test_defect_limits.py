@@ -20,7 +20,7 @@ def test_the_density_is_of_what_was_inspected():
     found = inspection(defect(1, "0,0", 5.0, 5.0), defect(2, "0,0", 50.0, 5.0), inspected_mm2=4.0)
     assert verdict_of(found, DefectLimits(max_per_mm2=0.5)).within
     verdict = verdict_of(found, DefectLimits(max_per_mm2=0.4))
-    assert verdict.why == ("0.5 defects a mm2, and 0.4 are allowed.",)
+    assert verdict.why == ("0.5 defects per mm2, and 0.4 are allowed.",)
 
 
 def test_a_nuisance_and_an_unmeasured_area_do_not_count():

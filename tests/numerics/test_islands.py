@@ -10,7 +10,7 @@ from scipy.ndimage import binary_opening, label
 from wafer_viewer.numerics.islands import narrow_parts, small_islands
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 500), share=st.floats(0.3, 0.8), min_pixels=st.integers(1, 12))
 def test_islands_of_two_levels_are_those_of_scipy(seed: int, share: float, min_pixels: int) -> None:
     rng = np.random.default_rng(seed)
@@ -29,7 +29,7 @@ def test_a_slope_hangs_together() -> None:
     assert small_islands(z, 4.0, 4).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 500), share=st.floats(0.6, 0.98), side=st.integers(2, 5))
 def test_narrow_parts_are_what_an_opening_removes(seed: int, share: float, side: int) -> None:
     z = np.where(np.random.default_rng(seed).random((24, 33)) < share, 0.0, np.nan).astype(np.float32)

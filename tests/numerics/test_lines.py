@@ -26,7 +26,7 @@ def _lines(padded: NDArray, row: int, col: int) -> list[NDArray]:
     return [np.sort(line[np.isfinite(line)]) for line in lines]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.3]), limit=st.floats(0.05, 1.5))
 def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limit: float) -> None:
     padded = _map(seed, holes)
@@ -42,7 +42,7 @@ def test_counting_finds_the_same_pixels_as_sorting(seed: int, holes: float, limi
             assert far[r, c] == (away > limit)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 500), holes=st.sampled_from([0.0, 0.5]))
 def test_the_replacement_is_the_middle_of_the_four_medians(seed: int, holes: float) -> None:
     padded = _map(seed, holes)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from wafer_viewer.numerics.neighbours import REACH_PX, mean_distances, near_counts
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 500), neighbours=st.integers(4, 24), holes=st.sampled_from([0.0, 0.3, 0.85]))
 def test_the_mean_distance_is_that_of_a_sorted_window(seed: int, neighbours: int, holes: float) -> None:
     rng = np.random.default_rng(seed)

@@ -19,7 +19,7 @@ def scattered(n: int, seed: int) -> tuple[np.ndarray, ...]:
     return top, top + height, left, left + width
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(n=st.integers(0, 40), seed=st.integers(0, 9999), at=st.tuples(*[st.floats(-400, 400)] * 2))
 def test_a_window_meets_what_shares_a_point_with_it(n: int, seed: int, at: tuple[float, float]) -> None:
     top, bottom, left, right = scattered(n, seed)
@@ -29,7 +29,7 @@ def test_a_window_meets_what_shares_a_point_with_it(n: int, seed: int, at: tuple
     assert Rectangles.of(top, bottom, left, right).meeting(row, end_row, col, end_col) == np.flatnonzero(meets).tolist()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(n=st.integers(0, 40), seed=st.integers(0, 9999))
 def test_each_pair_that_shares_a_point_is_found_once(n: int, seed: int) -> None:
     top, bottom, left, right = scattered(n, seed)

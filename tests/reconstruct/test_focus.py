@@ -37,7 +37,7 @@ def by_the_equation(image: NDArray, measure: str, window: int) -> NDArray:
 
 
 @pytest.mark.parametrize("measure", PAPER_MEASURES)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), seed=st.integers(0, 99))
 def test_a_measure_is_its_equation(measure: str, half: int, dtype: type, seed: int) -> None:
     image = np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, (31, 38), dtype, endpoint=True)

@@ -13,7 +13,7 @@ EDGES = st.lists(st.tuples(st.integers(0, N - 1), st.integers(0, N - 1)).filter(
 
 
 @given(EDGES)
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 def test_a_bridge_is_what_falls_apart_without_it(edges):
     first, second = np.array(edges, np.int32).reshape(-1, 2).T
     whole = groups(N, first, second).max()

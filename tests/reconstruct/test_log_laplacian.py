@@ -77,7 +77,7 @@ def random_stack(shape: tuple[int, ...], dtype: type, seed: int) -> NDArray:
     return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     half=st.integers(1, 12), dtype=st.sampled_from([np.uint8, np.uint16]), lag=st.integers(0, 2), seed=st.integers(0)
 )

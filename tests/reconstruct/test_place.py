@@ -19,7 +19,7 @@ ROWS, COLS = 60, 80
 RUN = st.tuples(st.integers(-20, 60), st.integers(1, 50)).map(lambda run: slice(run[0], run[0] + run[1]))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(window=st.tuples(RUN, RUN), parts=st.lists(st.tuples(RUN, RUN), max_size=6))
 def test_pieces_are_the_window_and_each_is_covered_alike_all_over(
     window: tuple[slice, slice], parts: list[tuple[slice, slice]]

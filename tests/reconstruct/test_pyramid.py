@@ -16,7 +16,7 @@ from wafer_viewer.reconstruct.pyramid import LAYERS, halved
 MakeMap = Callable[..., HeightMap]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(rows=st.integers(1, 20), cols=st.integers(1, 20), seed=st.integers(0, 99))
 def test_a_pixel_is_the_mean_of_what_was_measured_below_it(make_map: MakeMap, rows: int, cols: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -41,7 +41,7 @@ def by_definition(images: NDArray) -> NDArray:
     return np.max(pairs, axis=0)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     rows=st.integers(1, 30),
     cols=st.integers(1, 45),

@@ -109,7 +109,7 @@ def test_fields_of_two_scans_are_told_apart(made):
 
 def test_pixel_sizes_do_not_mix(made):
     other = dataclasses.replace(made.heights[1], pixel_um=0.5)
-    with pytest.raises(ComputeError, match="um a pixel cannot be stitched"):
+    with pytest.raises(ComputeError, match="um per pixel cannot be stitched"):
         wv.stitch([made.heights[0], other])
 
 

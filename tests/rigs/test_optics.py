@@ -96,7 +96,7 @@ def test_light_bleeds_from_the_bright_trench_onto_the_dark_rim_when_out_of_focus
     assert far_above > 3 * in_focus
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(radiance=st.floats(0.02, 0.7), well_e=st.sampled_from([2000.0, 10000.0]))
 def test_the_noise_of_the_sensor_follows_its_law(radiance, well_e):
     sensor = Sensor(120, 200, well_e=well_e, bits=16)
@@ -115,7 +115,7 @@ def test_too_much_light_is_clipped_to_white():
 
 
 def test_a_sensor_of_10_bits_is_refused():
-    with pytest.raises(RigError, match="10 bits a pixel; choose 8 or 16"):
+    with pytest.raises(RigError, match="10 bits per pixel; choose 8 or 16"):
         Sensor(20, 30, bits=10)
 
 

@@ -132,7 +132,7 @@ def test_a_box_that_was_started_anew_is_noticed(switch_on):
     rig = switch_on(faults=Faults(reboots=(3,)))
     rig.camera.start(100.0)
     pass_over(rig, UPWARD)
-    with pytest.raises(RigError, match=r"started anew.*boot 2, before 1"):
+    with pytest.raises(RigError, match=r"restarted.*boot 2, before 1"):
         rig.box.disarm()
     z = rig.limits.z.counts(rig.stage.position().z_um)
     rig.box.correct_count("z", rig.box.count("z") - z)  # it counts from 0 again where it lost its power

@@ -30,21 +30,18 @@ def test_the_joint_of_the_gauge_blocks_is_a_deep_gap_at_x_0():
     assert scene("gauge_blocks").truth(1, 0) < -50
 
 
-@settings(deadline=None)
 @given(tread=st.integers(-5, 4), y=FAR)
 def test_every_tread_of_the_stair_rises_by_20_um(tread, y):
     heights = scene("stair").truth([tread * 180 + 90, tread * 180 + 270], y)
     assert np.diff(heights) == pytest.approx([20])
 
 
-@settings(deadline=None)
 @given(angle=st.floats(0, 6.28), out=st.floats(0, 390))
 def test_the_cone_falls_by_its_slope_in_every_direction(angle, out):
     height = scene("cone").truth(out * np.cos(angle), out * np.sin(angle))
     assert height == pytest.approx(120 - 0.3 * out, abs=1e-3)
 
 
-@settings(deadline=None)
 @given(x=FAR, y=FAR)
 def test_the_plane_is_a_plane(x, y):
     assert scene("plane").truth(x, y) == pytest.approx(4e-3 * x + 1.5e-3 * y, abs=1e-3)
@@ -132,7 +129,7 @@ def test_two_windows_agree_where_they_overlap(name):
         np.testing.assert_array_equal(here[20:, 40:], there[:-20, :-40])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(x=FAR, y=FAR, salt=st.integers(0, 99))
 def test_grain_has_no_seams(x, y, salt):
     assert grain(x, y, salt) == pytest.approx(grain(x + 1e-6, y - 1e-6, salt), abs=1e-4)

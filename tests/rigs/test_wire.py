@@ -72,7 +72,7 @@ class Counter:
         return self.last[1]
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_on_a_bad_wire_each_of_2000_commands_is_carried_out_exactly_once(seed):
     clock, device = VirtualClock(), Counter()

@@ -106,7 +106,7 @@ def test_a_folder_given_by_the_command_line_is_a_root_too(tmp_path: Path):
         assert names(listed(browsing, tmp_path / "lab")) == ["plan.toml"]
     finally:
         browsing.close()
-    with pytest.raises(DatasetError, match="no folder"):
+    with pytest.raises(DatasetError, match="not a folder"):
         Browsing(tmp_path / "data", (tmp_path / "nowhere",), home=None)
 
 
@@ -123,7 +123,7 @@ def test_a_folder_that_cannot_be_listed_is_said_in_a_sentence(browsing: Browsing
     with pytest.raises(DatasetError, match="does not exist"):
         listed(browsing, data / "gone")
     (data / "file.toml").write_text("x")
-    with pytest.raises(DatasetError, match="no folder"):
+    with pytest.raises(DatasetError, match="not a folder"):
         listed(browsing, data / "file.toml")
 
 

@@ -153,7 +153,7 @@ def test_what_was_not_inspected_is_not_handed_over(tmp_path):
     with pytest.raises(DatasetError, match="after was not inspected for defects yet: inspect it first"):
         hand_over(path, "default", "klarf", tmp_path / "w.klarf")
     write_inspection(Dataset.open(path).result("default").path, replace(FOUND, grid=None, dies=()))
-    with pytest.raises(MeasureError, match="has none: inspect die with die first"):
+    with pytest.raises(MeasureError, match="has none: inspect die to die first"):
         keep_golden(path, "default", "lx7")
     with pytest.raises(DatasetError, match="write a CSV"):
         hand_over(path, "default", "klarf", tmp_path / "w.klarf")
@@ -198,7 +198,7 @@ def shortened(text: str) -> str:
     ("damage", "says"),
     [
         (shortened, "is cut off, it has no EndOfFile"),
-        (lambda text: "", "is no KLARF file"),
+        (lambda text: "", "is not a KLARF file"),
         (lambda text: text.replace("DiePitch", "DiePith"), "it has no record DiePitch"),
         (lambda text: text.replace(" 1 2 ", " 1 3 ", 1), "its summary counts 3 defects and 2 are listed"),
         (lambda text: text.replace("DiePitch 1000.000000 800", "DiePitch 1000000 800000"), "in another unit"),

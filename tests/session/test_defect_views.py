@@ -1,4 +1,4 @@
-"""A defect beside its like: the other dies, a golden die, the last scan of the wafer, or the words why not."""
+"""A defect compared: the other dies, a golden die, the last scan of the wafer, or the words why not."""
 
 from __future__ import annotations
 

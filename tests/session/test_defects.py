@@ -155,9 +155,9 @@ def test_a_dataset_that_is_held_elsewhere_is_looked_at_and_not_judged(pair, resu
     bench = Bench(pair[0].parent, pair[0])
     try:
         assert bench.state.defects == FOUND.defects
-        with pytest.raises(DatasetError, match="Defects stay as they are"):
+        with pytest.raises(DatasetError, match="Defects were not changed"):
             bench.do(bench.keeper.judge, bench.state.defects[0].number, "real", None, None)
-        with pytest.raises(DatasetError, match="Defects stay as they are"):
+        with pytest.raises(DatasetError, match="Defects were not changed"):
             bench.do(bench.keeper.begin, DefectRecipe(), None, "dies")
     finally:
         bench.close()

@@ -135,7 +135,7 @@ def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkey
     whole = {digest.what: digest.sha256 for digest in digests_of_result(result)}
     monkeypatch.setattr(digests, "MOST_BYTES", 10_000)
     large = {digest.what: digest for digest in digests_of_result(result)}
-    assert "names and sizes alone, for they are" in large["Surface"].of
+    assert "names and sizes alone, because they are" in large["Surface"].of
     assert large["Surface"].sha256 != whole["Surface"]
     assert large["Verdict"].sha256 == whole["Verdict"]
 

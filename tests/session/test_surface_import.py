@@ -85,5 +85,5 @@ def test_its_report_has_neither_plan_nor_recipe(tmp_path):
 def test_a_dataset_says_its_units_itself(tmp_path):
     _, path = imported(tmp_path)
     assert file_or_mosaic(path, "default", Reading(), lambda _: None).shape == (30, 40)
-    with pytest.raises(DatasetError, match="says its units itself"):
+    with pytest.raises(DatasetError, match="gives its own units"):
         file_or_mosaic(path, "default", Reading(z_unit="um"), lambda _: None)

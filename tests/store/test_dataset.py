@@ -318,7 +318,7 @@ def test_a_frame_that_the_plan_does_not_know(tmp_path):
 @pytest.mark.parametrize(
     ("harm", "sentence"),
     [
-        (lambda d: (d / "scan.json").unlink(), "is no dataset, it has no scan.json"),
+        (lambda d: (d / "scan.json").unlink(), "is not a dataset, it has no scan.json"),
         (lambda d: (d / "scan.json").write_text("{"), "scan.json: "),
         (lambda d: (d / "scan.json").write_text('{"schema_version": 99}'), "has format 99 .* newer Wafer Viewer"),
         (lambda d: (d / "journal.jsonl").unlink(), "journal.jsonl cannot be read"),

@@ -64,7 +64,7 @@ def test_compressed_npz_is_read_too(tmp_path):
     [
         (lambda p: None, "does not exist"),
         (lambda p: p.write_text("no"), "cannot be read as .npz"),
-        (lambda p: np.savez(p, z_um=np.zeros((2, 2))), "is no height map"),
+        (lambda p: np.savez(p, z_um=np.zeros((2, 2))), "is not a height map"),
         (lambda p: (export(make_surface(), p), p.write_bytes(p.read_bytes()[:3000])), "cannot be read as .npz"),
     ],
 )

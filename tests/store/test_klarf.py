@@ -94,7 +94,7 @@ def _replaced(old: str, new: str) -> Callable[[str], str]:
     ("damage", "says"),
     [
         (lambda text: text[: len(text) // 2], "is cut off, it has no EndOfFile"),
-        (lambda text: text[1:], "is no KLARF file"),
+        (lambda text: text[1:], "is not a KLARF file"),
         (_replaced("\n 1 100.000", "\n;\n 1 100.000"), "its summary counts 3 defects and 0 are listed"),
         (lambda text: re.sub(r"\n 2 7\.250.*", "", text), "its summary counts 3 defects and 2 are listed"),
         (_replaced(" 5 -12.000 30.000", " 5"), "line 3 of its defects has 15 of 16 numbers"),
@@ -253,7 +253,7 @@ def test_mirrored_coordinates_are_mirrored_back_about_the_centre(other_tool: Pat
 
 def test_a_half_index_is_no_index(other_tool: Path):
     other_tool.write_text(OTHER_TOOL.replace("1.000 0.000 3.0", "1.500 0.000 3.0"))
-    with pytest.raises(DatasetError, match=r"damaged record \(1.500 is no whole number\)"):
+    with pytest.raises(DatasetError, match=r"damaged record \(1.500 is not a whole number\)"):
         read_klarf(other_tool)
 
 

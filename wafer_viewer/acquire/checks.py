@@ -33,7 +33,7 @@ def check_exposures(exposures_us: tuple[float, ...], limits: RigLimits) -> None:
         if not low_us <= exposure_us <= high_us:
             raise PlanError(
                 f"The exposure of {exposure_us:g} us is out of the camera's range, {low_us:g} to {high_us:g} us: "
-                "choose one within it and mend the brightness with the light."
+                "choose one within it and correct the brightness with the light."
             )
 
 

@@ -63,8 +63,8 @@ def _advice(check: GaugeCheck, before: Calibration, after: Calibration) -> str:
         return f"The error of {error_um:+.3f} um is more than its U of {expanded_um:.2g} um: the scale is off."
     if after.u_z_scale >= before.u_z_scale:
         raise MeasureError(
-            f"The error of {error_um:+.3f} um is within its U of {expanded_um:.2g} um and the z scale is surer than "
-            "that: there is nothing to correct."
+            f"The error of {error_um:+.3f} um is within its U of {expanded_um:.2g} um and the z scale is known better "
+            "than that: there is nothing to correct."
         )
     return (
         f"The error is within its U of {expanded_um:.2g} um, so the scale may be right as it is; "

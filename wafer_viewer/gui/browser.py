@@ -74,7 +74,7 @@ class Told(msgspec.Struct, frozen=True):
 
 
 class BrowserEar:
-    """Hears the reports of a page's browser: keeps the layout, and names one that nobody named by its system.
+    """Hears the reports of a page's browser: keeps the layout, and names one after its system.
 
     `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
     """

@@ -141,8 +141,8 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
     ear.on_motion(scene.let_fly)
     curves = Curves(page)
-    viewpoint, drawing = Viewpoint(page, scene), Drawing(scene, curves)
-    page.show_first([frame, viewpoint, drawing])
+    viewpoint, drawing, welcome = Viewpoint(page, scene), Drawing(scene, curves), Welcome(page)
+    page.show_first([frame, header, welcome, viewpoint, drawing])
     statistics = ShownStatistics(page, scene.seen_um)
     plan, acquire = PlanPanel(page), AcquirePanel(page)
     surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
@@ -150,7 +150,7 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
     why = WhyPanel(page)
     ear.left = left.panel
-    read_out, welcome = ReadOutBox(page), Welcome(page)
+    read_out = ReadOutBox(page)
     parts: list[Part] = [
         *(
             PossibleStep(page),
@@ -243,7 +243,7 @@ def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
         page.change(plot=with_cursor(page.view.plot, number, share))
 
     scene.on_lines(guarded(page, "The surface was not read")(moved))
-    scene.on_cursor(guarded(page, "The cursor stays")(cursor_moved))
+    scene.on_cursor(guarded(page, "The cursor was not moved")(cursor_moved))
 
 
 def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:

@@ -12,7 +12,7 @@ FACES: tuple[tuple[Face, str], ...] = (
     (Face.SECOND, "Second"),
     (Face.BESIDE, "Both"),
 )
-OUTDATED = "One of the surfaces has changed or is gone: compare again."
+OUTDATED = "One of the surfaces has changed or was deleted: compare again."
 BESIDE_SAID = "The second stands to the right of the first, in the same colours and range."
 LITTLE_OVERLAP = 0.5
 """From less than this on it is said how little is compared."""
@@ -81,9 +81,9 @@ def alignment(found: Registration) -> str:
             ("Height", _with_u(found.z_um, found.u_z_um, "µm")),
             ("Tilt along x", _with_u(found.tilt_x_mrad, found.u_tilt_mrad, "mrad")),
             ("Tilt along y", _with_u(found.tilt_y_mrad, found.u_tilt_mrad, "mrad")),
-            ("Left over, rms", with_unit(found.residual_um, digits_of_u(found.residual_um))),
+            ("Residual, rms", with_unit(found.residual_um, digits_of_u(found.residual_um))),
         ]
-    rows.append(("Of the first, compared", share(found.overlap_fraction)))
+    rows.append(("Share of the first compared", share(found.overlap_fraction)))
     how = "" if found.by == "same" else f'<div class="wv-lab">Found {html.safe(FOUND_BY[found.by])}; k = 2.</div>'
     return html.head("Alignment") + how + html.pairs(rows)
 
@@ -92,9 +92,7 @@ def cautions(comparison: Comparison, outdated: bool) -> str:
     """What should be known before the numbers are believed."""
     said = [OUTDATED] if outdated else []
     if comparison.registration.overlap_fraction < LITTLE_OVERLAP:
-        said.append(
-            f"Only {share(comparison.registration.overlap_fraction)} of the first has a second to compare with."
-        )
+        said.append(f"Only {share(comparison.registration.overlap_fraction)} of the first surface lies on the second.")
     if not comparison.calibrated:
         said.append("Lengths are uncalibrated, or the calibrations differ.")
     return "".join(f'<div class="wv-lab" style="margin:4px 0">{html.safe(text)}</div>' for text in said)

@@ -57,7 +57,7 @@ if (!window.wvContact) {
 
   const startedAnew = now => {
     until = Infinity;
-    show('anew', `${icon(ANEW)}<div><b>The instrument was started anew at ${safe(now.since)}</b>${safe(now.anew)}</div>
+    show('anew', `${icon(ANEW)}<div><b>The instrument was restarted at ${safe(now.since)}</b>${safe(now.anew)}</div>
       <button type="button">${safe(now.look)}</button>`);
   };
 

@@ -32,7 +32,7 @@ class DefectBeside:
     def __init__(self, page: Page) -> None:
         self._page = page
         self._sheet = OverScene(page)
-        self._worker = Latest("a defect beside its like")
+        self._worker = Latest("a defect compared")
         self._asked: Asked | None = None
         self._answer: SideBySide | None = None
         self._told = ""
@@ -56,7 +56,7 @@ class DefectBeside:
     def commands(self) -> list[Command]:
         """The one key."""
         icon = viser.Icon.LAYOUT_COLUMNS
-        return unless(no_defect, Command("Beside its like", "Z", self.toggle, icon, group="Review"))
+        return unless(no_defect, Command("Compare the defect", "Z", self.toggle, icon, group="Review"))
 
     def toggle(self) -> None:
         """Lay it over the scene, or take it away."""

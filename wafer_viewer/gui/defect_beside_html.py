@@ -1,4 +1,4 @@
-"""A defect beside its like as HTML: three pairs of pictures, the defect outlined in each, one scale of heights."""
+"""A defect compared as HTML: three pairs of pictures, the defect outlined in each, one scale of heights."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def sheet(defect: Defect, answer: SideBySide, sizes: Sizes) -> str:
 def head(defect: Defect) -> str:
     """What is shown, and how one leaves it."""
     look = KINDS[defect.seen_as]
-    name = f"{symbol_svg(look.shape, look.colour)} D{defect.number} · {look.title} beside its like"
+    name = f"{symbol_svg(look.shape, look.colour)} D{defect.number} · {look.title} compared"
     away = f'<span class="wv-link" {html.pick("sheet", "none")}>Close · Z</span>'
     return f'<div class="wv-over-head" style="height:{HEAD_PX}px"><b>{name}</b><span>{away}</span></div>'
 

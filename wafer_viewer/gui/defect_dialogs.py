@@ -95,11 +95,11 @@ def golden_dialog(page: Page) -> None:
     """Keep the typical die of this wafer under a name, the next version of it."""
     inspection, shelf = required_inspection(page), page.session.snapshot.shelf
     if inspection.grid is None:
-        raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
+        raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
     product = inspection.product
     below = (
         f"The median of the dies of this wafer{f' of {product}' if product else ''}, with its spread from die to die. "
-        "Under a name that is there it becomes the next version; none is written over."
+        "Under an existing name it becomes the next version; earlier versions are kept."
     )
     dialog = Dialog(page, "Keep as golden die", below)
     named = next((header.name for header in shelf.golden if product and header.product == product), product)
@@ -122,9 +122,8 @@ def golden_dialog(page: Page) -> None:
 
 def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:
     """Keep a recipe under its product and a name, and go on with it; one that is there is replaced after a question."""
-    below = (
-        f"Kept beside the datasets. It is taken by itself when a dataset of {recipe.product or 'its product'} opens."
-    )
+    product = recipe.product or "its product"
+    below = f"Kept beside the datasets. It is applied automatically when a dataset of {product} opens."
     dialog = Dialog(page, "Save the recipe", below)
     with dialog.modal:
         product = page.gui.add_text("Product", recipe.product)
@@ -214,7 +213,7 @@ def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
 
 
 def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectRecipe], None]) -> None:
-    below = f"It is a recipe of {recipe.product} already; what it says now is gone then."
+    below = f"It is a recipe of {recipe.product} already; its present settings are lost."
     dialog = Dialog(page, f"Replace recipe {recipe.name}?", below)
     dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, lambda: keep(recipe), "Nothing was replaced")
 

@@ -157,8 +157,8 @@ class InspectionForm:
     def _build_limits(self, gui: Any) -> None:
         page, failed = self._page, "The limits were not changed"
         self._edits = Edits(self._limit, guarded(page, failed))
-        per_die = gui.add_text("Most a die", "", hint="Defects allowed on a die; empty for no limit")
-        per_mm2 = gui.add_text("Most a mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
+        per_die = gui.add_text("Max. per die", "", hint="Defects allowed on a die; empty for no limit")
+        per_mm2 = gui.add_text("Max. per mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
         self._per_die: Field[str] = Field(per_die, lambda _: self._edits.made(), page, failed)
         self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._edits.made(), page, failed)
 

@@ -14,7 +14,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_work import Against, Dies
 
-DIE, GOLDEN, FORM = "Die with die", "With a golden die", "With the fitted form"
+DIE, GOLDEN, FORM = "Die to die", "Die to golden die", "With the fitted form"
 AGAINST = (DIE, GOLDEN, FORM)
 EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
 OF_JOB, FOUND, GIVEN = "The job's, or found", "Found", "Given"

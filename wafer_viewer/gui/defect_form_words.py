@@ -61,7 +61,7 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
     if not mine:
-        return html.empty("No golden die is kept", "compare with the fitted form, or die with die.") + _lab(left)
+        return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left)
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
     hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
     more = " and ".join(part for part in (hidden, left) if part)
@@ -73,7 +73,7 @@ def more(form: DefectForm, unfolded: bool) -> str:
     link = f'<span class="wv-link" {html.pick("defect-more")}>{"Less" if unfolded else "Change…"}</span>'
     if unfolded:
         return f'<div class="wv-h">More settings<span>{link}</span></div>'
-    limits = [text for text in (form.max_per_die and f"{form.max_per_die} a die", _a_mm2(form.max_per_mm2)) if text]
+    limits = [text for text in (form.max_per_die and f"{form.max_per_die} per die", _a_mm2(form.max_per_mm2)) if text]
     told = (
         form.evidence,
         f"scales {form.scales_px} px",
@@ -98,7 +98,7 @@ def areas(form: DefectForm) -> str:
 
 
 def _a_mm2(text: str) -> str:
-    return f"{text} a mm²" if text else ""
+    return f"{text} per mm²" if text else ""
 
 
 def _named(headers: tuple[GoldenHeader, ...] | list[GoldenHeader]) -> Iterator[tuple[GoldenHeader, str]]:

@@ -17,11 +17,11 @@ def text_of(limits: DefectLimits) -> tuple[str, str]:
 
 
 def limits_of(per_die: str, per_mm2: str) -> DefectLimits:
-    """The limits that were typed. Raises MeasureError for what is no number, or under 0."""
-    most = _typed(per_die, "a die")
+    """The limits that were typed. Raises MeasureError for what is not a number, or under 0."""
+    most = _typed(per_die, "per die")
     if most is not None and most != int(most):
-        raise MeasureError(f"At most {most:g} defects a die: a die has whole defects, give 0, 1, 2 or more.")
-    return DefectLimits(max_per_die=None if most is None else int(most), max_per_mm2=_typed(per_mm2, "a mm2"))
+        raise MeasureError(f"At most {most:g} defects per die: give a whole number, 0 or more.")
+    return DefectLimits(max_per_die=None if most is None else int(most), max_per_mm2=_typed(per_mm2, "per mm2"))
 
 
 def verdict(inspection: Inspection) -> str:
@@ -39,8 +39,8 @@ def verdict(inspection: Inspection) -> str:
 
 def _allowed(limits: DefectLimits) -> str:
     per_die, per_mm2 = limits.max_per_die, limits.max_per_mm2
-    told = [] if per_die is None else [f"{per_die} a die"]
-    return " and ".join(told + ([] if per_mm2 is None else [f"{number(per_mm2, 3)} a mm²"]))
+    told = [] if per_die is None else [f"{per_die} per die"]
+    return " and ".join(told + ([] if per_mm2 is None else [f"{number(per_mm2, 3)} per mm²"]))
 
 
 def _typed(text: str, where: str) -> float | None:
@@ -49,7 +49,9 @@ def _typed(text: str, where: str) -> float | None:
     try:
         most = float(text)
     except ValueError as fault:
-        raise MeasureError(f"{text!r} is no number of defects {where}: type one, or nothing for no limit.") from fault
+        raise MeasureError(
+            f"{text!r} is not a number of defects {where}: type one, or leave it empty for no limit."
+        ) from fault
     if not 0 <= most < float("inf"):
-        raise MeasureError(f"At most {text} defects {where}: it must be at least 0, or nothing for no limit.")
+        raise MeasureError(f"At most {text} defects {where}: it must be at least 0, or empty for no limit.")
     return most

@@ -75,7 +75,7 @@ def told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
     found = tuple(defect for defect in defects if defect.kind != "unmeasured")
     rest = other.unmatched(found)
     both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
-    away = f'<span class="wv-link" {html.pick("defect-other-away")}>Take away</span>'
+    away = f'<span class="wv-link" {html.pick("defect-other-away")}>Remove overlay</span>'
     head = f'<div class="wv-h">{html.safe(other.name)}<span>{away}</span></div>'
     said = (
         f"{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "

@@ -53,7 +53,7 @@ def per_mm2(count: float | None) -> str:
     """A density that is expected; words where it is not known."""
     if count is None:
         return "not known before an inspection"
-    return f"under {number(TINY_PER_MM2, 3)} a mm²" if count < TINY_PER_MM2 else f"{number(count, 3)} a mm²"
+    return f"under {number(TINY_PER_MM2, 3)} per mm²" if count < TINY_PER_MM2 else f"{number(count, 3)} per mm²"
 
 
 def summary(state: InspectionState) -> str:
@@ -120,7 +120,7 @@ def classes(defect: Defect) -> str:
 
 def _facts(inspection: Inspection) -> list[str]:
     found, area = len(inspection.found), inspection.inspected_mm2
-    density = f", {number(found / area, 2)} a mm²" if area > 0 else ""
+    density = f", {number(found / area, 2)} per mm²" if area > 0 else ""
     words = {True: "SIMULATED · ", False: ""}[inspection.simulated]
     return [
         f"{words}{found} on {number(area, 2)} mm²{density} · {REFERENCES[inspection.reference]}",

@@ -65,7 +65,7 @@ def import_dialog(page: Page) -> None:
         duo(gui)
         name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
-        Cell(gui, html.head("Surface file", "where it does not say it itself"))
+        Cell(gui, html.head("Surface file", "where the file does not say it"))
         duo(gui)
         unit = gui.add_text("z unit", "")
         depths = gui.add_checkbox("Depths", False)

@@ -65,4 +65,4 @@ def _drift(chart: RunChart) -> str:
         return ""
     value, u = value_and_u(drift.value_um, drift.expanded_um, 4, signed=True)
     beside = f" ± {u}" if drift.expanded_um is not None else ""
-    return f"drift <b>{value}{beside}{THIN}µm a day</b>"
+    return f"drift <b>{value}{beside}{THIN}µm per day</b>"

@@ -61,7 +61,7 @@ def correction(offered: ScaleCorrection | None) -> str:
     by = with_unit(offered.changes_um, 3, signed=True)
     pairs = [("Certified over measured", number(offered.factor, 6)), ("The checked step would change by", by)]
     advice = f'<div class="wv-lab" style="margin:4px 0 6px">{html.safe(html.micro(offered.advice))}</div>'
-    return html.head("z scale", "nothing changes by itself") + html.pairs(pairs) + advice
+    return html.head("z scale", "nothing changes automatically") + html.pairs(pairs) + advice
 
 
 def _part(role: Role, lines: Sequence[GaugeLine]) -> list[str]:

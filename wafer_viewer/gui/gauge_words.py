@@ -166,9 +166,7 @@ def _no_u(length: Length) -> str:
 
 def _repeat(k: int, repeat: GaugeRepeat, may_drop: bool) -> str:
     name = repeat.dataset.removesuffix(".wafer")
-    away = (
-        f'<span class="wv-act" title="Take it off" aria-label="Take repeat {k + 1} off" {html.pick("gauge-drop", k)}>'
-    )
+    away = f'<span class="wv-act" title="Remove" aria-label="Take repeat {k + 1} off" {html.pick("gauge-drop", k)}>'
     cross = f"{away}{html.icon(viser.Icon.X, 14)}</span>" if may_drop else ""
     cut = f'<span class="wv-cut wv-short" title="{html.safe(name)}">{html.safe(name)}</span>'
     value, _ = value_and_u(repeat.height.value_um, repeat.height.expanded_um, 3)

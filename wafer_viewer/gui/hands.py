@@ -133,7 +133,7 @@ def hand_over(page: Page, to: str) -> None:
 
 
 def hands_dialog(page: Page) -> None:
-    """Connected browsers, who holds the controls, what this browser is called; and the way to the controls."""
+    """Connected browsers, who holds the controls, what this browser is called; and how to ask for the controls."""
     hands, key = page.session.snapshot.hands, page.browser.key
     holds = hands.holds(key)
     dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
@@ -180,7 +180,7 @@ def _state(hands: Hands, browser: Browser, key: str) -> str:
     if hands.holds(browser.key):
         return "<b>holds the controls</b>"
     if not browser.present:
-        return '<span class="dim">has gone</span>'
+        return '<span class="dim">disconnected</span>'
     if hands.holds(key):
         return f'<span class="wv-link" {html.pick("hands-to", browser.key)}>Hand over</span>'
     return '<span class="dim">watches</span>'

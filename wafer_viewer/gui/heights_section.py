@@ -20,7 +20,7 @@ from wafer_viewer.model.clipping import Box, Span
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import Brushed, Statistics
 
-FAILED = "The heights stay"
+FAILED = "The heights were not clipped"
 _ROOM = 0.5
 """Round a place that is measured next, as a share of its sides."""
 _DECIMALS = 3

@@ -9,7 +9,7 @@ from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.review_item import ReviewItem
 
-FAILED = "The note stays"
+FAILED = "The note was not changed"
 
 
 def note_dialog(page: Page, item: ReviewItem) -> None:

@@ -58,7 +58,7 @@ class OptionalNumber:
 
     @property
     def value(self) -> float | None:
-        """The number, None where nothing is typed. Raises WaferViewerError for what is no number, or out of limits."""
+        """The number, None where nothing is typed. Raises WaferViewerError for other text and out of limits."""
         return self.read(self.handle.value)
 
     @value.setter
@@ -91,7 +91,7 @@ def number_of(
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise WaferViewerError(f"{name}: {text.strip()!r} is no number. Type one, or leave the field empty.")
+        raise WaferViewerError(f"{name}: {text.strip()!r} is not a number. Type one, or leave the field empty.")
     if whole and not value.is_integer():
         raise WaferViewerError(f"{name} is {value:g}: it must be a whole number, or empty.")
     if over is not None and value <= over:

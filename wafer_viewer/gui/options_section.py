@@ -55,7 +55,7 @@ class Number:
         return OptionalNumber(gui, self.label, over=self.over, hint=self.empty).handle
 
     def of(self, put_in: Any) -> Any:
-        """The option's value of what stands in the widget. Raises WaferViewerError for what is no number."""
+        """The option's value of what stands in the widget. Raises WaferViewerError for what is not a number."""
         return number_of(put_in, self.label, over=self.over)
 
     def shown(self, value: Any) -> Any:
@@ -95,21 +95,21 @@ CONTROLS: dict[ToolName, tuple[Control, ...]] = {
             "Reference",
             "reference",
             {"As heights are read": None, "Plane of the border": "border", "Zero of heights": "zero"},
-            "What volume lies over and under",
+            "Reference that the volume lies above and below",
         ),
     ),
     "texture": (
         Pick("Form removed", "form_order", FORMS, "Polynomial of least squares"),
-        Number("S-filter, µm", "s_filter_um", "Removes waves that are shorter; empty: no filter"),
-        Number("L-filter, µm", "l_filter_um", "Removes waves that are longer; empty: no filter"),
+        Number("S-filter, µm", "s_filter_um", "Removes shorter wavelengths; empty: no filter"),
+        Number("L-filter, µm", "l_filter_um", "Removes longer wavelengths; empty: no filter"),
     ),
     "roughness": (
-        Number("λc, µm", "lambda_c_um", "Removes longer waves; the sampling length; empty: no filter"),
-        Number("λs, µm", "lambda_s_um", "Removes waves that are shorter; empty: no filter"),
+        Number("λc, µm", "lambda_c_um", "Removes longer wavelengths; the sampling length; empty: no filter"),
+        Number("λs, µm", "lambda_s_um", "Removes shorter wavelengths; empty: no filter"),
     ),
-    "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Beside what is next to it, on the picture"),),
-    "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Beside what is round it, on the picture"),),
-    "circle": (Pick("Inside", "inside", BRIGHTNESS, "Beside what is outside, on the picture"),),
+    "kerf": (Pick("Kerf", "kerf", BRIGHTNESS, "Relative to the ground beside it in the picture"),),
+    "die": (Pick("Rim of the die", "die", BRIGHTNESS, "Relative to its surroundings in the picture"),),
+    "circle": (Pick("Inside", "inside", BRIGHTNESS, "Relative to the outside in the picture"),),
     "chipping": (
         Number("Chip over, µm", "limit_um", "Empty: four standard deviations of the edge"),
         Pick("Die on the", "die", {"Higher side": "auto", "Bright side": "bright", "Dark side": "dark"}),

@@ -193,7 +193,7 @@ class Page:
         if any(fault_id == n.id for n in self.notices):
             self._note_down(tuple(n for n in self.notices if n.id != fault_id))
         else:
-            self.ask("The note stays", self.session.dismiss(fault_id))
+            self.ask("The note was not changed", self.session.dismiss(fault_id))
 
     def notes(self, snapshot: Snapshot) -> str:
         """All standing notes, the newest first, as HTML."""

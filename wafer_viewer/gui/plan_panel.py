@@ -102,7 +102,7 @@ class PlanPanel:
         if draft.typed is not None or draft.job is None:
             return draft.typed.problem if draft.typed else "the sample has no size."
         if draft.problem or draft.plan is None:
-            return draft.problem or "the plan is being priced."
+            return draft.problem or "the time of the plan is being estimated."
         return next((f"{check.found} {check.mend}" for check in stops(checks)), None)
 
     # --- building

@@ -72,12 +72,14 @@ def depth(snapshot: Snapshot, draft: Draft) -> str:
 def strategies(snapshot: Snapshot, draft: Draft) -> str:
     """Every strategy with its price, and what the chosen one costs."""
     if draft.job is None:
-        waiting = html.empty("Every strategy is priced here", "as soon as there is a grid.")
+        waiting = html.empty("Every strategy is listed here with its time", "as soon as there is a grid.")
         return html.head("Strategy") + waiting + _GAP
     if draft.plan is None:
         return (
             html.head("Strategy")
-            + html.empty(html.micro(draft.problem) if draft.problem else "Every strategy is being priced.")
+            + html.empty(
+                html.micro(draft.problem) if draft.problem else "The time of every strategy is being estimated."
+            )
             + _GAP
         )
     plan, limits = draft.plan, snapshot.rig.limits
@@ -118,7 +120,7 @@ def _by_price(prices: tuple[Price, ...]) -> list[Price]:
 def _price_row(price: Price, best_s: float, chosen: bool) -> str:
     name = html.safe(price.title)
     if price.ruled_out is not None or price.predicted_s is None:
-        why = html.safe(html.micro(price.ruled_out or "not priced"))
+        why = html.safe(html.micro(price.ruled_out or "not estimated"))
         return f'<tr class="off"><td colspan="4">{name}<small>{why}</small></td></tr>'
     ratio = price.predicted_s / best_s if best_s else 1.0
     cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]

@@ -16,7 +16,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.clipping import Box, LeftOut
 from wafer_viewer.session.paint_request import Statistics
 
-FAILED = "The points stay"
+FAILED = "The points were not changed"
 _MEGA, _KILO = 1e6, 1e3
 WORDS: dict[LeftOut, str] = {
     "box": "outside of the box",

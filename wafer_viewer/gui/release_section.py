@@ -107,8 +107,6 @@ def _feature(n: int, feature: Feature, released: bool) -> str:
     where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
     what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
     name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
-    away = (
-        f'<span class="wv-link" title="Take it off" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
-    )
+    away = f'<span class="wv-link" title="Remove" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
     cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
     return html.row(cells, " nn ", "" if released else html.pick("feature", n))

@@ -91,7 +91,9 @@ class ReportPanel:
         for part in PARTS:
             hint = f"Include the section {PART_TITLES[part]}"
             box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
-            self._boxes[part] = Field(box, lambda event, p=part: self._tick(p, event.target.value), page, "It stays")
+            self._boxes[part] = Field(
+                box, lambda event, p=part: self._tick(p, event.target.value), page, "The report was not changed"
+            )
             self._told[part] = Cell(gui)
         self._outcome = Cell(gui)
         self._write = button(

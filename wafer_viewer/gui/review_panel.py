@@ -52,7 +52,7 @@ class ReviewPanel:
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
             self._build()
-        self._edits = Edits(self._commit_note, guarded(page, "The note stays"))
+        self._edits = Edits(self._commit_note, guarded(page, "The note was not changed"))
         page.on_pick("review", self.go_to)
         page.on_pick("defect-class", self.classify)
         page.on_pick("review-filter", lambda key: page.change(review_filter=key))
@@ -143,7 +143,7 @@ class ReviewPanel:
         Cell(gui, html.head("", "keys Y and N"))
         self._judgement = Choice(gui, "Judgement", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge))
         note = gui.add_text("Note", "", hint="Saved with the judgement and shown in the report")
-        self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note stays")
+        self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note was not changed")
         self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
         self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._taking_back("redo"))
         in_a_row(gui, [self._undo, self._redo], 30)
@@ -173,7 +173,7 @@ class ReviewPanel:
     def _commit_note(self) -> Future[Any] | None:
         page = self._page
         answer = judging.note(page.session, self._note_of, self._note.value)
-        page.ask("The note stays", answer)
+        page.ask("The note was not changed", answer)
         return answer
 
     def _painted(self, item: ReviewItem, snapshot: Snapshot) -> str:

@@ -159,5 +159,5 @@ def _controls(hands: Hands, key: str) -> str:
     who = "You hold the controls" if hands.holds(key) else (hands.why_not(key) or "").rstrip(".")
     sign = html.icon(viser.Icon.HAND_STOP if hands.holds(key) else viser.Icon.EYE, 14)
     look = "mine" if hands.holds(key) else "theirs"
-    told = f'title="{html.safe(who)}: who is there, your name, and the way to the controls" {html.pick("hands")}'
+    told = f'title="{html.safe(who)}: who is there, your name, and how to ask for the controls" {html.pick("hands")}'
     return f'<span class="wv-hand {look}" {told}>{sign}{html.safe(who + others)}</span>'

@@ -45,7 +45,7 @@ def details(info: StitchingInfo) -> str:
     said = f'<div class="wv-chosen">{html.pairs(rows)}</div>'
     form = [(name[:1].upper() + name[1:], _plus_minus(u)) for name, u in info.form]
     if form:
-        head = '<div class="wv-lab">Known from the stage only, U (k = 2) at the edge</div>'
+        head = '<div class="wv-lab">Known only from the stage, U (k = 2) at the edge</div>'
         said += f'<div class="wv-chosen">{head}{html.pairs(form)}</div>'
     return said
 
@@ -78,10 +78,10 @@ def doubted(poses: Poses, pixel_um: float) -> str:
     rows = _doubted_rows(poses, pixel_um)
     if not rows:
         return ""
-    said = _table(("Fields", "Rejected because", "Off, µm", "px"), rows[:SHOWN])
+    said = _table(("Fields", "Rejected because", "Offset, µm", "px"), rows[:SHOWN])
     if len(rows) > SHOWN:
         beyond = len(rows) - LISTED
-        tail = f'<div class="wv-lab">and {number(beyond, 0)} that are less far off</div>' if beyond > 0 else ""
+        tail = f'<div class="wv-lab">and {number(beyond, 0)} with smaller offsets</div>' if beyond > 0 else ""
         more = f"<summary><u>{number(len(rows) - SHOWN, 0)} more</u></summary>"
         said += f'<details class="wv-more">{more}{_table((), rows[SHOWN:LISTED])}{tail}</details>'
     return f'<div class="wv-chosen">{said}</div>'

@@ -305,7 +305,7 @@ def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistic
         ("Filled", share(told.filled_fraction)),
     ]
     if info is not None and info.overlap_rms_um is not None and info.stitching is None:
-        rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+        rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     blocks = f"Heights are means of {told.block_px} × {told.block_px} points." if told.block_px > 1 else ""
     note = f'<div class="wv-lab">{blocks}</div>' if blocks else ""
     problem = data.calibration_problem if data else None

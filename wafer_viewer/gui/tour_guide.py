@@ -188,9 +188,9 @@ def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
         case _:
             if view.step != "report":
                 text = "All of it goes into one file. Press <b>Report</b>."
-                return Note("Write it down", text, "Report")
+                return Note("Write the report", text, "Report")
             text = "Results, defects and the wafer map stand in one HTML file. Press <b>Write report</b>."
-            return Note("Write it down", text, "Write report")
+            return Note("Write the report", text, "Write report")
 
 
 def _watch(snapshot: Snapshot, view: View) -> Note:
@@ -221,12 +221,12 @@ def _measure(view: View) -> Note:
 
 
 def _inspect(snapshot: Snapshot, view: View) -> Note:
-    title, state = "Find what does not belong", snapshot.inspection
+    title, state = "Find the defects", snapshot.inspection
     if view.step != "review":
         return Note(title, "Every die can be compared with the others. Press <b>Review</b>.", "Review")
     if state.work:
         return Note(title, "The dies are compared with each other …")
-    text = "Every die is held against the others. Press <b>Inspect</b>: a gel drop, a scratch and particles wait."
+    text = "Every die is compared with the others. Press <b>Inspect</b>: it finds a gel drop, a scratch and particles."
     return Note(title, text, "Inspect")
 
 
@@ -317,4 +317,4 @@ def _found(snapshot: Snapshot) -> Result:
 def _written(report: Path | None) -> Result:
     if report is None:
         return "Report", "not written", "skipped", False
-    return "Report", "1 file", f"{size(report.stat().st_size)}, signed by nobody yet", True
+    return "Report", "1 file", f"{size(report.stat().st_size)}, not signed yet", True

@@ -10,7 +10,7 @@ from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.session.operating import Operating
 
 MOST_CHANGES = 40
-"""More than that are counted: a panel is no file."""
+"""More than that are counted: a panel is not a file."""
 
 
 def trial(done: Trial | None, trying: bool, outdated: bool = False) -> str:

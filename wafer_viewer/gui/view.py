@@ -53,7 +53,7 @@ class View:
     looked at, by its key; None the one that is being made.
     review: the key of what is under review, None the first; review_filter: which of all are listed; defects: how those
     are listed.
-    sheet: what lies over the scene in a review: the defect beside its like, or all dies stacked onto one.
+    sheet: what lies over the scene in a review: the defect compared, or all dies stacked onto one.
     everything: whether all of a released job is unfolded, not the four actions of its operator alone.
     counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a
     drag over the scene selects. brush_um: the range of heights that lights up.

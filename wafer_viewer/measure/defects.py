@@ -118,7 +118,7 @@ def _work(
         return Work(source, cells, stored, recipe, True, excluded), "golden", notes
     if len(places) < LEAST_DIES:
         dies = "1 die" if len(places) == 1 else f"{len(places)} dies"
-        return _by_form(source, recipe, f"{dies} found, {LEAST_DIES} needed to compare die with die")
+        return _by_form(source, recipe, f"{dies} found, {LEAST_DIES} needed to compare die to die")
     try:
         median = golden_of(source, cells, places)
     except DiesNotFound as few:

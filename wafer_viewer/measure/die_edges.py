@@ -123,7 +123,7 @@ def _first(side: Strip, name: Side, sign: Sign, scores: Scores, others: Scores) 
     outside = float(others.best[: max(0, place - BESIDE_PX)].max(initial=0.0)) / float(scores.best[place])
     if outside > AS_STRONG:
         raise MeasureError(
-            f"Two edges {where} may be the die's, for further out brightness goes the other way with "
+            f"Two edges {where} may be the die's, because further out the brightness changes the other way with "
             f"{100 * outside:.0f} % of the strength: draw the region nearer round one die, or say whether it is bright."
         )
     return fitted(side, sign, scores, place)

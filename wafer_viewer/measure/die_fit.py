@@ -47,14 +47,14 @@ def fitted_dies(surface: Mosaic, given: DieGrid, evidence: Evidence = "both") ->
     try:
         found = refined(surface, _cells(given), evidence, min(given.pitch_x_um, given.pitch_y_um) / BEGUN_PX)
     except MeasureError as fault:
-        note = f"The dies are taken as given, for those of the surface cannot be made out: {fault}"
+        note = f"The dies are used as given, because they cannot be found on the surface: {fault}"
         return FittedDies(replace(given, notes=(*given.notes, note)))
     seen = _seen(found, given, surface.pixel_um)
     off = _offset(given, seen, cols, rows)
     if off.farthest_um > FARTHEST * min(given.pitch_x_um, given.pitch_y_um):
         raise MeasureError(
             f"The dies as given lie {off.farthest_um:.0f} um off those that the surface shows, over a quarter of their "
-            "pitch: give the corner of a die and the pitches anew, or leave them out to have the dies found."
+            "pitch: give the corner of a die and the pitches again, or leave them out to have the dies found."
         )
     note = f"The dies lie up to {off.farthest_um:.2g} um off where they were given, and are taken as they lie."
     return FittedDies(replace(seen, notes=(*seen.notes, note)), off)

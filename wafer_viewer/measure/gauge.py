@@ -152,7 +152,7 @@ def refusal(certificate: Certificate, calibration: Calibration | None, problem: 
         )
     if same := set_the_scale(certificate.serials, calibration):
         return (
-            f"Block {same[0]} set the z scale on {calibration.made}, so a comparison with it is no check: "
+            f"Block {same[0]} set the z scale on {calibration.made}, so a comparison with it checks nothing: "
             "take other blocks."
         )
     return None

@@ -144,8 +144,8 @@ class _Way:
         behind = self.scores[1].besides(second, after=first) / self.scores[1].best[second]
         if (rival := max(before, behind)) > AS_STRONG:
             raise MeasureError(
-                f"More than one kerf may be meant, for another edge has {100 * rival:.0f} % of the strength of the one "
-                "beside the kerf: draw the region narrower, across one kerf."
+                f"More than one kerf may be meant, because another edge has {100 * rival:.0f} % of the strength of the "
+                "one beside the kerf: draw the region narrower, across one kerf."
             )
 
     def edges(self) -> Edges:

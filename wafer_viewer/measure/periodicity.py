@@ -191,8 +191,8 @@ def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
         return turned_too_far(askew.turn_deg)
     axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
     return DiesNotFound(
-        f"No dies are found, for nothing repeats along {axes} within half of the surface, and at least two dies are "
-        f"needed along each axis: scan more dies, or {MEND}.",
+        f"No dies are found, because nothing repeats along {axes} within half of the surface, and at least two dies "
+        f"are needed along each axis: scan more dies, or {MEND}.",
         f"No dies found: nothing repeats along {axes}",
     )
 

@@ -83,7 +83,7 @@ def errors_of_scans(checks: Iterable[GaugeCheck]) -> list[float]:
 
 
 def drift_of(checks: Sequence[GaugeCheck]) -> Length | None:
-    """The slope of the errors over time, um a day, with U by their scatter; None with fewer than three days."""
+    """The slope of the errors over time, um per day, with U by their scatter; None with fewer than three days."""
     if len({check.at[:10] for check in checks}) < 3:
         return None
     days = _days(checks)
@@ -139,7 +139,7 @@ def _last(points: Sequence[ChartPoint]) -> tuple[str, ...]:
 def _drifting(checks: Sequence[GaugeCheck], drift: Length | None) -> tuple[str, ...]:
     if drift is None or abs(drift.value_um) <= (drift.expanded_um or 0.0):
         return ()
-    said = f"The error drifts by {drift.value_um:+.2g} um a day, U = {drift.expanded_um:.1g} um a day (k = 2)"
+    said = f"The error drifts by {drift.value_um:+.2g} um per day, U = {drift.expanded_um:.1g} um per day (k = 2)"
     limit_um, due_days = checks[-1].terms.limit_um, checks[-1].terms.interval_days
     if limit_um is None:
         return (f"{said}.",)

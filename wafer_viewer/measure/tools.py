@@ -66,7 +66,7 @@ def measured(
     if len(places) != len(asked):
         names = ", ".join(place.name for place in asked)
         raise MeasureError(
-            f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), here are {len(places)}: give as many."
+            f"{TOOLS[tool].title} is measured at {len(asked)} places ({names}), {len(places)} are given: give as many."
         )
     chosen = keywords(options or ToolOptions(), tool)
     return MEASUREMENTS[tool](surface, *places, calibration_valid=calibration_valid, **chosen)

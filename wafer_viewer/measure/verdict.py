@@ -68,7 +68,7 @@ def quantity_of(found: AnyFinding, feature: Feature) -> Quantity:
     quantity = named_quantity(found, feature.quantity)
     if quantity.unit != feature.unit:
         raise MeasureError(
-            f"It is in {quantity.unit} and the limits of '{feature.name}' are in {feature.unit}: mend the job."
+            f"It is in {quantity.unit} and the limits of '{feature.name}' are in {feature.unit}: correct the job."
         )
     return quantity
 
@@ -201,7 +201,7 @@ def _after_inconclusive(items: Sequence[Judged]) -> str:
     if None in needed or worst < 2:
         return (
             "Nearer to a limit than the uncertainty lets decide, and repeats would not help: "
-            "calibrate the z scale anew, or ask the engineer."
+            "calibrate the z scale again, or ask the engineer."
         )
     times = "once more" if worst == 2 else f"{worst - 1} times more"
     return f"Scan it {times}: the mean of {worst} scans can decide. The engineer judges by it."

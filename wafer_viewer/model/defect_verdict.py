@@ -74,7 +74,7 @@ def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]
 def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:
     if limits.max_per_mm2 is None or per_mm2 is None or per_mm2 <= limits.max_per_mm2:
         return ()
-    return (f"{per_mm2:.3g} defects a mm2, and {limits.max_per_mm2:g} are allowed.",)
+    return (f"{per_mm2:.3g} defects per mm2, and {limits.max_per_mm2:g} are allowed.",)
 
 
 def _not_looked_at(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str, ...]:

@@ -122,7 +122,7 @@ class Defect(Finding, frozen=True, kw_only=True, tag="defect"):
 
 
 class FalseCounts(Spec, frozen=True, kw_only=True):
-    """How many false defects a mm2 are to be expected, by threshold: from the data, for every setting of the dial.
+    """How many false defects per mm2 are to be expected, by threshold: from the data, for every setting of the dial.
 
     threshold_sigma rises; per_mm2 belongs to it, point by point.
     """

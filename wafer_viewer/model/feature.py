@@ -92,7 +92,7 @@ class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
         if len(self.places) != n or not same:
             names = ", ".join(f"{place.name} ({place.kind})" for place in TOOLS[self.tool].places)
             given = ", ".join(place.kind for place in self.places)
-            raise PlanError(f"Feature '{self.name}': its tool '{self.tool}' is measured at {names}; here are {given}.")
+            raise PlanError(f"Feature '{self.name}': its tool '{self.tool}' is measured at {names}; {given} are given.")
 
 
 class Die(Spec, frozen=True, kw_only=True):

@@ -116,7 +116,7 @@ class Certificate(Spec, frozen=True, kw_only=True):
         if self.blocks[0].nominal_um == self.blocks[1].nominal_um:
             self._wrong(f"names two blocks of {self.blocks[0].nominal_um:g} um, which make no step")
         if self.grade and self.variation_um is None and max(b.nominal_um for b in self.blocks) > LONGEST_UM:
-            self._wrong("is of blocks over 10 mm: give their variation_um, for the grade alone does not say it")
+            self._wrong("is of blocks over 10 mm: give their variation_um, because the grade alone does not say it")
 
     def _require_a_step(self) -> None:
         if self.value_um is None or self.nominal_um is None:

@@ -55,7 +55,7 @@ class GoldenDie:
     def __post_init__(self) -> None:
         if len({layer.shape for layer in self.layers.values()}) != 1:
             shapes = ", ".join(f"{name} {layer.shape}" for name, layer in self.layers.items())
-            raise MeasureError(f"The layers of a golden die must be of one size; here are {shapes}.")
+            raise MeasureError(f"The layers of a golden die must be of one size; their sizes are {shapes}.")
 
     @property
     def layers(self) -> dict[str, NDArray[np.float32]]:

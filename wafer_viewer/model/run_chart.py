@@ -25,7 +25,7 @@ class RunChart(Spec, frozen=True, kw_only=True):
     """The individuals chart of the errors of one pair of blocks, oldest first; lengths in um.
 
     s_um: from moving ranges (mean range / 1.128); low_um and high_um: the control limits, mean -+ 3 s. None with fewer
-    than the points they need. drift: um a day, with U. due: the day of the next check, ISO 8601. warnings, notes:
+    than the points they need. drift: um per day, with U. due: the day of the next check, ISO 8601. warnings, notes:
     sentences.
     """
 

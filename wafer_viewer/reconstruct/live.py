@@ -70,7 +70,7 @@ class LiveField:
     def take(self, first: int, stop: int) -> None:
         """Measure the pages first ... stop - 1, which are written by now; each page once."""
         if self._came[first:stop].any():
-            raise ComputeError(f"Some of the pages {first} to {stop - 1} were taken in already: give each page once.")
+            raise ComputeError(f"Some of the pages {first} to {stop - 1} were added already: give each page once.")
         slots = np.arange(first, stop)
         for rows, curves in self._stripes:
             source, out, n = self._source(rows, slots), self._peaks.rows(rows), _length(rows)

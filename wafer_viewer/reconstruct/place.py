@@ -175,7 +175,7 @@ def _pixel_um(outlines: Sequence[Outline]) -> float:
     for outline in outlines:
         if abs(outline.pixel_um / pixel_um - 1) > SAME_PIXEL_FRACTION:
             raise ComputeError(
-                f"Fields of {pixel_um:g} and of {outline.pixel_um:g} um a pixel cannot be stitched: "
+                f"Fields of {pixel_um:g} and of {outline.pixel_um:g} um per pixel cannot be stitched: "
                 "reconstruct them with one pixel size."
             )
     return pixel_um

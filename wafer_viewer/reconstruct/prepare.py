@@ -113,8 +113,8 @@ class Frames:
 def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
     """Skip absent slots, flashes and dead frames, put the rest in the order of rising z, and find what pixels need.
 
-    Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is no number, for frames that share
-    a z, for fewer than three frames, and for exposures that cannot be compared.
+    Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is not a number, for frames that
+    share a z, for fewer than three frames, and for exposures that cannot be compared.
     """
     if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
         raise ComputeError(

@@ -131,7 +131,7 @@ class PulseBoxClient:
         if self._boot is not None and boot != self._boot:
             was, self._boot, self._armed = self._boot, boot, False
             raise RigError(
-                f"The pulse box was started anew during its work (boot {boot}, before {was}): this pass is lost; "
+                f"The pulse box restarted during a pass (boot {boot}, before {was}): this pass is lost; "
                 "check its power and continue the scan."
             )
         if answer.verb != "OK":
@@ -145,7 +145,7 @@ class PulseBoxClient:
                 self._records[pulse.number] = pulse
             elif event.verb == "F":
                 self._armed = False
-                raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is mended.")
+                raise RigError(f"The pulse box disarmed itself: {_why(event)}; continue the scan when that is fixed.")
 
     def _fetch(self, emitted: int) -> None:
         """Ask again for the records that got lost on the wire."""

@@ -119,14 +119,14 @@ class Browsing:
     Raises
     ------
     DatasetError
-        When one of `more` is no folder.
+        When one of `more` is not a folder.
     """
 
     def __init__(self, data_folder: Path, more: tuple[Path, ...] = (), home: Path | None = Path("~")) -> None:
         given = tuple(path.expanduser().absolute() for path in more)
         for path in given:
             if not path.is_dir():
-                raise DatasetError(f"--browse {path} is no folder: name one that is there.")
+                raise DatasetError(f"--browse {path} is not a folder: name one that is there.")
         own = home.expanduser().absolute() if home is not None else None
         named = [("Data folder", data_folder.absolute()), ("Home", own), *((path.name, path) for path in given)]
         roots = [Root(name or str(path), path) for name, path in named if path is not None and path.is_dir()]
@@ -205,7 +205,7 @@ class Browsing:
     def _list(self, folder: Path, kind: FileKind, prefix: str, order: Order, limit: int) -> Listing:
         folder = self.existing(str(folder), folder)
         if not folder.is_dir():
-            raise DatasetError(f"{folder} is no folder: choose one that is.")
+            raise DatasetError(f"{folder} is not a folder: choose one that is.")
         every, is_cut = self._scan(folder, prefix)
         found = [entry for entry in (_entry(item, kind) for item in every) if entry is not None]
         found.sort(key=_key(order))

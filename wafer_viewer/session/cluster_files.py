@@ -56,7 +56,7 @@ def write_cluster_files(folder: Path) -> None:
     }
     for name in contents:
         if (folder / name).exists():
-            raise DatasetError(f"{folder / name} is there already: use that cluster's files, or choose another folder.")
+            raise DatasetError(f"{folder / name} exists already: use that cluster's files, or choose another folder.")
     for name, content in contents.items():
         _write_private(folder / name, content)
 

@@ -128,7 +128,7 @@ def surface_of(now: Snapshot, show: int) -> Mosaic:
     asked = comparison_of(show)
     found = next((c for c in now.comparisons if asked is not None and c.number == asked[0]), None)
     if asked is None or found is None or now.dataset is None:
-        raise DatasetError("This comparison is gone: choose another surface to look at.")
+        raise DatasetError("This comparison was deleted: choose another surface to look at.")
     return _surface(now.dataset.path, found.name, asked[1], found.stamp)
 
 

@@ -217,7 +217,7 @@ def require_tls(scheduler: str | None) -> None:
     """Raises ComputeError where the address of a scheduler is of another kind than tls://HOST:PORT."""
     if scheduler is not None and not scheduler.startswith("tls://"):
         raise ComputeError(
-            f"The scheduler's address is {scheduler}: it must begin with tls://, for any program could run code "
+            f"The scheduler's address is {scheduler}: it must begin with tls://, because any program could run code "
             "through an open one."
         )
 

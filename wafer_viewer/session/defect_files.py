@@ -130,7 +130,7 @@ class DefectFiles:
         return self._do(self._keeper.lay_over, Path(path), unit, within_um)
 
     def take_away(self) -> Future[None]:
-        """Take away what was laid over."""
+        """Remove overlay what was laid over."""
         return self._do(self._keeper.take_away)
 
     def refresh(self) -> Future[None]:

@@ -82,7 +82,7 @@ def keep_golden(
 
     wafer, found = _inspected(dataset, result, same_surface=True)
     if found.grid is None:
-        raise MeasureError("A golden die is made of dies and this inspection has none: inspect die with die first.")
+        raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
     golden = golden_of_surface(wafer.surface, found.grid, found.recipe, product=found.product, made_of=dataset.stem)
     return save_golden(golden, dataset.parent / FOLDER / name)
 

@@ -168,7 +168,7 @@ class DefectKeeper:
 
     def _require_writable(self) -> None:
         if (why := self._library.shown.read_only) is not None:
-            raise DatasetError(f"Defects stay as they are: {why}")
+            raise DatasetError(f"Defects were not changed: {why}")
 
 
 class DefectVerbs:

@@ -1,4 +1,4 @@
-"""What this machine has and lacks for each part of the program, and the line that mends it."""
+"""What this machine has and lacks for each part of the program, and how to fix it."""
 
 from __future__ import annotations
 

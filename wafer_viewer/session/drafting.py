@@ -19,7 +19,7 @@ from wafer_viewer.session.releases import as_released, blank, require_as_release
 from wafer_viewer.session.state import Draft, Typed
 
 PLAN_ENDING = ".toml"
-RIG_STARTS = "The rig is starting: the plan is priced as soon as the rig answers."
+RIG_STARTS = "The rig is starting: its time is estimated as soon as the rig answers."
 UNCONFIRMED = (
     "What was open is open again, and another sample may lie on the stage by now: confirm the sample before anything "
     "moves."

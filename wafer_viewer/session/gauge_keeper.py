@@ -92,7 +92,7 @@ class GaugeKeeper:
         if state.check is None:
             raise MeasureError(state.refusal or "There is nothing to sign: measure a repeat first.")
         if all(repeat.dataset != shown.name for repeat in state.repeats):
-            raise MeasureError(f"{shown.name} is no repeat of this check: open one of its scans to sign it.")
+            raise MeasureError(f"{shown.name} is not a repeat of this check: open one of its scans to sign it.")
         if shown.read_only is not None:
             raise MeasureError(f"The check cannot be kept: {shown.read_only}")
         check = work.signed(state.check, operator, state.records)

@@ -1,4 +1,4 @@
-"""What the painter is asked for to show a place beside its like, or a die as all of them are, and what comes back."""
+"""What the painter is asked for to show a place compared, or a die as all of them are, and what comes back."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class Hire:
     def __post_init__(self) -> None:
         require_tls(self.scheduler)
         if self.workers is not None and self.workers < 1:
-            raise PlanError(f"--workers is {self.workers}: it must be 1, for no process but this one, or more.")
+            raise PlanError(f"--workers is {self.workers}: it must be at least 1, which is this process alone.")
         if self.scheduler is not None and self.workers is not None:
             raise PlanError("--workers is for this machine and --scheduler for a cluster: give one of them.")
 
@@ -128,7 +128,7 @@ def file_or_mosaic(src: Path, result: str, says: Reading, tell: Tell) -> Mosaic:
     """The surface of a file, or the stitched one of a dataset, which says everything itself."""
     if is_dataset(src):
         if says != Reading():
-            raise DatasetError(f"{src.name} says its units itself: leave --z-unit, --pixel-um and --invert-z out.")
+            raise DatasetError(f"{src.name} gives its own units: leave --z-unit, --pixel-um and --invert-z out.")
         return Dataset.open(src).result(result).mosaic()
     return read_surface(src, says.z_unit, says.pixel_um, says.invert_z, tell)
 

@@ -63,6 +63,6 @@ def read_report(name: str, folders: Iterable[Path]) -> bytes | None:
 
 
 def free_path(dataset: Path, what: str, ending: str) -> Path:
-    """The first ``NAME-what-1``, ``NAME-what-2``, … beside a dataset that is no file yet."""
+    """The first ``NAME-what-1``, ``NAME-what-2``, … beside a dataset that is not a file yet."""
     paths = (dataset.with_name(f"{dataset.stem}-{what}-{n}{ending}") for n in count(1))
     return next(path for path in paths if not path.exists())

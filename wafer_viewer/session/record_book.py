@@ -54,7 +54,7 @@ NAMES: dict[type[AnyFinding], str] = {
     SiteRanges: "Site range",
     Defect: "Defect",
 }
-"""What results are called that nobody named, before their count."""
+"""What results are called that not named, before their count."""
 
 
 class RecordBook:

@@ -18,7 +18,7 @@ from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.revision import datasets_of, judged_places
 from wafer_viewer.store.dataset import Dataset
 
-NOBODY = "nobody named"
+NOBODY = "not named"
 """The appraiser of scans whose operator was not given."""
 Cells = Mapping[tuple[str, str], list[float]]
 """By part and appraiser, the trials in order of time."""
@@ -36,7 +36,7 @@ class _Scan:
         """The wafer's id. Raises MeasureError where it has none."""
         sample = self.data.scan.job.sample
         if not (name := sample.wafer_id.strip() or sample.name.strip()):
-            raise MeasureError(f"{self.data.path.name} names no wafer: without its id nobody knows which part it is.")
+            raise MeasureError(f"{self.data.path.name} names no wafer: without its id the part is not known.")
         return name
 
     @property

@@ -48,7 +48,7 @@ def defects_held(material: Material) -> Holds:
 
 def _inspected(found: Inspection) -> Pairs:
     expected = found.expected_false_per_mm2
-    false = f"{expected:.2g} a mm² expected" if expected is not None else "not known"
+    false = f"{expected:.2g} per mm² expected" if expected is not None else "not known"
     return (
         ("Defects", number(len(found.found), 0)),
         ("Compared with", REFERENCES[found.reference]),

@@ -89,7 +89,7 @@ def surface_pairs(info: SurfaceInfo) -> Pairs:
         *((f"Not measured: {words}", share(part)) for words, part in info.unmeasured if part > 0),
     ]
     if info.overlap_rms_um is not None:
-        rows.append(("Fields apart in the overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+        rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
     if (placed := info.stitching) is not None:
         rows += [
             ("Overlaps accepted", f"{placed.n_believed} of {placed.n_overlaps}"),
@@ -104,7 +104,7 @@ def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
     grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
     return (
         ("Fields", f"{len(plan.fields)}{grid}"),
-        ("Frames a field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
+        ("Frames per field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
         ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
         ("Strategy", plan.strategy.replace("_", " ")),
         ("Predicted time", duration(plan.predicted_s)),

@@ -71,7 +71,9 @@ def scan_to(
 def _goes_on(path: Path, job: Job) -> Scan:
     data = Dataset.open(path)
     if data.scan.job != job:
-        raise PlanError(f"{path} was begun with another plan: choose another name, or give the plan it was begun with.")
+        raise PlanError(
+            f"{path} was started with another plan: choose another name, or give the plan it was started with."
+        )
     if not data.missing():
         raise DatasetError(f"{path} has all its frames: choose another name.")
     return Scan(path, data.scan.plan, job, goes_on=True)

@@ -44,7 +44,7 @@ class Session(Asking):
     rig: None stands for the virtual wafer. scheduler: a dask cluster that runs already, else one of our own is started.
     browse: folders that a file dialog may show beside the data folder and the home folder.
     The constructor returns at once; the rig and the workers come up meanwhile. Raises DatasetError when the data
-    folder is not there and cannot be made, or one of `browse` is no folder.
+    folder is not there and cannot be made, or one of `browse` is not a folder.
     """
 
     def __init__(

@@ -131,11 +131,11 @@ def verified_text(path: Path) -> bytes:
 
 
 def require_json(content: bytes, name: str) -> None:
-    """Raise DatasetError for what is no JSON text, whatever is wrong with it."""
+    """Raise DatasetError for what is not JSON, whatever is wrong with it."""
     try:
         msgspec.json.decode(content)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as fault:
-        raise DatasetError(f"{name} is no JSON text ({fault}): restore it from a copy.") from fault
+        raise DatasetError(f"{name} is not JSON ({fault}): restore it from a copy.") from fault
 
 
 # ------------------------------------------------------------------------------------------------ archives
@@ -218,15 +218,15 @@ def mend_of(path: Path) -> str:
     if path.parent.name == SURFACES or path.name in ("recipe.json", "settled.json"):
         return f"make the surface again ({again} --again)"
     if path.name.endswith(".golden.npz"):
-        return "make it anew or take an older version"
+        return "make it again or use an older version"
     return _OTHER_MENDS.get(path.name, "restore it from a copy")
 
 
 _OTHER_MENDS = {
     "scan.json": "restore it from a copy; where you changed it by hand, take its last member, crc32c, out",
-    "verdict.json": "restore it from a copy, or remove it to have the wafer judged anew",
+    "verdict.json": "restore it from a copy, or remove it to have the wafer judged again",
     "findings.json": "restore it from a copy, or remove it and measure again",
     "defects.json": "restore it from a copy, or remove it and inspect again",
     "notebook.json": "restore it from a copy, or remove it: saved views and judgements are in it",
-    "surface.json": "remove it: it is made anew from the stitched surface",
+    "surface.json": "remove it: it is made again from the stitched surface",
 }

@@ -11,7 +11,7 @@ from wafer_viewer.store.record import JOURNAL
 from wafer_viewer.store.result import FINDINGS, MOSAIC, POSES, SURFACES, Result
 
 SCAN, VERDICT, NOTEBOOK = "scan.json", "verdict.json", "notebook.json"
-HELD = "the frames themselves are held against the journal's crc32 of each by wafer-viewer check"
+HELD = "the frames themselves are checked against the journal's crc32 of each by wafer-viewer check"
 PIECE = 1 << 20
 MOST_BYTES = 20e9
 """Of larger sets of files names and sizes alone are hashed: a report is not to take minutes."""
@@ -61,7 +61,7 @@ def _digest(what: str, of: str, folder: Path, files: list[Path]) -> Digest:
         digest.update(f"{path.relative_to(folder).as_posix()}\n{n_bytes}\n".encode())
         if not too_large:
             _add(digest, path)
-    told = f"{of}; names and sizes alone, for they are {size(sum(sizes))}" if too_large else of
+    told = f"{of}; names and sizes alone, because they are {size(sum(sizes))}" if too_large else of
     return Digest(what, told, digest.hexdigest())
 
 

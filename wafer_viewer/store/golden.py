@@ -66,9 +66,9 @@ def _members(path: Path) -> Generator[tuple[GoldenHeader, Mapping[str, Any]]]:
     except FileNotFoundError as fault:
         raise DatasetError(f"{path} does not exist: check the path.") from fault
     except KeyError as fault:
-        raise DatasetError(f"{path} is no golden die: give a file that ends in {ENDING}.") from fault
+        raise DatasetError(f"{path} is not a golden die: give a file that ends in {ENDING}.") from fault
     except (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, TypeError) as fault:
-        raise DatasetError(f"{path} cannot be read as a golden die: make it anew or take an older version.") from fault
+        raise DatasetError(f"{path} cannot be read as a golden die: make it again or use an older version.") from fault
 
 
 def golden_named(folder: Path, name: str, product: str = "") -> GoldenDie:

@@ -58,7 +58,7 @@ def image_files(src: Paths) -> list[Path]:
         raise DatasetError(f"Import stopped at {path}: it does not exist. {NOTHING_WRITTEN} Check the path.")
     if path.suffix.lower() not in READERS:
         raise DatasetError(
-            f"Import stopped at {path.name}: it is no image. {NOTHING_WRITTEN} Take one of {_endings()}."
+            f"Import stopped at {path.name}: it is not an image. {NOTHING_WRITTEN} Take one of {_endings()}."
         )
     return [path]
 
@@ -67,7 +67,8 @@ def damaged(name: str, fault: Exception | None = None) -> DatasetError:
     """The error for a file that is cut off or no image at all."""
     detail = f" ({str(fault).splitlines()[0].rstrip('.')})" if fault is not None and str(fault) else ""
     return DatasetError(
-        f"Import stopped at {name}: it is damaged or no image{detail}. {NOTHING_WRITTEN} Take it out or copy it anew."
+        f"Import stopped at {name}: it is damaged, or not an image{detail}. {NOTHING_WRITTEN} "
+        "Remove it or copy it again."
     )
 
 

@@ -111,7 +111,7 @@ def _records(path: Path, text: str) -> Records:
             f"{path.name} is KLARF {newer[1]}, which has another syntax: export it as KLARF 1.2 (FileVersion 1 2)."
         )
     if not text.lstrip().startswith("FileVersion"):
-        raise DatasetError(f"{path.name} is no KLARF file: it does not begin with FileVersion.")
+        raise DatasetError(f"{path.name} is not a KLARF file: it does not begin with FileVersion.")
     if "EndOfFile" not in text[-200:]:
         raise DatasetError(f"{path.name} is cut off, it has no EndOfFile: copy or export it again.")
     found: dict[str, list[Record]] = defaultdict(list)
@@ -222,7 +222,7 @@ def _whole(word: str) -> int:
     """A whole number, which some programs write as ``0.000``. Raises ValueError for any other word."""
     value = float(word)
     if not value.is_integer():
-        raise ValueError(f"{word} is no whole number")
+        raise ValueError(f"{word} is not a whole number")
     return int(value)
 
 

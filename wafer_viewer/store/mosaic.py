@@ -194,7 +194,7 @@ class ZarrMosaic:
             root = json.loads(text)
             own = json.dumps(root["attributes"][OWN]).encode()
         except (OSError, ValueError, KeyError, TypeError) as fault:
-            raise DatasetError(f"{path} is no mosaic of Wafer Viewer, or damaged: {mend_of(path)}.") from fault
+            raise DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {mend_of(path)}.") from fault
         return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
 
     def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:

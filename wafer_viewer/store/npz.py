@@ -95,7 +95,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
         raise DatasetError(f"{place} does not exist: check the path.") from fault
     except KeyError as fault:
         raise DatasetError(
-            f"{place} is no height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
+            f"{place} is not a height map, {fault.args[0]}: give a file that Wafer Viewer wrote."
         ) from fault
     except (zipfile.BadZipFile, ValueError, OSError, struct.error) as fault:
         mend = mend_of(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"

@@ -28,4 +28,4 @@ def read_planes(path: Path) -> dict[str, NDArray[Any]]:
         with np.load(path) as members:
             return {name: members[name] for name in members.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as fault:
-        raise DatasetError(f"{path} cannot be read: begin the work anew.") from fault
+        raise DatasetError(f"{path} cannot be read: start the work again.") from fault

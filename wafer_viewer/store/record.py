@@ -106,7 +106,7 @@ def _record_text(folder: Path) -> bytes:
     try:
         return (folder / RECORD).read_bytes()
     except (FileNotFoundError, NotADirectoryError) as fault:
-        raise DatasetError(f"{folder} is no dataset, it has no {RECORD}: import images into one first.") from fault
+        raise DatasetError(f"{folder} is not a dataset, it has no {RECORD}: import images into one first.") from fault
     except OSError as fault:
         raise DatasetError(f"{folder / RECORD} cannot be read: {fault.strerror}.") from fault
 

@@ -33,7 +33,7 @@ class Result:
 
     @classmethod
     def of(cls, folder: Path, name: str) -> Result:
-        """The result with a name in the folder of results. Raises DatasetError when the name is no folder's name."""
+        """The result with a name in the folder of results. Raises DatasetError when the name is not a folder's name."""
         if not re.fullmatch(r"[\w][\w .+-]*", name):
             raise DatasetError(f"A result cannot be called {name!r}: use letters, digits, spaces and . + - _ only.")
         return cls(folder / name)

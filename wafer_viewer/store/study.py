@@ -18,8 +18,8 @@ HOW = "a study has the columns part, appraiser and value, and a line for each tr
 def read_study(path: Path) -> NDArray[np.float64]:
     """The values of a CSV file, [part, appraiser, trial]; trials in the order of their lines. Lines with # are skipped.
 
-    Raises MeasureError for a file that cannot be read, lacks a column, holds what is no number, or in which parts were
-    not measured equally often.
+    Raises MeasureError for a file that cannot be read, lacks a column, holds what is not a number, or in which parts
+    were not measured equally often.
     """
     cells: dict[tuple[str, str], list[float]] = defaultdict(list)
     for number, line in _lines(path):
@@ -27,7 +27,7 @@ def read_study(path: Path) -> NDArray[np.float64]:
             cells[line["part"].strip(), line["appraiser"].strip()].append(float(line["value"]))
         except (ValueError, TypeError, AttributeError) as fault:
             raise MeasureError(
-                f"{path.name}, line {number}: {line.get('value')!r} is no number: mend the line."
+                f"{path.name}, line {number}: {line.get('value')!r} is not a number: correct the line."
             ) from fault
     if not cells:
         raise MeasureError(f"{path.name} holds no values: {HOW}.")

@@ -200,7 +200,7 @@ class DatasetWriter:
         pages = self.record.pages
         if shot.field not in self._fields or not 0 <= self.record.page_of(shot.k, shot.exposure) < pages.n_pages:
             raise DatasetError(
-                f"{shot} is not in the plan of {self.path.name}: continue with the plan it was begun with."
+                f"{shot} is not in the plan of {self.path.name}: continue with the plan it was started with."
             )
         if image.shape != (pages.rows, pages.cols) or image.dtype.itemsize != pages.dtype.itemsize:
             raise DatasetError(

@@ -43,7 +43,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         if self.bits not in (8, 16):
-            raise RigError(f"The virtual sensor has {self.bits} bits a pixel; choose 8 or 16.")
+            raise RigError(f"The virtual sensor has {self.bits} bits per pixel; choose 8 or 16.")
 
     def expose(self, radiance: Plane, gain: float, seed: int) -> Image:
         """One exposure of radiance [row, col] to counts: the same for the same seed, white clipped.

@@ -88,7 +88,7 @@ def read_gwy(path: Path, asked: Asked) -> HeightMap:
     with path.open("rb") as file:
         is_ours = file.read(len(MAGIC)) == MAGIC
     if not is_ours:
-        raise asked.refuse("is no GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
+        raise asked.refuse("is not a GWY file: give a file that Gwyddion or Wafer Viewer wrote.")
     try:
         tree = parsed(np.memmap(path, np.uint8, "r"))
     except (struct.error, ValueError, IndexError, UnicodeDecodeError) as fault:

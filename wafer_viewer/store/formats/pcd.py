@@ -86,7 +86,7 @@ def _head(path: Path, asked: Asked) -> _Head:
     if said["DATA"] not in (["binary"], ["ascii"]):
         raise asked.refuse(f"has its points as {' '.join(said['DATA'])}: write it as binary or ascii.")
     if set(said.get("COUNT", ["1"])) != {"1"} or not set(kinds) <= _KINDS.keys():
-        raise asked.refuse("has fields of several numbers: write it with one number a field.")
+        raise asked.refuse("has fields of several numbers: write it with one number per field.")
     for axis in "xyz":
         if axis not in names:
             raise asked.refuse(f"has no {axis} among its fields: write it with x, y and z.")

@@ -65,4 +65,4 @@ def text_records(path: Path, begin: int, n_points: int, fields: list[tuple[str, 
             try:
                 yield np.loadtxt(lines, np.dtype(fields), ndmin=1)
             except ValueError as fault:
-                raise asked.refuse("has points that are no numbers: write it again.") from fault
+                raise asked.refuse("has points that are not numbers: write it again.") from fault

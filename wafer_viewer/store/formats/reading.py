@@ -50,7 +50,7 @@ class Asked:
     def require_heights_up(self, quantity: str) -> None:
         """Refuse what a file calls depths, unless a person said that they be turned over."""
         if quantity.strip().lower().startswith("depth") and not self.says.invert_z:
-            raise self.refuse(f"holds depths, not heights ({quantity}): say so with --invert-z to turn them over.")
+            raise self.refuse(f"holds depths, not heights ({quantity}): give --invert-z to invert them.")
 
     def z_scale_um(self, unit: str | None) -> float:
         """What heights are multiplied with, by the unit that the file gives and the one that a person gives."""
@@ -93,7 +93,9 @@ class Asked:
     def _length(self, unit: str, what: str) -> float:
         found = UNITS_UM.get(unit.strip()) or UNITS_UM.get(unit.strip().lower())
         if found is None:
-            raise self.refuse(f"gives {what} in '{unit}', which is no length that is known: use m, mm, um or nm.")
+            raise self.refuse(
+                f"gives {what} in '{unit}', which is not a unit of length that is known: use m, mm, um or nm."
+            )
         return found
 
 

@@ -93,9 +93,9 @@ def is_heights(path: Path) -> bool:
 
 def _require_heights(page: TiffPage, asked: Asked) -> None:
     if page.samplesperpixel != 1 or len(page.shape) != 2:
-        raise asked.refuse("is a colour picture, no heights: give a TIFF with one 32-bit float a pixel.")
+        raise asked.refuse("is a colour picture, not heights: give a TIFF with one 32-bit float per pixel.")
     if page.dtype is None or page.dtype.kind != "f":
-        raise asked.refuse(f"holds integers ({page.dtype}), no heights: give a TIFF with one 32-bit float a pixel.")
+        raise asked.refuse(f"holds integers ({page.dtype}), not heights: give a TIFF with one 32-bit float per pixel.")
     orientation = page.tags.get("Orientation")
     if orientation is not None and int(orientation.value) != _TOP_LEFT:
         raise asked.refuse("says that it is stored turned or mirrored: write it with its top left corner first.")

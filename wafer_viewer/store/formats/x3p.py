@@ -57,7 +57,7 @@ def read_x3p(path: Path, asked: Asked) -> HeightMap:
 def _read(archive: zipfile.ZipFile, main: ElementTree.Element, asked: Asked) -> HeightMap:
     dx, dy, dz = (_axis(main, name, asked) for name in ("CX", "CY", "CZ"))
     if dz[0] < 0 and not asked.says.invert_z:
-        raise asked.refuse("has z upside down, its increment is negative: say so with --invert-z to turn it over.")
+        raise asked.refuse("has z upside down, its increment is negative: give --invert-z to invert it.")
     pixel_um, m_um = asked.pixel_um(dx[0] / _M, dy[0] / _M), asked.z_scale_um("m")
     z_um = _heights(archive, main, dz[0] * m_um, dz[1] * m_um, asked)
     told = told_by((_text(main, "Record2/Comment") or "").partition("\n")[2])
@@ -124,7 +124,7 @@ def _main_of(archive: zipfile.ZipFile, asked: Asked) -> ElementTree.Element:
     """The root of main.xml, whose checksum fits and which describes one surface."""
     name = next((n for n in archive.namelist() if n.lower().endswith(MAIN)), None)
     if name is None:
-        raise asked.refuse(f"is no X3P file, it has no {MAIN}: give one that has.")
+        raise asked.refuse(f"is not an X3P file, it has no {MAIN}: give one that has.")
     with archive.open(name) as file:
         text = file.read(_LARGEST_XML)
     sums = next((n for n in archive.namelist() if n.lower().endswith(CHECKSUM)), None)
@@ -205,7 +205,7 @@ def _axis(main: ElementTree.Element, name: str, asked: Asked) -> tuple[float, fl
         said = [_text(main, f"Record1/Axes/{name}/{what}") for what in ("Increment", "Offset")]
         increment, offset = float(said[0] or 1.0), float(said[1] or 0.0)
     except ValueError as fault:
-        raise asked.refuse(f"has an axis {name} whose increment or offset is no number: write it again.") from fault
+        raise asked.refuse(f"has an axis {name} whose increment or offset is not a number: write it again.") from fault
     if said[0] is None and name != "CZ":
         raise asked.refuse(f"does not say the increment of its axis {name}: write it again with its pixel size.")
     return increment, offset
