@@ -129,7 +129,7 @@ def test_the_session_offers_compares_shows_measures_exports_and_removes(tmp_path
         busy.result(patience_s)
         session.comparing.remove(number).result(patience_s)
         assert [c.name for c in session.snapshot.comparisons] == ["difference-before-cleaned"]
-        with pytest.raises(DatasetError, match="comparison is gone"):
+        with pytest.raises(DatasetError, match="comparison was deleted"):
             session.read_out(430, 470, show)
 
         pending = session.comparing.begin(*pairs[0])

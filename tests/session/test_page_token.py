@@ -95,7 +95,7 @@ def test_what_is_no_token_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_pipe_in_its_place_does_not_hold_up_the_start(tmp_path: Path) -> None:
     file_of(tmp_path).parent.mkdir()
     os.mkfifo(file_of(tmp_path), 0o600)
-    with pytest.raises(DatasetError, match="is no file"):
+    with pytest.raises(DatasetError, match="is not a file"):
         page_token(tmp_path)
 
 

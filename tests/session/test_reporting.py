@@ -202,5 +202,5 @@ def test_a_part_with_nothing_in_it_says_so():
 
 def test_what_is_no_dataset_is_refused_in_one_sentence(tmp_path, capsys):
     assert main(["report", str(tmp_path), "-o", str(tmp_path / "r.html")]) == 2
-    assert "is no dataset" in capsys.readouterr().err
+    assert "is not a dataset" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

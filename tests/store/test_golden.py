@@ -78,7 +78,7 @@ def test_a_file_that_is_none_is_refused(golden: GoldenDie, tmp_path: Path):
     with pytest.raises(DatasetError, match="does not exist"):
         open_golden(tmp_path / "gone.golden.npz")
     np.savez(tmp_path / "other.golden.npz", z_um=np.zeros((2, 2)))
-    with pytest.raises(DatasetError, match="is no golden die"):
+    with pytest.raises(DatasetError, match="is not a golden die"):
         open_golden(tmp_path / "other.golden.npz")
     with pytest.raises(DatasetError, match="There is no golden die 'best'"):
         golden_named(tmp_path, "best")

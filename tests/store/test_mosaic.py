@@ -201,7 +201,7 @@ def test_memory_is_that_of_shards_not_of_the_surface(stored, source):
 
 
 def test_a_folder_that_is_no_mosaic(tmp_path):
-    with pytest.raises(DatasetError, match="is no mosaic of Wafer Viewer"):
+    with pytest.raises(DatasetError, match="is not a mosaic of Wafer Viewer"):
         ZarrMosaic.open(tmp_path)
     stored = write_mosaic(tmp_path / "m.zarr", make_surface())
     (stored.path / "origin/0/zarr.json").unlink()
