@@ -101,7 +101,7 @@ FAULTS = {
     # no unit, two units
     "no unit.gsf": (gsf(ZUnits=None), "does not say the unit of its heights: give it, as in --z-unit um"),
     "no pixel.gsf": (gsf(XYUnits=None), "does not say its pixel size: give it, as in --pixel-um 0.5"),
-    "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is no length"),
+    "volts.gsf": (gsf(ZUnits="V"), "gives its heights in 'V', which is not a unit of length"),
     "twice.gsf": (gsf().replace(b"ZUnits = m\n", b"ZUnits = m\nZUnits = nm\n"), "says ZUnits twice, m and nm"),
     "oblong.gsf": (gsf(YReal=4e-6), "has pixels of 1 x 1.33333 um: resample it to square pixels"),
     "no unit.csv": (TABLE.encode(), "does not say the unit of its heights"),
@@ -165,7 +165,7 @@ FAULTS = {
     "two columns.xyz": (b"1 2\n3 4\n", "has fewer than three columns"),
     "words.csv": (b"x_um,y_um,z_um\n1,2,three\n", "has lines without numbers"),
     "line.csv": (b"x_um,y_um,z_um\n1,2,3\n2,2,3\n", "has its points on one line"),
-    "integers.tif": (tiff(Z.astype(np.uint16)), "holds integers .uint16., no heights"),
+    "integers.tif": (tiff(Z.astype(np.uint16)), "holds integers .uint16., not heights"),
     "colour.tif": (tiff(np.zeros((8, 8, 3), np.uint8), photometric="rgb"), "is a colour picture, not heights"),
     "png.tif": (png(), "cannot be read as TIFF"),
     "other.npz": (npz(a=Z), "is not a height map"),
@@ -216,7 +216,7 @@ def test_a_file_that_is_not_there_and_one_of_no_known_kind(tmp_path):
     [
         ({"z_unit": "mm"}, "says that its heights are in m, and --z-unit says mm: leave --z-unit out"),
         ({"pixel_um": 2.0}, "says that a pixel is 1 um, and --pixel-um 2: leave --pixel-um out"),
-        ({"z_unit": "ells"}, "gives --z-unit in 'ells', which is no length"),
+        ({"z_unit": "ells"}, "gives --z-unit in 'ells', which is not a unit of length"),
     ],
 )
 def test_what_a_person_says_must_not_contradict_the_file(tmp_path, says, sentence):

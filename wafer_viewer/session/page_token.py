@@ -116,7 +116,7 @@ def _read(path: Path) -> str:
 def _why_not_ours(found: os.stat_result) -> str | None:
     """Return why others may have read or placed a file; systems without such rights have none to check."""
     if not stat.S_ISREG(found.st_mode):
-        return "is no file"
+        return "is not a file"
     if not hasattr(os, "geteuid"):
         return None
     if found.st_uid != os.geteuid():
@@ -129,5 +129,5 @@ def _why_not_ours(found: os.stat_result) -> str | None:
 def _refused(path: Path, why: str) -> DatasetError:
     return DatasetError(
         f"{path} {why}: the page would be open to others. Start once with --new-token, or delete the file; "
-        "addresses printed before then open the page no more."
+        "addresses printed earlier no longer open the page."
     )
