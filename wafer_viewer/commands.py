@@ -69,7 +69,7 @@ def serve(
         scheduler: Address of a dask cluster that runs already, tls://HOST:PORT; without it one is started here.
         browse: Folders that file dialogs may show, beside the data folder and the home folder.
         open_browser: Also open the page in the browser of this machine.
-        new_token: Replace the token of the folder's address: addresses printed before open the page no more.
+        new_token: Replace the token of the folder's address: addresses printed earlier no longer open the page.
     """
     from wafer_viewer.gui.app import serve as serve_page
     from wafer_viewer.session.memory import return_what_is_freed

@@ -39,7 +39,7 @@ def page_token(folder: Path, *, renew: bool = False) -> str:
     folder
         The data folder.
     renew
-        Replace the token, so that addresses printed before open the page no more.
+        Replace the token, so that addresses printed earlier no longer open the page.
 
     Returns
     -------
