@@ -10,6 +10,7 @@ import numpy as np
 from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.session.paint_refused import PlacedField
 from wafer_viewer.session.paint_request import PaintRequest, Source
 from wafer_viewer.session.painting import paint
 from wafer_viewer.session.state import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
@@ -38,6 +39,10 @@ def height_map(
     )
 
 
+def _place(surface: HeightMap) -> tuple[tuple[int, int], float, float, float]:
+    return surface.shape, surface.pixel_um, surface.x0_um, surface.y0_um
+
+
 class MemoryShelf:
     """Surfaces by running number, 0 the stitched one."""
 
@@ -46,6 +51,11 @@ class MemoryShelf:
 
     def surface(self, source: Source) -> Mosaic:
         return self.surfaces[source.show]
+
+    def fields(self, source: Source) -> list[PlacedField]:
+        """The fields of the stitched surface are those that stand beside it."""
+        shown = [n for n in self.surfaces if n > 0 and source.show in (0, n)]
+        return [PlacedField(lambda n=n: self.surfaces[n], *_place(self.surfaces[n])) for n in shown]
 
     def stacks(self, source: Source) -> list[FieldStack]:
         return [self.field_stacks[source.show]] if source.show else list(self.field_stacks.values())

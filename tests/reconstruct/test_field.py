@@ -86,6 +86,23 @@ def test_layers_agree_with_each_other(plane_map: HeightMap) -> None:
     assert plane_map.confidence.max() <= 1
 
 
+def test_every_refused_peak_is_kept_with_its_height_and_its_reason(make_stack: MakeStack, plane_um: NDArray) -> None:
+    contrast = np.ones(plane_um.shape)
+    contrast[:, 50:80] = 0.0
+    z_um = np.arange(20.0, 104.0, 4.0)
+    height = reconstruct(make_stack(plane_um, z_um, contrast=contrast))
+    refused = height.refused
+    assert refused is not None
+    np.testing.assert_array_equal(refused.at, np.flatnonzero(height.origin != Origin.MEASURED))
+    assert len(refused) > 96 * 10
+    assert (refused.z_um >= z_um[0]).all()
+    assert (refused.z_um <= z_um[-1]).all()
+    own = height.origin.ravel()[refused.at]
+    np.testing.assert_array_equal(refused.reason[own != Origin.FILLED], own[own != Origin.FILLED])
+    assert not np.isin(refused.reason, (Origin.MEASURED, Origin.FILLED, Origin.NOT_COVERED)).any()
+    assert height.crop(slice(0, 10), slice(0, 10)).refused is None
+
+
 def test_16_bit_grey_gives_the_map_of_8_bit_grey(make_stack: MakeStack, plane_um: NDArray) -> None:
     z_um = np.arange(20.0, 104.0, 4.0)
     deep = reconstruct(make_stack(plane_um, z_um, dtype=np.uint16))

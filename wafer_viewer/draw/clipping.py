@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.clipping import LEFT_OUT, Clip, LeftOut, Slab
+from wafer_viewer.model.clipping import LEFT_OUT, Clip, LeftOut
+from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
+
+Floats = NDArray[np.float64]
 
 DRAWN = 0
 CODES: dict[LeftOut, int] = {reason: code for code, reason in enumerate(LEFT_OUT, 1)}
@@ -22,32 +25,55 @@ _DARKEST, _PER_SLOPE = 0.28, 0.55
 
 def clip_codes(part: HeightMap, clip: Clip) -> NDArray[np.uint8]:
     """Why each pixel is left out, by the codes of `CODES`; `DRAWN` where it is not. uint8 [row, col]."""
-    codes = np.zeros(part.shape, np.uint8)
+    return point_codes(part.x_um[None, :], part.y_um[:, None], part.z_um, part.confidence, clip)
+
+
+def point_codes(
+    x_um: Floats, y_um: Floats, z_um: NDArray[np.float32], confidence: NDArray[np.float32], clip: Clip
+) -> NDArray[np.uint8]:
+    """Return the reason why each point is not drawn.
+
+    Parameters
+    ----------
+    x_um, y_um
+        Places in um; they broadcast to the shape of `z_um`.
+    z_um, confidence
+        Height in um and confidence from 0 to 1 of each point.
+    clip
+        Limits of what is drawn.
+
+    Returns
+    -------
+    NDArray[np.uint8]
+        A code of `CODES`, or `DRAWN`, in the shape of `z_um`.
+    """
+    codes = np.zeros(z_um.shape, np.uint8)
     if clip.box_um is not None:
         x0, y0, x1, y1 = clip.box_um
-        inside = ((part.y_um >= y0) & (part.y_um <= y1))[:, None] & ((part.x_um >= x0) & (part.x_um <= x1))[None, :]
+        inside = ((y_um >= y0) & (y_um <= y1)) & ((x_um >= x0) & (x_um <= x1))
         _mark(codes, ~inside, "box")
     if clip.heights_um is not None:
         low, high = clip.heights_um
-        _mark(codes, (part.z_um < low) | (part.z_um > high), "height")
+        _mark(codes, (z_um < low) | (z_um > high), "height")
     if clip.least_confidence > 0:
-        _mark(codes, part.confidence < clip.least_confidence, "confidence")
+        _mark(codes, confidence < clip.least_confidence, "confidence")
     if clip.slab is not None and clip.slab.before != "show":
-        _mark(codes, before(part, clip.slab), "slab")
+        _mark(codes, across_um(x_um, y_um, clip.slab.line) < -clip.slab.line.width_um / 2, "slab")
     return codes
 
 
-def before(part: HeightMap, slab: Slab) -> NDArray[np.bool_]:
-    """Which pixels lie on the near side of a slab."""
-    return across_um(part, slab) < -slab.line.width_um / 2
+def across_um(x_um: Floats, y_um: Floats, line: Region) -> Floats:
+    """Signed distance in um of each place from a line; negative on its near side, the right-hand side of its way."""
+    return along_and_across_um(x_um, y_um, line)[1]
 
 
-def across_um(part: HeightMap, slab: Slab) -> NDArray[np.float64]:
-    """How far each pixel lies from the middle of a slab; negative on its near side."""
-    a, b = slab.line.points
-    along = np.array([b.x_um - a.x_um, b.y_um - a.y_um])
-    length = max(float(np.hypot(*along)), 1e-9)
-    return ((part.y_um[:, None] - a.y_um) * along[0] - (part.x_um[None, :] - a.x_um) * along[1]) / length
+def along_and_across_um(x_um: Floats, y_um: Floats, line: Region) -> tuple[Floats, Floats]:
+    """Return the distance of places from the first end of a line along it, and that from it, both in um."""
+    a, b = line.points
+    dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
+    length = max(float(np.hypot(dx, dy)), 1e-9)
+    x, y = x_um - a.x_um, y_um - a.y_um
+    return (x * dx + y * dy) / length, (y * dx - x * dy) / length
 
 
 def depth_shade(z_um: NDArray[np.float32], pixel_um: float, gain: float) -> NDArray[np.float32]:

@@ -10,6 +10,7 @@ import viser
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.bottom import room_px
 from wafer_viewer.gui.browser import BrowserEar
+from wafer_viewer.gui.clip_section import take_faces
 from wafer_viewer.gui.colour_legend import ColourLegend
 from wafer_viewer.gui.commands import Command, looking
 from wafer_viewer.gui.contact import Contact
@@ -260,6 +261,7 @@ def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: Wh
 
     scene.on_pick(picked)
     scene.on_select(guarded(page, failed)(lambda box: page.change(selection=box, counted="selection", selecting=False)))
+    scene.on_clip(take_faces(page))
     scene.on_camera(page.redraw)
     scene.on_scale(page.show_scale)
     scene.on_points(page.show_points)

@@ -33,6 +33,22 @@ class OnShow:
         """Scene z in mm of a height."""
         return (z_um - self.z0_um) * 1e-3 * self.stretch
 
+    def height_um(self, scene_z_mm: float) -> float:
+        """Height in um of a scene z in mm: the inverse of `scene_z`."""
+        return scene_z_mm * 1e3 / self.stretch + self.z0_um
+
+    @property
+    def box_um(self) -> Box:
+        """The whole surface in the plane of the stage: x low, y low, x high, y high in um, of its pixels' centres."""
+        facts = self.facts
+        x1, y0 = facts.x0_um + (facts.cols - 1) * facts.pixel_um, facts.y0_um - (facts.rows - 1) * facts.pixel_um
+        return facts.x0_um, y0, x1, facts.y0_um
+
+    @property
+    def heights_um(self) -> tuple[float, float]:
+        """Its lowest and its highest height in um over the datum."""
+        return self.facts.lowest_um, self.facts.highest_um
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contents:

@@ -27,7 +27,7 @@ _DECIMALS = 3
 
 
 class HeightsSection:
-    """The histogram and, below it, what is brushed. In a point cloud its grips clip."""
+    """The histogram and, below it, what is brushed. In a point cloud its grips are the Z of the clip box."""
 
     def __init__(self, page: Page) -> None:
         self._page = page
@@ -37,7 +37,6 @@ class HeightsSection:
         self._area = Cell(gui)
         self._bars = Cell(gui)
         self._brush = self._ends("Brush, µm", self._typed_brush)
-        self._clip = self._ends("Clip, µm", self._typed_clip)
         self._numbers = Cell(gui)
         self._keep = button(gui, "Keep only these", viser.Icon.FILTER, guarded(page, FAILED)(lambda _: self._keep_it()))
         self._measure = button(
@@ -53,8 +52,7 @@ class HeightsSection:
         there = told is not None and sum(told.counts) > 0
         self._shown = told if there else None
         clips = view.look == "points"
-        for widget, visible in ((self._brush.handle, there), (self._clip.handle, there and clips)):
-            set_prop(widget, "visible", visible)
+        set_prop(self._brush.handle, "visible", there)
         if told is None or not there:
             self._head.show("")
             self._area.show("")
@@ -68,7 +66,6 @@ class HeightsSection:
         within = view.clip.heights_um if clips else None
         self._bars.show(histogram_html(told.counts, told.ends_um, self._colours(view), within))
         self._show_ends(self._brush, view.brush_um, told.span_um)
-        self._show_ends(self._clip, view.clip.heights_um, told.span_um)
         self._show_brushed(told.brushed if view.brush_um is not None else None)
 
     # ---------------------------------------------------------------- bring up to date
@@ -109,9 +106,6 @@ class HeightsSection:
     def _typed_brush(self, ends: Span) -> None:
         if self._shown is not None:
             self._page.change(brush_um=_unless_all(ends, self._shown.span_um))
-
-    def _typed_clip(self, ends: Span) -> None:
-        self._clip_at(ends)
 
     def _clip_at(self, ends: Span) -> None:
         if self._shown is not None:

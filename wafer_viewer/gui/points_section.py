@@ -1,22 +1,24 @@
-"""How a point cloud is drawn: how many of how many points, their size, depth shade, and what confidence they need."""
+"""How a point cloud is drawn: how many points, their size, depth shade, least confidence, and refused points."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import viser
-
+from wafer_viewer.draw.colours import ORIGIN_COLOURS
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
-from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.kit import Cell, Choice, Field, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box, LeftOut
-from wafer_viewer.session.paint_request import Statistics
+from wafer_viewer.model.clipping import LeftOut
+from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.session.paint_request import Refused, Statistics
 
 FAILED = "The points were not changed"
+REFUSED: tuple[tuple[bool, str], ...] = ((False, "Hide"), (True, "Show"))
+NO_FIELDS = "This surface has no fields, and so no refused points."
+NOT_KEPT = "The fields were reconstructed before refused points were kept: reconstruct them again."
 _MEGA, _KILO = 1e6, 1e3
 WORDS: dict[LeftOut, str] = {
     "box": "outside of the box",
@@ -29,8 +31,8 @@ WORDS: dict[LeftOut, str] = {
 class PointsSection:
     """Shown where the surface is drawn as points."""
 
-    def __init__(self, page: Page, seen_um: Callable[[], Box | None]) -> None:
-        self._page, self._seen_um = page, seen_um
+    def __init__(self, page: Page) -> None:
+        self._page = page
         gui = page.gui
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
@@ -41,14 +43,8 @@ class PointsSection:
             self._shade = self._field(shade, lambda percent: page.change(depth_shade=percent / 100))
             least = gui.add_slider("At least", 0.0, 1.0, 0.05, 0.0)
             self._least = self._field(least, self._set_least)
-            clip = [
-                button(gui, "Clip to view", viser.Icon.EYE, lambda _: self._clip_to(self._seen_um())),
-                button(gui, "To selection", viser.Icon.MARQUEE_2, lambda _: self._clip_to(page.view.selection)),
-                button(gui, "No box", viser.Icon.X, lambda _: self._clip_to(None)),
-            ]
-            in_a_row(gui, clip, 30)
-            self._to_selection, self._no_box = clip[1:]
-            self._box = Cell(gui)
+            self._refused = Choice(gui, "Refused points", REFUSED, lambda key: page.change(refused=key))
+            self._legend = Cell(gui)
 
     def show(self, view: View) -> None:
         """Bring the section up to date."""
@@ -61,16 +57,12 @@ class PointsSection:
         self._size.show(view.point_px)
         self._shade.show(round(100 * view.depth_shade, 3))
         self._least.show(view.clip.least_confidence)
-        set_prop(self._to_selection, "disabled", view.selection is None)
-        set_prop(self._no_box, "disabled", view.clip.box_um is None)
-        self._box.show(_box_words(view.clip.box_um))
+        self._refused.show(view.refused)
+        self._legend.show(_refused_words(told, view))
 
     def _set_least(self, least: float) -> None:
         clip = self._page.view.clip
         self._page.change(clip=replace(clip, least_confidence=round(float(least), 3)))
-
-    def _clip_to(self, box_um: Box | None) -> None:
-        self._page.change(clip=replace(self._page.view.clip, box_um=box_um))
 
     def _field(self, handle: Any, act: Any) -> Field[Any]:
         return Field(handle, lambda event: act(event.target.value), self._page, FAILED)
@@ -78,16 +70,20 @@ class PointsSection:
 
 def counted(told: Statistics, drawn: int, view: View) -> str:
     """How many of how many points are drawn, and where the rest is, HTML."""
+    refused = told.refused
+    n_all, n_left, left_out = _totals(told)
     rest = [
-        f"{amount(told.left_out[why])} {words.format(confidence=number(view.clip.least_confidence, 2))}"
+        f"{amount(left_out[why])} {words.format(confidence=number(view.clip.least_confidence, 2))}"
         for why, words in WORDS.items()
-        if told.left_out.get(why, 0)
+        if left_out.get(why, 0)
     ]
-    nearer = told.n_points - drawn
-    if nearer > 0.005 * told.n_heights:
+    nearer = n_left - drawn
+    if nearer > 0.005 * n_all:
         rest.append(f"{amount(nearer)} when nearer or in view")
+    if refused is not None and refused.n_heights:
+        rest.insert(0, f"{amount(refused.n_heights)} of them refused")
     beside = f' <span class="dim">· {" · ".join(rest)}</span>' if rest else ""
-    return f"<b>{amount(min(drawn, told.n_heights))} of {amount(told.n_heights)} points</b>{beside}"
+    return f"<b>{amount(min(drawn, n_all))} of {amount(n_all)} points</b>{beside}"
 
 
 def amount(n: float) -> str:
@@ -97,17 +93,53 @@ def amount(n: float) -> str:
     return f"{number(n / _KILO, 0 if n >= 9950 else 1)} k" if n >= _KILO else number(n, 0)
 
 
-def _box_words(box_um: Box | None) -> str:
-    if box_um is None:
+def refused_legend(refused: Refused) -> str:
+    """Each reason in its colour, with how many points it has, the most frequent first; HTML."""
+    found = sorted(refused.by_reason.items(), key=lambda item: -item[1])
+    rows = "".join(
+        f"{html.swatch(f'rgb{ORIGIN_COLOURS[Origin(code)]}!important', 'var(--ink3)')}"
+        f"<span>{html.safe(ORIGIN_TITLES[Origin(code)])}</span><b>{number(n, 0)}</b>"
+        for code, n in found
+    )
+    return f'<div class="wv-reasons">{rows}</div>' if rows else ""
+
+
+def _refused_words(told: Statistics | None, view: View) -> str:
+    """The legend of refused points, or why there are none."""
+    if not view.refused:
         return ""
-    x0, y0, x1, y1 = (number(v, 0) for v in box_um)
-    return f'<div class="wv-lab">Box x {x0} … {x1}, y {y0} … {y1} µm</div>'
+    if view.show < 0:
+        return _remark(NO_FIELDS)
+    refused = told.refused if told is not None else None
+    if refused is None:
+        return _remark("Counting …")
+    if refused.n_fields == 0:
+        return _remark(NO_FIELDS)
+    if refused.n_fields_without == refused.n_fields:
+        return _remark(NOT_KEPT)
+    some = f"Not kept for {refused.n_fields_without} of {refused.n_fields} fields: reconstruct those again."
+    none = "No point was refused here." if not refused.n_heights else "The clip leaves none of the refused points."
+    return (refused_legend(refused) or _remark(none)) + (_remark(some) if refused.n_fields_without else "")
+
+
+def _remark(text: str) -> str:
+    return f'<div class="wv-lab">{html.safe(text)}</div>'
+
+
+def _totals(told: Statistics) -> tuple[int, int, dict[LeftOut, int]]:
+    """All points, those that the clip leaves, and the others by reason; refused points among them where drawn."""
+    refused = told.refused
+    if refused is None:
+        return told.n_heights, told.n_points, told.left_out
+    left_out: dict[LeftOut, int] = {why: told.left_out.get(why, 0) + n for why, n in refused.left_out.items()}
+    return told.n_heights + refused.n_heights, told.n_points + refused.n_points, left_out
 
 
 def _shares(told: Statistics, drawn: int) -> str:
     """A bar of what is drawn, what comes when one goes nearer, and what is left out."""
-    whole = max(1, told.n_heights)
-    now, later = 100 * min(1.0, drawn / whole), 100 * max(0.0, (told.n_points - drawn) / whole)
+    n_all, n_left, _ = _totals(told)
+    whole = max(1, n_all)
+    now, later = 100 * min(1.0, drawn / whole), 100 * max(0.0, (n_left - drawn) / whole)
     return (
         '<div class="wv-share" style="margin:0 0 6px">'
         f'<i style="width:{now:.1f}%"></i><i style="width:{later:.1f}%;opacity:.3"></i></div>'

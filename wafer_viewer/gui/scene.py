@@ -12,6 +12,7 @@ import viser
 from wafer_viewer.gui.acquire_scene import acquire_contents
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Pose
+from wafer_viewer.gui.clip_box import Moved
 from wafer_viewer.gui.contents import Contents, OnShow, corners_over
 from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.gate import Gate
@@ -165,6 +166,10 @@ class SceneView:
     def on_select(self, callback: Callable[[Box], None]) -> None:
         """Call back with a rectangle of the stage, um, that was dragged over."""
         self._tools.on_select(callback)
+
+    def on_clip(self, callback: Moved) -> None:
+        """Call back with the clip box while a ball on one of its faces is dragged."""
+        self._tools.on_clip(callback)
 
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
         """Call back with the places of the tool in use while they are dragged, and when they are first laid."""

@@ -80,6 +80,7 @@ class ShownStatistics:
             box_um=self._box_um(on_show, view),
             clip=view.clipped,
             brush_um=view.brush,
+            refused=view.draws_refused,
         )
 
     def _box_um(self, on_show: OnShow | None, view: View) -> Box | None:
@@ -113,8 +114,8 @@ def name_of(view: View) -> str:
 
 
 def _same_part(a: PaintRequest, b: PaintRequest) -> bool:
-    """Whether two requests differ by clip and brush alone: until the second is answered the first still fits."""
-    return replace(a, clip=b.clip, brush_um=b.brush_um) == b
+    """Whether two requests count the same part, however clipped: until the second is answered the first still fits."""
+    return replace(a, clip=b.clip, brush_um=b.brush_um, refused=b.refused) == b
 
 
 def _of_all(snapshot: Snapshot, view: View) -> Statistics | None:

@@ -11,6 +11,7 @@ import viser
 from wafer_viewer.draw.colours import COLOUR_MAPS
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
+from wafer_viewer.gui.clip_section import ClipSection
 from wafer_viewer.gui.exchange_dialogs import export_dialog
 from wafer_viewer.gui.heights_section import HeightsSection
 from wafer_viewer.gui.kit import Cell, Choice, Field, button, in_a_row, leading, set_prop
@@ -72,6 +73,7 @@ class SurfacePanel:
         self._verdict.show(snapshot)
         self._show_look(data, view)
         self._points.show(view)
+        self._clip.show(view)
         self._show_colour(view)
         self._heights.show(view)
         self._show_light(view)
@@ -108,7 +110,8 @@ class SurfacePanel:
         self._verdict = VerdictSection(page)
         self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
         self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
-        self._points = PointsSection(page, self._statistics.seen_um)
+        self._points = PointsSection(page)
+        self._clip = ClipSection(page, self._statistics.seen_um)
         self._build_colour()
         self._heights = HeightsSection(page)
         self._build_light()

@@ -188,6 +188,7 @@ class TiledSurface:
 
     def _items(self, cover: list[Leaf]) -> list[Item]:
         base = _base(self.shown, self.look, self.view, self.z0_um)
+        base = dataclasses.replace(base, refused=self.view.draws_refused)
         return [item for leaf in cover for item in self._of(leaf, base)]
 
     def _of(self, leaf: Leaf, base: PaintRequest) -> Iterator[Item]:

@@ -10,6 +10,8 @@ import viser
 
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Pose, pixel_ray
+from wafer_viewer.gui.clip_box import NAME as CLIP
+from wafer_viewer.gui.clip_box import ClipBox, Moved
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.eye import Eye
 from wafer_viewer.gui.first_places import first_levelling
@@ -43,6 +45,7 @@ class Tools:
         self._lines = LineTools(scene, self._dragged, lambda lines, line: self._lined(lines, line))
         self._places = PlaceTools(scene, self._dragged, lambda places: self._placed(places), self._in_sight)
         self._level = LevelTools(scene, self._dragged, lambda levelling: self._levelled(levelling))
+        self._clip = ClipBox(scene, self._dragged, lambda faces, key: self._clipped(faces, key))
         self._kept = KeptMarks(scene)
         self._mark: PlaceMark | None = None
         self._lock = threading.RLock()
@@ -54,6 +57,7 @@ class Tools:
         self._selecting = False
         self._outline: DrapedOutline | None = None
         self._levelled: Callable[[Levelling], None] = lambda levelling: None
+        self._clipped: Moved = lambda faces, key: faces
 
     def on_pick(self, callback: Callable[[float, float], None]) -> None:
         """Call back with where the surface was clicked."""
@@ -73,6 +77,10 @@ class Tools:
         """Call back with the rectangle of the stage that was dragged over, um."""
         self._selected = callback
         self._client.scene.on_rect_select(modifier="shift")(self._rectangle)
+
+    def on_clip(self, callback: Moved) -> None:
+        """Call back with the clip box while a ball on one of its faces is dragged."""
+        self._clipped = callback
 
     def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
         """Call back with the places of the tool in use."""
@@ -133,6 +141,10 @@ class Tools:
             self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
             self._show_mark(view, land)
             self._show_selection(view, land)
+            if on_show is None:
+                self._clip.remove()
+            else:
+                self._clip.show(view, on_show)
             self._listen_to_rectangles(view.selecting and view.step == "surface" and land is not None)
             self._redraw()
 
@@ -191,7 +203,7 @@ class Tools:
                 return
             gaze = Gaze.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
             with self._client.atomic():
-                for tool in (self._lines, self._places, self._level, self._kept, self._mark, self._outline):
+                for tool in (self._lines, self._places, self._level, self._kept, self._clip, self._mark, self._outline):
                     if tool is not None:
                         tool.draw(self._land, gaze)
 
@@ -207,7 +219,9 @@ class Tools:
             if self._land is None:
                 return
             place = self._land.hit(origin, direction) or self._level_place(origin, direction)
-            if name.startswith("profile/"):
+            if name.startswith(f"{CLIP}/"):
+                self._clip.drag(name, origin, direction, self._land.on_show)
+            elif name.startswith("profile/"):
                 self._lines.drag(name, place)
             elif name.startswith("cursor/"):
                 self._lines.drag_cursor(name, place)

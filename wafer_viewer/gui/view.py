@@ -58,7 +58,8 @@ class View:
     counted: of which part of what is shown the numbers are; selection: a rectangle of the stage in um; selecting: a
     drag over the scene selects. brush_um: the range of heights that lights up.
     clip: which points are drawn where the surface is drawn as points; point_px: their size on the screen; depth_shade:
-    strength of the shade in hollows. before: what becomes of points before the slab along the profile's active line.
+    strength of the shade in hollows; refused: whether points that gates refused are drawn, too. before: what becomes of
+    points before the slab along the profile's active line.
     tour: the tour that is under way; None: none is.
     """
 
@@ -98,6 +99,7 @@ class View:
     clip: Clip = Clip()
     point_px: float = 3.0
     depth_shade: float = 0.6
+    refused: bool = False
     before: BeforeSlab = "show"
     tour: Tour | None = None
 
@@ -119,6 +121,11 @@ class View:
         line = self.active_line if self.step == "measure" and self.tool == "profile" else None
         slab = Slab(line, self.before) if line is not None and self.before != "show" else None
         return replace(self.clip, slab=slab)
+
+    @property
+    def draws_refused(self) -> bool:
+        """Whether the points that gates refused are drawn and counted."""
+        return self.refused and self.look == "points" and self.step != "gauge" and self.show >= 0
 
     @property
     def shows_fields(self) -> bool:

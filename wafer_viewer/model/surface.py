@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.refused import RefusedHeights
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
 
@@ -72,7 +73,8 @@ class HeightMap:
     z_um: float32, NaN where unmeasured, cleaned as the recipe says; z_raw_um: float32, gated but neither smoothed nor
     filled, what is measured on as a rule; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey;
     origin: uint8 codes of `Origin`; overlap_um: float32, of a mosaic: highest minus lowest raw height where two fields
-    or more measured a pixel, NaN elsewhere; None of a field.
+    or more measured a pixel, NaN elsewhere; None of a field. refused: of a field, the heights that gates refused; None
+    where they were not kept, and of a part of a map.
 
     Raises MeasureError when the shapes disagree.
     """
@@ -87,6 +89,7 @@ class HeightMap:
     y0_um: float
     provenance: Provenance = Provenance()
     overlap_um: NDArray[np.float32] | None = None
+    refused: RefusedHeights | None = None
 
     def __post_init__(self) -> None:
         shapes = {a.shape for a in (self.z_um, self.z_raw_um, self.confidence, self.all_in_focus, self.origin)}
@@ -140,6 +143,7 @@ class HeightMap:
             all_in_focus=self.all_in_focus[rows, cols],
             origin=self.origin[rows, cols],
             overlap_um=None if self.overlap_um is None else self.overlap_um[rows, cols],
+            refused=None,
             x0_um=self.x0_um + int(cols.start or 0) * self.pixel_um,
             y0_um=self.y0_um - int(rows.start or 0) * self.pixel_um,
         )

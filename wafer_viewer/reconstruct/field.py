@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wafer_viewer import __version__
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.refused import RefusedHeights
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct import edges
@@ -76,7 +78,30 @@ def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged)
         x0_um=stack.x0_um,
         y0_um=stack.y0_um,
         provenance=_provenance(stack, frames, recipe, (*settled.notes, *judged.notes)),
+        refused=refused_heights(judged, origin),
     )
+
+
+def refused_heights(judged: Judged, origin: NDArray[np.uint8]) -> RefusedHeights:
+    """Return the heights that gates, outlier removal and the edges of steps refused.
+
+    Parameters
+    ----------
+    judged
+        Peaks of a field. A peak that a gate refused has the height that the search saw; one refused later has its
+        height after the edges were judged.
+    origin
+        Codes of `Origin` before gaps were filled; uint8 [row, col].
+
+    Returns
+    -------
+    RefusedHeights
+        Every covered pixel that is not measured and has a peak.
+    """
+    z_um = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, judged.seen_um)
+    refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
+    at = np.flatnonzero(refused)
+    return RefusedHeights(at.astype(np.uint32), z_um.ravel()[at], origin.ravel()[at].astype(np.uint8))
 
 
 def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:

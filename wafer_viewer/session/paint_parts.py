@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -9,10 +11,12 @@ from scipy import ndimage
 from wafer_viewer.draw import ground as grounds
 from wafer_viewer.draw import mesh
 from wafer_viewer.draw.bake import Picture, bake
-from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes
+from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes, point_codes
+from wafer_viewer.draw.colours import origin_table
 from wafer_viewer.draw.glb import painted
 from wafer_viewer.draw.shade import without_gaps
 from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.session.paint_refused import RefusedPoints, refused_in
 from wafer_viewer.session.paint_request import PaintRequest, pack_points
 from wafer_viewer.session.shelf import Shelf, at_level, levelled
 
@@ -56,17 +60,48 @@ def _draped(part: HeightMap, heights: NDArray[np.float32], picture: Picture, req
 
 
 def points(shelf: Shelf, request: PaintRequest) -> bytes:
-    """A point for each pixel with a height that the clip leaves: see `pack_points`."""
+    """A point for each pixel with a height, and for each refused one if asked for, that the clip leaves."""
     part, heights, picture = _baked(shelf, request)
     codes = clip_codes(part, request.clip)
     slab = request.clip.slab
     pale = codes == CODES["slab"] if slab is not None and slab.before == "pale" else np.zeros(part.shape, bool)
     rows, cols = np.nonzero(np.isfinite(part.z_um) & ((codes == DRAWN) | pale))
-    xyz = np.stack([
-        (part.x_um - part.x_um.mean())[cols], (part.y_um - part.y_um.mean())[rows], heights[rows, cols] - request.z0_um
-    ], axis=1)  # fmt: skip
+    x_um, y_um = part.x_um - part.x_um.mean(), part.y_um - part.y_um.mean()
+    xyz = np.stack([x_um[cols], y_um[rows], heights[rows, cols] - request.z0_um], axis=1)
     colours = np.where(pale[rows, cols, None], _pale(picture[rows, cols, :3], request.dark), picture[rows, cols, :3])
+    if request.refused:
+        middle = float(part.x_um.mean()), float(part.y_um.mean()), request.z0_um
+        more = [_refused(points, middle, request) for points in _refused_in_tile(shelf, request, part)]
+        xyz = np.concatenate([xyz, *(places for places, _ in more)])
+        colours = np.concatenate([colours, *(tones for _, tones in more)])
     return pack_points((xyz * 1e-3).astype(np.float16), colours.astype(np.uint8))
+
+
+def _refused_in_tile(shelf: Shelf, request: PaintRequest, part: HeightMap) -> Iterator[RefusedPoints]:
+    """The refused points of a tile; one at the rim of what is measured has those that lie beyond it, too."""
+    x0, y0, x1, y1 = part.bounds_um
+    half = part.pixel_um / 2
+    foot, top, left, right = request.skirts
+    box_um = (
+        x0 - half if left else -np.inf,
+        y0 - half if foot else -np.inf,
+        x1 + half if right else np.inf,
+        y1 + half if top else np.inf,
+    )
+    return refused_in(shelf.fields(request.source), request, box_um)
+
+
+def _refused(
+    points: RefusedPoints, middle_um: tuple[float, float, float], request: PaintRequest
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places about a middle in um, [n, 3], and colours by reason, [n, 3], of those that the clip leaves."""
+    clip = request.clip
+    codes = point_codes(points.x_um, points.y_um, points.z_um, points.confidence, clip)
+    pale = (codes == CODES["slab"]) & (clip.slab is not None and clip.slab.before == "pale")
+    shown = np.flatnonzero((codes == DRAWN) | pale)
+    xyz = np.stack([points.x_um, points.y_um, points.z_um.astype(np.float64)], axis=1)[shown] - middle_um
+    colours = origin_table()[points.reason[shown]]
+    return xyz, np.where(pale[shown, None], _pale(colours, request.dark), colours)
 
 
 def _pale(colours: NDArray[np.uint8], dark: bool) -> NDArray[np.float32]:

@@ -45,7 +45,8 @@ class PaintRequest:
     `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
     quantity's own; `box_um` for ``picture`` and ``statistics``: x low, y low, x high, y high; `side_px`: the longer
     side of a picture, 0 the usual. clip: which points are drawn and counted. brush_um: the heights, over the datum, of
-    which ``statistics`` tells apart how many there are and where.
+    which ``statistics`` tells apart how many there are and where. refused: whether ``points`` draws and ``statistics``
+    counts the points that gates refused, too.
     """
 
     source: Source
@@ -69,6 +70,7 @@ class PaintRequest:
     like: LikePlace | None = None
     clip: Clip = Clip()
     brush_um: Span | None = None
+    refused: bool = False
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -149,6 +151,23 @@ class Brushed(msgspec.Struct, frozen=True):
     places: tuple[tuple[float, float, float, float], ...] = ()
 
 
+class Refused(msgspec.Struct, frozen=True):
+    """The points that gates refused: how many there are, how many the clip leaves, the others by why it does not.
+
+    by_reason: those that the clip leaves, by code of `Origin`. n_fields: fields that the surface is made of;
+    n_fields_without: those of them that were reconstructed before refused heights were kept. span_um: the lowest and the
+    highest of all refused heights.
+    """
+
+    n_heights: int
+    n_points: int
+    left_out: dict[LeftOut, int]
+    by_reason: dict[int, int]
+    n_fields: int
+    n_fields_without: int
+    span_um: tuple[float, float] = (0.0, 0.0)
+
+
 class Statistics(msgspec.Struct, frozen=True):
     """What is shown of a surface in numbers, answer to ``statistics``.
 
@@ -157,7 +176,8 @@ class Statistics(msgspec.Struct, frozen=True):
     lowest, highest, mean, spread (one standard deviation): of the points that the clip leaves, None without any.
     ends_um, counts: histogram of all heights; the outermost bins hold what lies beyond. span_um: the lowest and the
     highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would
-    be too many to read.
+    be too many to read. refused: the points that gates refused, where they were asked for; n_heights and n_points are
+    without them.
     """
 
     rows: int
@@ -178,6 +198,7 @@ class Statistics(msgspec.Struct, frozen=True):
     span_um: tuple[float, float] = (0.0, 0.0)
     block_px: int = 1
     brushed: Brushed | None = None
+    refused: Refused | None = None
 
 
 def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:

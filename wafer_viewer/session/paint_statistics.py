@@ -16,6 +16,7 @@ from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes
 from wafer_viewer.model.clipping import Clip, Span
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, pixel_window
+from wafer_viewer.session.paint_refused import count_refused
 from wafer_viewer.session.paint_request import Brushed, PaintRequest, Statistics
 from wafer_viewer.session.shelf import Shelf, Window, at_level, levelled
 from wafer_viewer.session.summary import unmeasured_reasons
@@ -61,6 +62,7 @@ def statistics(shelf: Shelf, request: PaintRequest) -> bytes:
         span_um=(sums.low_um, sums.high_um) if sums.by_code.any() else (0.0, 0.0),
         block_px=block,
         brushed=None if request.brush_um is None else _brushed(strips, sums, block, request.brush_um, request.clip),
+        refused=count_refused(shelf.fields(request.source), request) if request.refused else None,
         **_shares(sums.origins)._asdict(),
     )
     if request.box_um is None and isinstance(surface, ZarrMosaic):

@@ -12,12 +12,16 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from wafer_viewer.model.comparison import Face
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.link import live_in_the_background
 from wafer_viewer.session.paint_request import PaintRequest, Source
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.paint_refused import PlacedField
 
 __all__ = ["PaintRequest", "Painter", "Source"]
 
@@ -112,8 +116,18 @@ class _StoreShelf:
     def stacks(self, source: Source) -> list[FieldStack]:
         return _stacks(source)
 
+    def fields(self, source: Source) -> list[PlacedField]:
+        return _fields(source)
+
 
 _STORE = _StoreShelf()
+
+
+@lru_cache(maxsize=4)
+def _fields(source: Source) -> list[PlacedField]:
+    from wafer_viewer.session.paint_refused import placed_fields
+
+    return placed_fields(source)
 
 
 @lru_cache(maxsize=12)

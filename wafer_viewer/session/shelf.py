@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -12,6 +13,7 @@ from wafer_viewer.model.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.session.paint_refused import PlacedField
 from wafer_viewer.session.paint_request import PaintRequest, Source
 
 Window = tuple[slice, slice]
@@ -29,6 +31,10 @@ class Shelf(Protocol):
 
     def stacks(self, source: Source) -> list[FieldStack]:
         """The focus stack of the source's field, or those of all fields for the stitched surface."""
+        ...
+
+    def fields(self, source: Source) -> Sequence[PlacedField]:
+        """The fields that the surface is made of, each where the surface shows it; none of what has no fields."""
         ...
 
 

@@ -1,7 +1,8 @@
 """A height map as ``.npz``: uncompressed, so that its layers can be mapped from the disk instead of read.
 
-Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; of a mosaic overlap_um as well; pixel_um, x0_um,
-y0_um; provenance, a JSON text.
+Keys: z_um, z_raw_um, confidence, all_in_focus, origin [row, col]; of a mosaic overlap_um as well; of a field
+refused_at, refused_z_um, refused_reason [n]; pixel_um, x0_um, y0_um;
+provenance, a JSON text.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.refused import RefusedHeights
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.model.surface import HeightMap, Provenance
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 OVERLAP = "overlap_um"
+REFUSED = {"at": "refused_at", "z_um": "refused_z_um", "reason": "refused_reason"}
+"""Attributes of `RefusedHeights` and their keys; a file from before they were kept has none of them."""
 PLACE = ("pixel_um", "x0_um", "y0_um")
 _LOCAL_HEADER = struct.Struct("<26xHH")
 """The end of a zip member's own header: the lengths of its name and of its extra field."""
@@ -34,6 +38,8 @@ def write_npz(surface: HeightMap, path: Path) -> None:
     """Write a height map to a path, whatever its ending."""
     arrays: dict[str, Any] = {name: getattr(surface, name) for name in (*LAYERS, *PLACE)}
     arrays |= {} if surface.overlap_um is None else {OVERLAP: surface.overlap_um}
+    if surface.refused is not None:
+        arrays |= {key: getattr(surface.refused, name) for name, key in REFUSED.items()}
     with path.open("wb") as file:
         np.savez(file, provenance=np.array(encode(surface.provenance, "json")), **arrays)
     seal_archive(path)
@@ -88,6 +94,7 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
         with zipfile.ZipFile(place) as archive, place.open("rb") as file:
             there = (*LAYERS, OVERLAP) if f"{OVERLAP}.npy" in archive.namelist() else LAYERS
             layers = {name: _map_member(place, file, archive.getinfo(f"{name}.npy")) for name in there}
+            refused = _read_refused(place, file, archive)
         with np.load(place) as members:
             where: dict[str, Any] = {name: float(members[name]) for name in PLACE}
             provenance = decode(str(members["provenance"]), Provenance, place.name, "json")
@@ -101,9 +108,17 @@ def read_npz(path: str | Path, *, verify: bool = True) -> HeightMap:
         mend = mend_of(place) if place.parent.name == SURFACES else "give a file that Wafer Viewer wrote"
         raise DatasetError(f"{place} cannot be read as .npz: {mend}.") from fault
     try:
-        return HeightMap(**layers, **where, provenance=provenance)
+        return HeightMap(**layers, **where, provenance=provenance, refused=refused)
     except WaferViewerError as fault:
         raise DatasetError(f"{place}: {fault}") from fault
+
+
+def _read_refused(path: Path, file: IO[bytes], archive: zipfile.ZipFile) -> RefusedHeights | None:
+    """The refused heights; None in a file that was written before they were kept."""
+    if f"{REFUSED['at']}.npy" not in archive.namelist():
+        return None
+    arrays = {name: _map_member(path, file, archive.getinfo(f"{key}.npy")) for name, key in REFUSED.items()}
+    return RefusedHeights(**arrays)
 
 
 def _map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray[Any]:
@@ -115,6 +130,8 @@ def _map_member(path: Path, file: IO[bytes], member: zipfile.ZipInfo) -> NDArray
     name_bytes, extra_bytes = _LOCAL_HEADER.unpack(file.read(_LOCAL_HEADER.size))
     file.seek(name_bytes + extra_bytes, 1)
     shape, fortran, dtype = _array_header(file)
+    if shape == (0,):
+        return np.empty(0, dtype)
     if 0 in shape or fortran:
         raise ValueError(f"{member.filename} has an unusual layout")
     return np.asarray(np.memmap(path, dtype, "c", file.tell(), shape))
