@@ -9,12 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.ticks import round_step, tick_digits, ticks
-from wafer_viewer.model.sections import Section
+from wafer_viewer.model.sections import Section, SlabPoints
 
 Floats = NDArray[np.float64]
 Ends = tuple[float, float]
 MOST_POINTS = 1500
 """More than a plot on the page has pixels."""
+MOST_DOTS = 4000
+"""Points of a slab that are drawn: more would hide each other."""
+_NEARLY_ALL = 0.2, 99.8
+"""Percentiles of a slab's points between which the plot reaches at least."""
 _LEAST_SPAN_UM = 1e-3
 
 
@@ -53,7 +57,30 @@ def frame_of(sections: Sequence[Section], span_um: Ends | None = None) -> Profil
     if not high - low > _LEAST_SPAN_UM:
         low, high = 0.0, longest
     seen = [s.curve.z_um[(s.curve.distance_um >= low) & (s.curve.distance_um <= high)] for s in sections]
+    seen += [_nearly_all(s.points, (low, high)) for s in sections if s.points is not None]
     return ProfileFrame((low, high), round_ends(np.concatenate([*seen, np.empty(0)])))
+
+
+def dots(points: SlabPoints, frame: ProfileFrame, most: int = MOST_DOTS) -> tuple[Floats, Floats]:
+    """Return the points of a slab within a frame as shares (across, down) of it.
+
+    Of more than `most` an even choice is drawn, the same each time, so that nothing flickers.
+    """
+    inside = np.flatnonzero(
+        (points.distance_um >= frame.x_um[0])
+        & (points.distance_um <= frame.x_um[1])
+        & (points.z_um >= frame.z_um[0])
+        & (points.z_um <= frame.z_um[1])
+    )
+    if inside.size > most:
+        inside = np.sort(np.random.default_rng(0).choice(inside, most, replace=False))
+    return frame.across(points.distance_um[inside].astype(float)), frame.down(points.z_um[inside].astype(float))
+
+
+def _nearly_all(points: SlabPoints, x_um: Ends) -> Floats:
+    """The ends of the heights of nearly all points between two distances: one stray point does not flatten the plot."""
+    z_um = points.z_um[(points.distance_um >= x_um[0]) & (points.distance_um <= x_um[1])]
+    return np.percentile(z_um.astype(float), _NEARLY_ALL) if z_um.size else np.empty(0)
 
 
 def round_ends(z_um: Floats) -> Ends:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from wafer_viewer.draw.colours import BRUSH, PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.profile_frame import ProfileFrame, digits, runs
-from wafer_viewer.model.sections import Section
+from wafer_viewer.draw.profile_frame import ProfileFrame, digits, dots, runs
+from wafer_viewer.model.sections import Section, SlabPoints
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 58, 14, 8, 40
 _SIDE = 8000
 """Sides of the drawing in its own units: tenths of a pixel on a wide screen."""
+_DOT_PX = 2.2
 _DASHES = 'stroke-dasharray="5 3"'
 
 
@@ -31,7 +32,8 @@ def profile_plot_html(
 ) -> str:
     """The plot, as wide and as high as its place. brush_um: a range of heights that lights up on the curves."""
     place = f"left:{LEFT_PX}px;right:{RIGHT_PX}px;top:{TOP_PX}px;bottom:{FOOT_PX}px"
-    curves = "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
+    points = "".join(_dots(section.points, frame) for section in sections if section.points is not None)
+    curves = points + "".join(_curve(section, frame) for section in sorted(sections, key=lambda s: s.asked.is_second))
     if brush_um is not None:
         curves = _band(frame, brush_um) + curves + "".join(_brushed(section, frame, brush_um) for section in sections)
     drawn = f"{_grid(frame)}<g>{curves}</g>{''.join(_cursor(frame, at) for at in cursors_um)}"
@@ -39,8 +41,17 @@ def profile_plot_html(
         f'<div class="wv-plot wv-profiles"><div style="position:absolute;{place}">'
         f'<svg viewBox="0 0 {_SIDE} {_SIDE}" preserveAspectRatio="none" role="img" aria-label="Profiles">{drawn}</svg>'
         f'{_words(frame)}</div><span class="wv-plot-y">z, µm</span>'
-        '<span class="wv-plot-x">Distance along the profile, µm</span></div>'
+        f'<span class="wv-plot-x">Distance along the {"slab" if points else "profile"}, µm</span></div>'
     )
+
+
+def _dots(points: SlabPoints, frame: ProfileFrame) -> str:
+    """The points of a slab, each a dot; the running median is drawn over them."""
+    across, down = dots(points, frame)
+    at = np.rint(np.column_stack([across, down]) * _SIDE).astype(int).tolist()
+    d = "".join(f"M{x} {y}h1" for x, y in at)
+    look = f'stroke="var(--ink3)" stroke-opacity=".5" stroke-width="{_DOT_PX}" stroke-linecap="round"'
+    return f'<path class="wv-slab-points" data-points="{len(points)}" d="{d}" {look}/>'
 
 
 def _curve(section: Section, frame: ProfileFrame) -> str:

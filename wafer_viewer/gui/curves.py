@@ -127,8 +127,7 @@ class Curves:
 def _asked(view: View) -> Iterator[SectionAsked]:
     """Every line, and after the active one what it is compared with."""
     for place, line in enumerate(view.lines):
-        own = SectionAsked(place, line, view.show, view.levelling)
-        yield own
+        yield SectionAsked(place, line, view.show, view.levelling, slab=view.look == "points")
         if place == view.line and view.plot.cleaned:
             yield SectionAsked(place, line, view.show, view.levelling, cleaned=True)
         if place == view.line and view.plot.of is not None:

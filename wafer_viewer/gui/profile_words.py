@@ -27,8 +27,9 @@ def head(
     notes = "".join(f'<span class="wv-curve-note">{html.safe(html.micro(text))}</span>' for text in problems)
     waits = f'<span class="dim">{WAITS}</span>' if not sections and not problems else ""
     whole = f'<span class="wv-link" {html.pick("plot", "whole")}>Whole line</span>' if zoomed else ""
+    name = "Section" if any(s.points is not None for s in own.values()) else "Profile"
     return (
-        f'<div class="wv-dock wv-lines{_CROWDED[min(n_lines, 3)]}"><b>Profile</b>{lines}{seconds}{notes}{waits}'
+        f'<div class="wv-dock wv-lines{_CROWDED[min(n_lines, 3)]}"><b>{name}</b>{lines}{seconds}{notes}{waits}'
         f'<span class="wv-end">{whole}{read(gap) if gap is not None else ""}</span></div>'
     )
 
@@ -49,7 +50,13 @@ def _line(place: int, section: Section | None, active: bool) -> str:
 
 
 def _numbers(section: Section) -> str:
-    profile = section.profile
+    profile, points = section.profile, section.points
+    if points is not None:
+        return (
+            f"spread about the line <b>{with_unit(points.spread_um, 2)}</b>"
+            f'<span class="dim wv-roomy">68 % of {number(len(points), 0)} points · '
+            f"{with_unit(points.width_um, 1)} wide · line: running median</span>"
+        )
     return (
         f"Pt <b>{with_unit(profile.pt.value_um, 2)}</b>"
         f'<span class="dim wv-roomy">{with_unit(profile.length_um, 0)} long, {averaging(profile)} wide</span>'

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,45 +37,67 @@ def profile(
     level: of the pyramid, the finest with at most 8192 samples when left out.
     Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
     """
-    length_um = _length_um(line)
+    length_um = length_um_of(line)
     at_level = _level_for(surface, length_um) if level is None else level
     pixel_window(surface, line, at_level)
     measured_on = layer_of(surface.provenance.recipe, layer)
     curve = sampled(surface, line, measured_on, at_level)
+    about = f"mean over {line.width_um:g} um across the line" if line.width_um else "none"
+    return numbers_of(surface, line, curve, measured_on, at_level, about, calibration_valid, name), curve
+
+
+def numbers_of(
+    surface: Mosaic,
+    line: Region,
+    curve: ProfileCurve,
+    measured_on: Layer,
+    level: int,
+    about: str,
+    calibration_valid: bool = True,
+    name: str = "",
+) -> Profile:
+    """Return the numbers of a curve along a line; `about` says how it was filtered.
+
+    Raises MeasureError when fewer than two of its points were measured.
+    """
     known = np.flatnonzero(np.isfinite(curve.z_um))
     if len(known) < 2:
         raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
     z_um = curve.z_um[known]
-    return (
-        Profile(
-            name=name,
-            surface=measured_on,
-            filter=f"mean over {line.width_um:g} um across the line" if line.width_um else "none",
-            simulated=surface.provenance.simulated,
-            notes=level_note(surface, at_level),
-            line=line,
-            length_um=length_um,
-            pt=reported(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
-            rise=reported(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
-            measured_fraction=len(known) / len(curve.z_um),
-        ),
-        curve,
+    return Profile(
+        name=name,
+        surface=measured_on,
+        filter=about,
+        simulated=surface.provenance.simulated,
+        notes=level_note(surface, level),
+        line=line,
+        length_um=length_um_of(line),
+        pt=reported(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
+        rise=reported(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
+        measured_fraction=len(known) / len(curve.z_um),
     )
 
 
 def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
     """Points along a line, one for each pixel of a level; NaN where unmeasured or outside of the surface."""
     pixel_um = surface.pixel_um * 2**level
+    curve, length_um = samples_along(line, pixel_um), length_um_of(line)
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
-    length_um = _length_um(line)
+    across = _offsets_um(line.width_um, pixel_um)
+    x_all = curve.x_um[:, None] - across * (yb - ya) / length_um
+    y_all = curve.y_um[:, None] + across * (xb - xa) / length_um
+    pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(curve.x_um))]
+    return replace(curve, z_um=np.concatenate(pieces))
+
+
+def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
+    """Return the places along a line, about a pixel apart, whose heights are still to be found (NaN)."""
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    length_um = length_um_of(line)
     # A line from pixel centre to pixel centre has them all and no more, whatever the last digit of its length.
     share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-6) + 1))
     x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
-    across = _offsets_um(line.width_um, pixel_um)
-    x_all = x_um[:, None] - across * (yb - ya) / length_um
-    y_all = y_um[:, None] + across * (xb - xa) / length_um
-    pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(share))]
-    return ProfileCurve(distance_um=share * length_um, z_um=np.concatenate(pieces), x_um=x_um, y_um=y_um)
+    return ProfileCurve(distance_um=share * length_um, z_um=np.full(len(share), np.nan), x_um=x_um, y_um=y_um)
 
 
 def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:
@@ -107,7 +130,8 @@ def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats
     return total, weight
 
 
-def _length_um(line: Region) -> float:
+def length_um_of(line: Region) -> float:
+    """Return the length of a line in um. Raises MeasureError for another region, and for one without length."""
     if line.kind != "line":
         raise MeasureError(f"A profile needs a line, this region is a {line.kind}: draw a line.")
     (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)

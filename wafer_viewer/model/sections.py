@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import PurePath
 
+import numpy as np
+from numpy.typing import NDArray
+
 from wafer_viewer.model.cuts import LETTERS
 from wafer_viewer.model.findings import Profile, ProfileCurve
 from wafer_viewer.model.levelling import Levelling
@@ -26,12 +29,29 @@ class OtherSurface:
         return name if self.result == "default" else f"{name} · {self.result}"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SlabPoints:
+    """The measured points of a slab: distance along it and height in um, float32 [n].
+
+    width_um: of the slab; spread_um: 68 % of the points lie within so much of the running median.
+    """
+
+    distance_um: NDArray[np.float32]
+    z_um: NDArray[np.float32]
+    width_um: float
+    spread_um: float
+
+    def __len__(self) -> int:
+        return len(self.z_um)
+
+
 @dataclass(frozen=True, slots=True)
 class SectionAsked:
     """One curve: a line, of what surface, read from what zero.
 
     place: the line's, 0 is A; show: 0 the stitched surface, else a field; cleaned: the other of measured and filtered
-    heights than those that are measured on; of: another surface instead.
+    heights than those that are measured on; of: another surface instead; slab: the points of the slab along the line
+    and their running median, instead of the mean across the line.
     """
 
     place: int
@@ -40,6 +60,7 @@ class SectionAsked:
     levelling: Levelling = Levelling()
     cleaned: bool = False
     of: OtherSurface | None = None
+    slab: bool = False
 
     @property
     def letter(self) -> str:
@@ -54,12 +75,16 @@ class SectionAsked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """A curve with its numbers. source: the dataset and the part of it, as a reader would name them."""
+    """A curve with its numbers. source: the dataset and the part of it, as a reader would name them.
+
+    points: those of the slab that the curve is the running median of; None of a mean across the line.
+    """
 
     asked: SectionAsked
     profile: Profile
     curve: ProfileCurve
     source: str
+    points: SlabPoints | None = None
 
     @property
     def title(self) -> str:

@@ -10,6 +10,7 @@ from wafer_viewer.model.levelling import Datum, Levelling
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.options import ToolOptions
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.sections import SlabPoints
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.session.state import Snapshot
@@ -53,6 +54,16 @@ class Measuring:
         surface = self._levelled(levelling, show)
         found, curve = profile(surface, line, calibration_valid=self._calibrated(), layer=layer)
         return self._told(found, show, levelling), curve
+
+    def slab(
+        self, line: Region, show: int = 0, levelling: Levelling | None = None
+    ) -> tuple[Profile, ProfileCurve, SlabPoints]:
+        """A section through the slab along a line."""
+        from wafer_viewer.measure.slab import slab_profile
+
+        surface = self._levelled(levelling, show)
+        found, curve, points = slab_profile(surface, line, calibration_valid=self._calibrated())
+        return self._told(found, show, levelling), curve, points
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         """The zero that a way of levelling lays through what a browser shows; found once for each state of it."""

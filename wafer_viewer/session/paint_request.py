@@ -155,8 +155,8 @@ class Refused(msgspec.Struct, frozen=True):
     """The points that gates refused: how many there are, how many the clip leaves, the others by why it does not.
 
     by_reason: those that the clip leaves, by code of `Origin`. n_fields: fields that the surface is made of;
-    n_fields_without: those of them that were reconstructed before refused heights were kept. span_um: the lowest and the
-    highest of all refused heights.
+    n_fields_without: those of them that were reconstructed before refused heights were kept. span_um: the lowest and
+    the highest of all refused heights.
     """
 
     n_heights: int

@@ -24,11 +24,14 @@ class Sections:
         """A section along a line of the surface on show, or of another one."""
         if asked.of is not None:
             return self._of_other(asked, asked.of)
-        layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
-        found, curve = self._questions.measuring.profile(asked.line, asked.show, asked.levelling, layer)
         shown = self._snapshot().dataset
         name = shown.name if shown is not None else ""
-        return Section(asked, found, curve, name if asked.show <= 0 else f"{name}, field {asked.show}")
+        source, measuring = name if asked.show <= 0 else f"{name}, field {asked.show}", self._questions.measuring
+        if asked.slab:
+            found, curve, points = measuring.slab(asked.line, asked.show, asked.levelling)
+            return Section(asked, found, curve, source, points)
+        layer = other_layer(self._questions.surface_source(asked.show)) if asked.cleaned else None
+        return Section(asked, *measuring.profile(asked.line, asked.show, asked.levelling, layer), source)
 
     def others(self) -> tuple[OtherSurface, ...]:
         """The stitched surfaces of the data folder, without the one being looked at."""
