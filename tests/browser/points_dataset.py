@@ -1,4 +1,4 @@
-"""A true dataset of twelve small fields, of which the fifth alone has a pillar and a hole."""
+"""A true dataset of twelve small fields, of which the fifth alone has a pillar and a hole whose peaks were refused."""
 
 from __future__ import annotations
 
@@ -6,21 +6,25 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.session.grid_dataset import REGISTERED, add_surfaces, make_dataset
 from tests.truth.field_grid import SMALL, Made, make
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.refused import RefusedHeights
+from wafer_viewer.model.surface import UNMEASURED_FROM, HeightMap, Origin
 
 FIELD = 5
 PILLAR_UM = 120.0
 HOLE_PX, PILLAR_PX = 90, 40
+REFUSED_UM = 60.0
+"""Where the peaks of noise in the hole stand."""
 
 
 def points_dataset(path: Path) -> HeightMap:
     """Make the dataset; the surface of its field 5 as it was stored."""
     made = make(SMALL)
     place = FIELD - 1
-    heights = list(made.heights)
+    heights = [dataclasses.replace(height, refused=refused_of(height.origin)) for height in made.heights]
     heights[place] = with_pillar_and_hole(heights[place])
     changed = Made(made.known, made.fields, made.files, tuple(heights))
     make_dataset(path, changed)
@@ -36,4 +40,10 @@ def with_pillar_and_hole(field: HeightMap) -> HeightMap:
         layer[hole] = np.nan
         layer[pillar] = PILLAR_UM
     origin[hole], origin[pillar] = Origin.NO_TEXTURE, Origin.MEASURED
-    return dataclasses.replace(field, z_um=z, z_raw_um=raw, origin=origin)
+    return dataclasses.replace(field, z_um=z, z_raw_um=raw, origin=origin, refused=refused_of(origin))
+
+
+def refused_of(origin: NDArray[np.uint8]) -> RefusedHeights:
+    """A refused peak for each unmeasured pixel, for the reason that its origin gives."""
+    at = np.flatnonzero(origin >= UNMEASURED_FROM)
+    return RefusedHeights(at.astype(np.uint32), np.full(at.size, REFUSED_UM, np.float32), origin.ravel()[at])

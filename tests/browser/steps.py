@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
 
+import numpy as np
 from playwright.sync_api import Locator, Page, TimeoutError, expect
 
+from wafer_viewer.gui.camera import FOV_RAD
 from wafer_viewer.session.state import Fault
 
 HAND_MS = 80
@@ -94,3 +98,39 @@ def notes(page: Page) -> Locator:
 def words_of(fault: Fault) -> str:
     """What a note says."""
     return f"{fault.title}{fault.text}"
+
+
+def stored(page: Page, what: str) -> dict:
+    """What the browser remembers of its view or its camera."""
+    return json.loads(page.evaluate(f"localStorage.getItem('viser-user:wafer-viewer-{what}') || '{{}}'"))
+
+
+def camera_at_rest(page: Page) -> bool:
+    """Whether the camera stands where it stood a second ago."""
+    camera = stored(page, "camera")
+    page.wait_for_timeout(1000)
+    return camera == stored(page, "camera") != {}
+
+
+def on_screen(page: Page, place_mm: tuple[float, float, float]) -> tuple[float, float]:
+    """Where a place of the scene is seen, in pixels of the window."""
+    camera, box = stored(page, "camera"), page.locator("canvas").first.bounding_box()
+    assert box is not None
+    eye, look_at = (np.array(camera[name]) for name in ("position_mm", "look_at_mm"))
+    at = np.array(place_mm) - eye
+    forward = (look_at - eye) / np.linalg.norm(look_at - eye)
+    right = np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1]))
+    scale = box["height"] / 2 / math.tan(FOV_RAD / 2) / float(at @ forward)
+    across, up = float(at @ right) * scale, float(at @ np.cross(right, forward)) * scale
+    return box["x"] + box["width"] / 2 + across, box["y"] + box["height"] / 2 - up
+
+
+def drag_at(page: Page, place: tuple[float, float], by: tuple[float, float]) -> None:
+    """Drag from a place of the window by so many pixels, at a person's pace."""
+    x, y = place
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(HAND_MS)
+    page.mouse.move(x + by[0], y + by[1], steps=4)
+    page.wait_for_timeout(HAND_MS)
+    page.mouse.up()

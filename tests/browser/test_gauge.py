@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.conftest import PATIENCE_MS
 from tests.browser.gauge_blocks import CERTIFICATE_TOML, dataset_of_blocks
-from tests.browser.steps import HAND_MS, eventually, go_to, press, set_numbers, title_is, type_into
-from wafer_viewer.gui.camera import FOV_RAD
+from tests.browser.steps import (
+    camera_at_rest,
+    drag_at,
+    eventually,
+    go_to,
+    on_screen,
+    press,
+    set_numbers,
+    stored,
+    title_is,
+    type_into,
+)
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.gauge_log import signed_checks
 
@@ -65,44 +72,23 @@ def take_certificate(page: Page, path: Path) -> None:
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
-def stored(page: Page, what: str) -> dict:
-    """What the browser remembers of its view or its camera."""
-    return json.loads(page.evaluate(f"localStorage.getItem('viser-user:wafer-viewer-{what}') || '{{}}'"))
-
-
 def middle_on_screen(page: Page, region: dict) -> tuple[float, float]:
     """Where the middle of a region on the lower face is seen, in pixels of the window."""
-    camera, box = stored(page, "camera"), page.locator("canvas").first.bounding_box()
-    assert box is not None
-    eye, look_at = (np.array(camera[name]) for name in ("position_mm", "look_at_mm"))
     (x0, y0), (x1, y1) = region["points"]
-    at = np.array([(x0 + x1) / 2e3, (y0 + y1) / 2e3, 0.01]) - eye
-    forward = (look_at - eye) / np.linalg.norm(look_at - eye)
-    right = np.cross(forward, [0, 0, 1]) / np.linalg.norm(np.cross(forward, [0, 0, 1]))
-    scale = box["height"] / 2 / math.tan(FOV_RAD / 2) / float(at @ forward)
-    across, up = float(at @ right) * scale, float(at @ np.cross(right, forward)) * scale
-    return box["x"] + box["width"] / 2 + across, box["y"] + box["height"] / 2 - up
+    return on_screen(page, ((x0 + x1) / 2e3, (y0 + y1) / 2e3, 0.01))
 
 
 def drag_lower(page: Page) -> None:
     """Drag the lower region by its middle once the camera rests, until the browser remembers it somewhere else."""
 
     def at_rest() -> bool:
-        camera = stored(page, "camera")
-        page.wait_for_timeout(1000)
-        return camera == stored(page, "camera") != {} and len(stored(page, "view").get("faces", ())) == 2
+        return camera_at_rest(page) and len(stored(page, "view").get("faces", ())) == 2
 
     eventually(at_rest, "faces laid, and the camera at rest", PATIENCE_MS / 1000)
     before = stored(page, "view")["faces"]
 
     def followed() -> bool:
-        x, y = middle_on_screen(page, before[1])
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.wait_for_timeout(HAND_MS)
-        page.mouse.move(x - 8, y + 4, steps=4)
-        page.wait_for_timeout(HAND_MS)
-        page.mouse.up()
+        drag_at(page, middle_on_screen(page, before[1]), (-8, 4))
         page.wait_for_timeout(1000)
         return stored(page, "view")["faces"][1] != before[1]
 

@@ -22,6 +22,7 @@ from wafer_viewer.model.clipping import Box, Span
 NAME = "clip"
 AXES = "xyz"
 INK: dict[bool, Rgb] = {False: (21, 32, 43), True: (233, 238, 243)}
+_BALL: Rgb = (11, 110, 153)
 _BALL_PX, _LINE_PX, _DASH_PX = 8.0, 1.8, 9.0
 _LEAST_SHARE = 0.01
 """Opposite faces stay so far apart, as a share of the surface."""
@@ -82,7 +83,7 @@ class ClipBox:
             for side in (0, 1):
                 key = f"{axis}{side}"
                 if key not in self._knobs:
-                    self._knobs[key] = Knob(self._scene, f"{NAME}/{key}", INK[self._dark], _BALL_PX, self._dragged)
+                    self._knobs[key] = Knob(self._scene, f"{NAME}/{key}", _BALL, _BALL_PX, self._dragged)
 
     def draw(self, land: Land, gaze: Gaze) -> None:
         """Stand as the surface is drawn now."""

@@ -213,10 +213,13 @@ class Overlay:
         self._place = (x_px, y_px, width_px, height_px)
         self._move()
 
-    def show(self, content: str, y_px: int | None = None, height_px: int | None = None) -> None:
+    def show(
+        self, content: str, y_px: int | None = None, height_px: int | None = None, width_px: int | None = None
+    ) -> None:
         """Show `content`, or nothing when it is empty."""
         x, y, width, height = self._place
-        place = (x, y if y_px is None else y_px, width, height if height_px is None else height_px)
+        width, height = width if width_px is None else width_px, height if height_px is None else height_px
+        place = (x, y if y_px is None else y_px, width, height)
         if place != self._place:
             self._place = place
             self._move()

@@ -149,7 +149,9 @@ def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
     if view.look == "plan" and view.step != "acquire":
         return "seen from above"
     shape = " (true shape)" if view.exaggeration == 1 else ""
-    light = " · light from the north-west" if view.step == "surface" and view.hillshade and not narrow else ""
+    points = view.look == "points"
+    words, strength = ("depth shade", view.depth_shade) if points else ("light from the north-west", view.hillshade)
+    light = f" · {words}" if view.step == "surface" and strength and not narrow else ""
     return f"z drawn × {view.exaggeration:g}{shape}{light}"
 
 

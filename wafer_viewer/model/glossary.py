@@ -93,6 +93,8 @@ GLOSSARY: tuple[Term, ...] = (
     Term("stitched surface", "Surface", "The heights of all fields in one map.", "paper", ("splicing",)),
     Term("level", "Surface", "The zero from which heights are read: the stage's, a plane or a form.", "ISO 25178-2"),
     Term("point cloud", "Surface", "The surface drawn as points, one a measured pixel."),
+    Term("refused point", "Surface", "A peak that failed a gate, drawn at its own height and coloured by the reason."),
+    Term("slab", "Surface", "The points between two upright planes along a line; their section is its profile."),
     Term("depth of field", "Surface", "The range of z in which a plane appears sharp, set by NA and wavelength."),
     # ------------------------------------------------------------------------------------------------- measurement
     Term("region", "Measurement", "A rectangle, circle, polygon or line in stage µm on which something is measured."),
