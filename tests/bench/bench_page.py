@@ -1,13 +1,14 @@
 """How quick the page is on large surfaces: 165 million points, as many as the paper's wafer has, and 44 million.
 
-    python tests/bench/bench_page.py [--brief | --quick]
+    python tests/bench/bench_page.py [--brief | --quick | --points]
 
 The true viewer in a process of its own, a headless Chromium that draws in software, a window of 1600 x 1000. The
 surface is made up (tests/bench/big_mosaic.py), written as any other is, and open already. First pictures count from
 the moment the page connects; settled is when nothing changes any more; a click counts until its read-out is there, at
 rest, and while tiles stream and two workers reconstruct fields. Memory is what belongs to the process alone (USS). Of
 the scene's middle so much is covered while the camera comes nearer, as a share of what is at both ends. --brief: one
-round, no reconstruction; --quick: that with two jumps on a surface of 11 million points.
+round, no reconstruction; --quick: that with two jumps on a surface of 11 million points. --points: a cloud of 44
+million points instead: seconds until the picture follows a clip and a slab, and those that drawing all of it takes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import statistics
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,17 +28,34 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
-from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, WAFER_PX, big_dataset
+from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, QUICK_PX, WAFER_PX, big_dataset
 from tests.bench.page_driver import Seat, Viewer, seats
 from tests.bench.tables import met, show
+from tests.browser.steps import put, set_numbers, text_field
 from wafer_viewer.session.crew import crew_for
 from wafer_viewer.session.tasks import reconstruct_field
 from wafer_viewer.store.dataset import Dataset
 
 FIRST_GOAL_S, SETTLED_GOAL_S, CLICK_GOAL_S, MEMORY_GOAL, BYTES_GOAL = 2.0, 2.0, 0.3, 1.5e9, 8e6
 COVERED_GOAL = 0.9
+CLIP_GOAL_S, SLAB_GOAL_S = 2.0, 2.0
+"""As soon as after a jump."""
 JUMPS = (8, -5, 12, -10)
 """Notches of the wheel, one jump each; after them the camera shows everything again."""
+
+
+HEAD_AT = """() => {
+  const text = () => document.querySelector('.wv-points')?.textContent;
+  const before = text();
+  clearInterval(window.headTimer);
+  window.headTimer = setInterval(() => {
+    if (text() && text() !== before) {
+      window.headAt = performance.timeOrigin + performance.now();
+      clearInterval(window.headTimer);
+    }
+  }, 20);
+}"""
+"""Note when the words of the head line become others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +78,11 @@ def main() -> None:
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--brief", action="store_true", help="one round, under two minutes")
     which.add_argument("--quick", action="store_true", help="one round on a small surface")
+    which.add_argument("--points", action="store_true", help="clips and a slab of a point cloud")
     told = parser.parse_args()
+    if told.points:
+        show_cloud(cloud_of(big_dataset(BLOCKS_PX)), psutil.getloadavg()[0])
+        return
     load, whole = psutil.getloadavg()[0], not (told.brief or told.quick)
     sides, jumps = ((QUICK_PX,), JUMPS[:2]) if told.quick else ((BLOCKS_PX, WAFER_PX), JUMPS)
     figures = {side: measured(big_dataset(side), 5 if whole else 1, jumps, whole) for side in sides}
@@ -145,6 +167,85 @@ def reconstruction() -> Iterator[None]:
         finally:
             ended.set()
             working.join()
+
+
+@dataclass(frozen=True, slots=True)
+class Cloud:
+    """Of a point cloud: seconds until all is drawn, from nothing, after each clip, and after a slab; bytes."""
+
+    drawn_s: float
+    clips_s: dict[str, float]
+    counted_s: float
+    section_s: float
+    slab_s: float
+    viewer_bytes: float
+    painter_bytes: float
+
+
+def cloud_of(dataset: Path) -> Cloud:
+    """All figures of the point cloud of a surface, one round."""
+    viewer = Viewer(dataset.parent)
+    try:
+        with seats(viewer) as seat:
+            seat.open()
+            seat.choose(dataset)
+            seat.settled_s(seat.now_ms())
+            page, head = seat.page, seat.page.locator(".wv-points")
+            drawn_s = followed(seat, lambda: page.get_by_role("button", name="Points", exact=True).last.click())
+            head.wait_for()
+            side_um = BLOCKS_PX * PIXEL_UM / 2
+            began_ms = seat.now_ms()
+            clips_s = {"a box": followed(seat, lambda: set_numbers(page, "X, µm", -side_um / 2, side_um / 2))}
+            counted_s = (page.evaluate("window.headAt") - began_ms) / 1e3
+            clips_s["heights"] = followed(seat, lambda: set_numbers(page, "Z, µm", 20, 60))
+            clips_s["confidence"] = followed(seat, lambda: put(page, text_field(page, "At least"), "0.5"))
+            page.get_by_role("button", name="Reset", exact=True).last.click()
+            put(page, text_field(page, "At least"), "0")
+            seat.settled_s(seat.now_ms())
+            page.keyboard.press("l")
+            page.locator(".wv-slab-points").wait_for()
+            points = page.locator(".wv-slab-points")
+            before, began_ms = points.get_attribute("data-points"), seat.now_ms()
+            set_numbers(page, "Width, µm", 20)
+            page.wait_for_function(
+                f"document.querySelector('.wv-slab-points')?.dataset.points !== {before!r}", polling=20
+            )
+            section_s = (seat.now_ms() - began_ms) / 1e3
+            seat.settled_s(seat.now_ms())
+            slab_s = followed(seat, lambda: page.get_by_role("button", name="Pale", exact=True).last.click())
+            memory = viewer.memory()
+    finally:
+        viewer.close()
+    return Cloud(drawn_s, clips_s, counted_s, section_s, slab_s, float(memory.viewer), float(memory.painters))
+
+
+def followed(seat: Seat, act: Callable[[], object]) -> float:
+    """Seconds from something that is done until the picture has followed; so long as typing takes counts too."""
+    watch_head(seat)
+    began_ms = seat.now_ms()
+    act()
+    return seat.settled_s(began_ms)
+
+
+def watch_head(seat: Seat) -> None:
+    """Have the page note when the head line over the scene changes next."""
+    seat.page.evaluate(HEAD_AT)
+
+
+def show_cloud(cloud: Cloud, load: float) -> None:
+    """The table, with goals and the ratio to drawing the cloud from nothing."""
+    rows = [("drawn from nothing, s", cloud.drawn_s, "", "", "")]
+    parts = [*((f"picture after a clip by {name}, s", s, CLIP_GOAL_S) for name, s in cloud.clips_s.items())]
+    parts.append(("picture after a slab, s", cloud.slab_s, SLAB_GOAL_S))
+    rows += [(name, s, s / cloud.drawn_s, f"{goal:g}", met(s, goal)) for name, s, goal in parts]
+    rows += [
+        ("head line after a clip by a box, s", cloud.counted_s, cloud.counted_s / cloud.drawn_s, "", ""),
+        ("section after another width, s", cloud.section_s, cloud.section_s / cloud.drawn_s, "", ""),
+        ("memory of the viewer (USS), MB", cloud.viewer_bytes / 1e6, "", "1500", met(cloud.viewer_bytes, MEMORY_GOAL)),
+        ("- of its painters, MB", cloud.painter_bytes / 1e6, "", "", ""),
+    ]
+    title = f"A point cloud of {BLOCKS_PX**2 / 1e6:.0f} M points; load of the machine before: {load:.1f}"
+    show(title, ("", "", "of drawing it", "goal", ""), rows)
 
 
 def show_figures(figures: dict[int, Figures], load: float, beside: str) -> None:
