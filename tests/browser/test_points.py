@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
@@ -25,7 +26,9 @@ from tests.browser.steps import (
 )
 from wafer_viewer.draw.numbers import number, share
 from wafer_viewer.gui.points_section import amount
+from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.model.surface import ORIGIN_TITLES, HeightMap, Origin
+from wafer_viewer.session.paint_request import Facts, PaintRequest
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset import Dataset
 
@@ -134,8 +137,9 @@ def test_refused_points_are_drawn_by_reason_and_counted(page: Page, opened: tupl
 
 
 def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Session):
-    info = session.snapshot.surface
-    assert info is not None
+    source = source_of(session.snapshot, 0)
+    assert source is not None
+    facts = msgspec.msgpack.decode(session.paint(PaintRequest(source, "facts")).result(WORK_S), type=Facts)
     go_to(page, "Surface")
     choose(page, "Points")
     head = page.locator(".wv-points")
@@ -145,11 +149,11 @@ def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Ses
     low, high = (float(field.input_value()) for field in numbers(page, "Y, µm").all())
     width = right - left
     set_numbers(page, "X, µm", left + width / 4, right - width / 4)
-    set_numbers(page, "Z, µm", info.low_um - 10, info.high_um + 10)
+    set_numbers(page, "Z, µm", facts.low_um, facts.high_um)
     expect(head).to_contain_text("outside of the box")
     eventually(lambda: camera_at_rest(page), "the camera at rest")
     view = stored(page, "view")
-    z0_um = info.lowest_um - 0.02 * (info.high_um - info.low_um)
+    z0_um = facts.lowest_um - 0.02 * (facts.high_um - facts.low_um)
     middle_um = sum(view["clip"]["heights_um"]) / 2
     ball = (left + width / 4) * 1e-3, (low + high) / 2e3, (middle_um - z0_um) * 1e-3 * view["exaggeration"]
     n_out = head.inner_text()

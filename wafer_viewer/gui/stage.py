@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -85,25 +86,37 @@ class Orders:
     def __init__(self, paint: Paint, arrived: Callable[[], None]) -> None:
         self._paint, self._arrived = paint, arrived
         self._open: dict[PaintRequest, Future[bytes]] = {}
+        self._repeated: set[PaintRequest] = set()
 
     def outcome(self, request: PaintRequest, taken: bool = True) -> Future[bytes]:
         """The painter's answer, done. Raises NotYet; what failed is tried again when it is asked for again.
 
+        What was lost with the painter's process is ordered once more, from the process that takes its place.
         taken: False has it made, and kept until it is asked for again.
         """
         future = self._open.get(request)
+        if future is not None and request not in self._repeated and _is_lost(future):
+            self._repeated.add(request)
+            future = None
         if future is None or future.cancelled():
             future = self._open[request] = self._paint(request)
             if not future.done():
                 future.add_done_callback(lambda done: None if done.cancelled() else self._arrived())
         if not future.done() or not taken:
             raise NotYet
+        self._repeated.discard(request)
         return self._open.pop(request)
 
     def keep_only(self, wanted: set[PaintRequest]) -> None:
         """Withdraw the orders that no one waits for any more."""
         for request in [request for request in self._open if request not in wanted]:
             self._open.pop(request).cancel()
+        self._repeated &= wanted
+
+
+def _is_lost(future: Future[bytes]) -> bool:
+    """Whether the process that was to answer has died."""
+    return future.done() and not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
 
 
 class Stage:

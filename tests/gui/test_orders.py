@@ -1,0 +1,49 @@
+"""Orders of pictures: one that is lost with the painter's process is made by the process that takes its place."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import pytest
+
+from wafer_viewer.gui.stage import NotYet, Orders
+from wafer_viewer.session.paint_request import PaintRequest, Source
+
+REQUEST = PaintRequest(Source(Path("x"), "default", 5, 1), "points")
+
+
+class Painter:
+    """Every answer is a future that the test completes."""
+
+    def __init__(self) -> None:
+        self.futures: list[Future[bytes]] = []
+
+    def paint(self, request: PaintRequest) -> Future[bytes]:
+        self.futures.append(Future())
+        return self.futures[-1]
+
+
+def test_what_was_lost_with_the_painter_is_ordered_once_more():
+    painter, news = Painter(), []
+    orders = Orders(painter.paint, lambda: news.append("arrived"))
+    with pytest.raises(NotYet):
+        orders.outcome(REQUEST)
+    painter.futures[0].set_exception(BrokenProcessPool("died"))
+    with pytest.raises(NotYet):
+        orders.outcome(REQUEST)
+    painter.futures[1].set_result(b"tile")
+    assert orders.outcome(REQUEST).result() == b"tile"
+    assert news == ["arrived", "arrived"]
+
+
+def test_a_picture_that_ends_the_painter_twice_is_told():
+    painter = Painter()
+    orders = Orders(painter.paint, lambda: None)
+    for attempt in range(2):
+        with pytest.raises(NotYet):
+            orders.outcome(REQUEST)
+        painter.futures[attempt].set_exception(BrokenProcessPool("died"))
+    assert isinstance(orders.outcome(REQUEST).exception(), BrokenProcessPool)
+    assert len(painter.futures) == 2
