@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
 from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, QUICK_PX, WAFER_PX, big_dataset
-from tests.bench.page_driver import Seat, Viewer, seats
+from tests.bench.page_driver import PATIENCE_S, Seat, Viewer, seats
 from tests.bench.tables import met, show
 from tests.browser.steps import put, set_numbers, text_field
 from wafer_viewer.session.crew import crew_for
@@ -192,7 +192,7 @@ def cloud_of(dataset: Path) -> Cloud:
             seat.settled_s(seat.now_ms())
             page, head = seat.page, seat.page.locator(".wv-points")
             drawn_s = followed(seat, lambda: page.get_by_role("button", name="Points", exact=True).last.click())
-            head.wait_for()
+            head.wait_for(timeout=4e3 * PATIENCE_S)
             side_um = BLOCKS_PX * PIXEL_UM / 2
             began_ms = seat.now_ms()
             clips_s = {"a box": followed(seat, lambda: set_numbers(page, "X, µm", -side_um / 2, side_um / 2))}
@@ -203,7 +203,7 @@ def cloud_of(dataset: Path) -> Cloud:
             put(page, text_field(page, "At least"), "0")
             seat.settled_s(seat.now_ms())
             page.keyboard.press("l")
-            page.locator(".wv-slab-points").wait_for()
+            page.locator(".wv-slab-points").wait_for(timeout=4e3 * PATIENCE_S)
             points = page.locator(".wv-slab-points")
             before, began_ms = points.get_attribute("data-points"), seat.now_ms()
             set_numbers(page, "Width, µm", 20)
