@@ -18,6 +18,7 @@ import statistics
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -29,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.bench_workers import RECIPE, RESULT, make_dataset
 from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, QUICK_PX, WAFER_PX, big_dataset
-from tests.bench.page_driver import PATIENCE_S, Seat, Viewer, seats
+from tests.bench.page_driver import CHANGED, PATIENCE_S, Seat, Viewer, seats
 from tests.bench.tables import met, show
 from tests.browser.steps import put, set_numbers, text_field
 from wafer_viewer.session.crew import crew_for
@@ -47,6 +48,7 @@ JUMPS = (8, -5, 12, -10)
 HEAD_AT = """() => {
   const text = () => document.querySelector('.wv-points')?.textContent;
   const before = text();
+  window.headAt = undefined;
   clearInterval(window.headTimer);
   window.headTimer = setInterval(() => {
     if (text() && text() !== before) {
@@ -220,16 +222,17 @@ def cloud_of(dataset: Path) -> Cloud:
 
 
 def followed(seat: Seat, act: Callable[[], object]) -> float:
-    """Seconds from something that is done until the picture has followed; so long as typing takes counts too."""
-    watch_head(seat)
+    """Seconds from something that is done until the picture has followed, typing included; NaN where it does not."""
+    seat.page.evaluate(HEAD_AT)
     began_ms = seat.now_ms()
     act()
+    seat.page.wait_for_function("window.headAt", polling=20, timeout=4e3 * PATIENCE_S)
+    deadline = time.monotonic() + PATIENCE_S
+    while not any(look.changed > CHANGED for look in seat.seen_since(began_ms)):
+        if time.monotonic() > deadline:
+            return float("nan")
+        seat.page.wait_for_timeout(50)
     return seat.settled_s(began_ms)
-
-
-def watch_head(seat: Seat) -> None:
-    """Have the page note when the head line over the scene changes next."""
-    seat.page.evaluate(HEAD_AT)
 
 
 def show_cloud(cloud: Cloud, load: float) -> None:
