@@ -200,7 +200,7 @@ def cloud_of(dataset: Path) -> Cloud:
             clips_s = {"a box": followed(seat, lambda: set_numbers(page, "X, µm", -side_um / 2, side_um / 2))}
             counted_s = (page.evaluate("window.headAt") - began_ms) / 1e3
             clips_s["heights"] = followed(seat, lambda: set_numbers(page, "Z, µm", 20, 60))
-            clips_s["confidence"] = followed(seat, lambda: put(page, text_field(page, "At least"), "0.5"))
+            clips_s["confidence"] = followed(seat, lambda: put(page, text_field(page, "At least"), "0.95"))
             page.get_by_role("button", name="Reset", exact=True).last.click()
             put(page, text_field(page, "At least"), "0")
             seat.settled_s(seat.now_ms())
