@@ -12,6 +12,7 @@ from tests.browser import fake_session as fake
 from wafer_viewer.gui.acquire_scene import acquire_contents
 from wafer_viewer.gui.field_map import FieldMap
 from wafer_viewer.gui.header import _state as header_state
+from wafer_viewer.gui.map_clicks import MapClicks
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot
 
@@ -90,3 +91,33 @@ def test_the_header_says_imported_over_imported_data_and_the_rig_where_it_can_mo
     simulated = replace(shown, dataset=replace(shown.dataset, simulated=True))
     assert "SIMULATED" in header_state(simulated, View(step="surface"))
     assert "SIMULATED" in header_state(snapshot(imported=False), View(step="surface"))
+
+
+class _Page:
+    """As much of a page as a click on the map asks for."""
+
+    def __init__(self, shown: Snapshot, step: Any) -> None:
+        self.view, self.moves = View(step=step), []
+        self.session = SimpleNamespace(snapshot=shown, move_to=lambda **place: self.moves.append(place))
+        self.gui = SimpleNamespace(add_modal=lambda title: self.moves.append(title))
+        self.picks: dict[str, Any] = {}
+
+    def on_pick(self, what: str, act: Any) -> None:
+        self.picks[what] = act
+
+    def ask(self, failed: str, future: Any) -> None: ...
+
+
+def clicked(shown: Snapshot, step: str, what: str, key: str) -> list[Any]:
+    page: Any = _Page(shown, step)
+    MapClicks(page, SimpleNamespace())
+    page.picks[what](key)
+    return page.moves
+
+
+def test_a_click_on_the_map_moves_the_stage_to_fields_of_this_rig_alone():
+    for step, imported, moves in (("acquire", False, 1), ("acquire", True, 0), ("plan", True, 1)):
+        shown = replace(snapshot(imported=imported), scan=None)
+        number = (shown.draft.plan if step == "plan" else shown.dataset).fields[0].number
+        assert len(clicked(shown, step, "field", str(number))) == moves, (step, imported)
+    assert clicked(replace(snapshot(imported=True), scan=None), "acquire", "place", "90000,90000") == []

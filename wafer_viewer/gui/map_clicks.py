@@ -28,12 +28,17 @@ class MapClicks:
         page.on_pick("place", lambda key: self._go_to_place(*(float(um) for um in key.split(","))))
 
     def _go_to_field(self, chosen: int) -> None:
-        """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all."""
+        """In Plan and Acquire the stage goes there; on a surface the field is shown, and a second click shows all.
+
+        The fields of data from elsewhere lie at no place of this stage.
+        """
         page = self._page
         if page.view.on_surface:
             page.change(show=0 if page.view.show == chosen else chosen, frame_k=None, slice_z_um=None)
             return
         snapshot = page.session.snapshot
+        if self._is_elsewhere:
+            return
         field = next((f for f in drawn(snapshot, page.view)[0] if f.number == chosen), None)
         if field is not None and not snapshot.scanning:
             page.ask("The stage did not move", page.session.move_to(x_um=field.x_um, y_um=field.y_um))
@@ -46,8 +51,14 @@ class MapClicks:
             self._go_to_field(field.number)
         elif page.view.on_surface:
             self._fly(x_um, y_um)
-        elif snapshot.rig.state == "ready":
+        elif snapshot.rig.state == "ready" and not self._is_elsewhere:
             self._ask_to_move(x_um, y_um)
+
+    @property
+    def _is_elsewhere(self) -> bool:
+        """Whether the map shows data that this rig did not take."""
+        snapshot, view = self._page.session.snapshot, self._page.view
+        return view.step == "acquire" and snapshot.dataset is not None and not snapshot.is_of_this_rig
 
     def _fly(self, x_um: float, y_um: float) -> None:
         """Show as much there as is seen now."""

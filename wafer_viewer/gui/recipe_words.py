@@ -78,7 +78,7 @@ def _kind(alike: list[str], sign: Any) -> str:
 
 def _sentence(text: str) -> str:
     """A note as the page writes it: micrometres, a true sign of times, a full stop."""
-    return re.sub(r"\bx(?=\d)", "× ", html.micro(text)).rstrip(".") + "."
+    return re.sub(r"(?<![.\w])x(?=\d)", "× ", html.micro(text)).rstrip(".") + "."
 
 
 def _px(window: int | str) -> str:

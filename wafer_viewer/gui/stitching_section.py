@@ -33,13 +33,13 @@ class StitchingSection:
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the section up to date."""
         info = snapshot.surface
-        there = info is not None and info.n_fields > 1
+        there = info is not None and info.n_fields > 1 and view.show == 0
         set_prop(self._folder, "visible", there)
         if info is None or not there:
             return
         self._head.show(self._headed(info))
         self._on.show(view.fields)
-        self._on.enable(info.stitching is not None and view.show == 0)
+        self._on.enable(info.stitching is not None)
         self._said.show(self._all_said(snapshot, info, view))
 
     def _toggle(self, _: str) -> None:

@@ -286,8 +286,12 @@ class Snapshot:
         return self.rig.simulated if self.dataset is None else self.dataset.simulated
 
     @property
+    def is_of_this_rig(self) -> bool:
+        """Whether the open dataset was taken by a rig such as this one; data from elsewhere lie at no place of it."""
+        data = self.dataset
+        return data is not None and not data.imported and data.simulated == self.rig.simulated
+
+    @property
     def dataset_overview(self) -> Overview | None:
         """The overview picture where it shows the sample of the open dataset; None for data of another instrument."""
-        data = self.dataset
-        ours = data is not None and not data.imported and data.simulated == self.rig.simulated
-        return self.overview if ours else None
+        return self.overview if self.is_of_this_rig else None
