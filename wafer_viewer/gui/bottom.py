@@ -27,7 +27,7 @@ class BottomPanel:
             page.gui.add_html('<div class="wv-bottom"></div>')
         self._panel.float(x=0, y=-1, width=FIRST_WIDTH_PX, height=PROFILE_PX)
         self._width = 0
-        page.client.camera.on_update(lambda camera: self._follow(camera.image_width))
+        page.viewport.on_change(lambda: self._follow(page.viewport.width_px))
 
     def show(self, view: View) -> bool:
         """Come or go as the view has it; whether it is there."""
@@ -37,6 +37,6 @@ class BottomPanel:
 
     def _follow(self, width_px: int) -> None:
         """Be as wide as the scene, which follows the regions beside it."""
-        if width_px != self._width:
+        if width_px not in (0, self._width):
             self._width = width_px
             self._panel.set_width(width_px)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import viser
@@ -139,7 +140,8 @@ def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
     hands, reopened = HandsOff(page), Reopened(page)
     poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
     poses.on_arrival(page.redraw)
-    scene = SceneView(client, session, lambda fault: tell_failure(page, "The scene is not complete", fault), poses)
+    failed = partial(tell_failure, page, "The scene is not complete")
+    scene = SceneView(client, session, failed, poses, page.viewport)
     ear.on_motion(scene.let_fly)
     curves = Curves(page)
     viewpoint, drawing, welcome = Viewpoint(page, scene), Drawing(scene, curves), Welcome(page)

@@ -40,7 +40,7 @@ class ColourLegend:
         self._of_origins.show(_on_glass(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
 
     def _bar_px(self) -> int:
-        room = self._page.client.camera.image_height - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
+        room = self._page.viewport.height_px - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
         return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
 
 

@@ -11,6 +11,7 @@ import viser
 from wafer_viewer.gui.camera import FOV_RAD, Clear, Pose, Vector, direction_of, fit, near_mm
 from wafer_viewer.gui.flight import Pilot
 from wafer_viewer.gui.sight import Sight
+from wafer_viewer.gui.viewport import Viewport
 
 _AIMED = 5e-3
 """As a share of the distance: the camera looks at a place when it looks so close to it."""
@@ -19,8 +20,8 @@ _AIMED = 5e-3
 class Eye:
     """The camera of one browser."""
 
-    def __init__(self, client: viser.ClientHandle) -> None:
-        self._client = client
+    def __init__(self, client: viser.ClientHandle, viewport: Viewport) -> None:
+        self._client, self._viewport = client, viewport
         self._preset: str = "iso"
         self._corners: Vector | None = None
         self._clear = Clear()
@@ -50,7 +51,7 @@ class Eye:
         self._pilot.close()
 
     def sight(self) -> Sight:
-        """What it sees, in a flight at its end: what lies on the way is not worth drawing."""
+        """What it sees, in a flight at its end: what lies on the way is not worth drawing. In pixels as drawn."""
         camera, pose = self._client.camera, self.goal
         eye, look_at, up = (
             (float(v[0]), float(v[1]), float(v[2])) for v in (pose.position, pose.look_at, camera.up_direction)
@@ -58,10 +59,10 @@ class Eye:
         return Sight.of(eye, look_at, up, camera.fov, camera.image_width, camera.image_height)
 
     def um_per_pixel(self) -> float:
-        """How long a pixel is at the point looked at."""
+        """How long a CSS pixel is at the point looked at."""
         camera = self._client.camera
         distance = float(np.linalg.norm(camera.position - camera.look_at))
-        return 2e3 * distance * math.tan(camera.fov / 2) / max(1, camera.image_height)
+        return 2e3 * distance * math.tan(camera.fov / 2) / max(1, self._viewport.height_px)
 
     def frame(self, corners_mm: Vector, preset: str, clear: Clear, *, flying: bool = False) -> None:
         """Look at these points from a preset, ``all`` from where the camera is now."""
@@ -71,7 +72,7 @@ class Eye:
 
     def fly(self, corners_mm: Vector) -> None:
         """Look at these points from where the camera is now; what is drawn stays what `follow` takes in."""
-        self._fly(fit(corners_mm, self.goal.direction, FOV_RAD, *self._canvas_px, self._clear))
+        self._fly(fit(corners_mm, self.goal.direction, FOV_RAD, *self.canvas_px, self._clear))
 
     def go(self, pose: Pose, *, flying: bool = False) -> None:
         """Stand somewhere, as the operator would; from now on the camera stays there."""
@@ -112,20 +113,20 @@ class Eye:
 
     def refit(self) -> None:
         """After the canvas changed its size: fit again, unless the operator has moved the camera since."""
-        size_px = (self._client.camera.image_width, self._client.camera.image_height)
-        if size_px == self._size_px or self._corners is None:
+        if self.canvas_px == self._size_px or self._corners is None:
             return
         if self.goal.is_near(self._set):
             self._apply(self._set.direction if self._set else direction_of(self._preset), self._stand)
 
     @property
-    def _canvas_px(self) -> tuple[int, int]:
-        return self._client.camera.image_width, self._client.camera.image_height
+    def canvas_px(self) -> tuple[int, int]:
+        """Width and height of the scene in CSS pixels."""
+        return self._viewport.width_px, self._viewport.height_px
 
     def _apply(self, direction: Vector, move: Callable[[Pose], None]) -> None:
         if self._corners is None:
             return
-        self._size_px = self._canvas_px
+        self._size_px = self.canvas_px
         self._set = fit(self._corners, direction, FOV_RAD, *self._size_px, self._clear)
         move(self._set)
 

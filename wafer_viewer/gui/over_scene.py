@@ -32,7 +32,7 @@ class OverScene:
             self._cell = Cell(page.gui, padded=False)
         self._place = (0, 0)
         self._size = FIRST_PX
-        page.client.camera.on_update(lambda camera: self._follow(camera.image_width, camera.image_height))
+        page.viewport.on_change(lambda: self._follow(page.viewport.width_px, page.viewport.height_px))
 
     @property
     def room(self) -> Room:

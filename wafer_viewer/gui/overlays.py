@@ -57,14 +57,14 @@ class ScaleBar:
     """Bottom left: a round length at the point looked at, and how many times z is drawn."""
 
     def __init__(self, page: Page, scene: Any) -> None:
-        self._scene, self._camera = scene, page.client.camera
+        self._scene, self._viewport = scene, page.viewport
         self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the bar up to date."""
         um_per_pixel = self._scene.um_per_pixel()
         y_px = -(EDGE_PX + room_px(view))
-        narrow = self._camera.image_width < NARROW_SCENE_PX
+        narrow = self._viewport.width_px < NARROW_SCENE_PX
         drawn = _drawn(snapshot, in_scene(view), narrow)
         self._glass.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
 
@@ -142,10 +142,10 @@ def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
     """What stands beside the bar; in a narrow scene it leaves room for the read-out."""
     if view.step == "plan":
         sample = snapshot.draft.job.sample if snapshot.draft.job else None
-        if sample is None or not sample.width_um:
+        if sample is None or (size_um := sample.size_um) is None:
             return "stage"
         name = f"{sample.name} · " if 0 < len(sample.name) <= SHORT_NAME else ""
-        return f"{name}{number(sample.width_um / 1000, 3)} × {with_unit(sample.height_um / 1000, 3, 'mm')}"
+        return f"{name}{number(size_um[0] / 1000, 3)} × {with_unit(size_um[1] / 1000, 3, 'mm')}"
     if view.look == "plan" and view.step != "acquire":
         return "seen from above"
     shape = " (true shape)" if view.exaggeration == 1 else ""

@@ -19,6 +19,7 @@ from wafer_viewer.gui.html import Tone, icon, micro, note, pick, read_picks, saf
 from wafer_viewer.gui.memory import Remembered, Self
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
+from wafer_viewer.gui.viewport import Viewport
 from wafer_viewer.model.clipping import Box
 from wafer_viewer.session.paint_request import Scale, Statistics
 from wafer_viewer.session.seat import seat
@@ -49,6 +50,7 @@ class Page:
     def __init__(self, client: viser.ClientHandle, session: SessionApi) -> None:
         self.client = client
         self.gui = client.gui
+        self.viewport = Viewport(client.camera)
         self.session = seat(session, lambda: self.browser.key)
         self.browser = Self()
         self.view = View()

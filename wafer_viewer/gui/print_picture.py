@@ -69,9 +69,9 @@ class PrintPicture:
     def _rendered(self) -> tuple[NDArray[np.uint8], float]:
         """The scene as the browser draws it, and um per pixel of that at the point looked at."""
         client = self._page.client
-        shape = client.camera.image_height / max(1, client.camera.image_width)
-        height_px = round(PRINT_WIDTH_PX * shape)
-        um_per_pixel = self._scene.um_per_pixel() * client.camera.image_height / height_px
+        viewport = self._page.viewport
+        height_px = round(PRINT_WIDTH_PX * viewport.height_px / max(1, viewport.width_px))
+        um_per_pixel = self._scene.um_per_pixel() * viewport.height_px / height_px
         try:
             return client.get_render(height_px, PRINT_WIDTH_PX, transport_format="png", timeout=RENDER_S), um_per_pixel
         except TimeoutError as fault:

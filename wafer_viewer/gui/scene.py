@@ -27,6 +27,7 @@ from wafer_viewer.gui.surface_scene import marked, only_grew, source_of, surface
 from wafer_viewer.gui.tiles import PointTile
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
+from wafer_viewer.gui.viewport import Viewport
 from wafer_viewer.model.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
@@ -51,6 +52,7 @@ class SceneView:
         session: Any,
         on_fault: Callable[[Exception], None] | None = None,
         poses: PoseBook | None = None,
+        viewport: Viewport | None = None,
     ) -> None:
         self._client, self._session = client, session
         self._on_fault = on_fault or (lambda fault: None)
@@ -65,7 +67,7 @@ class SceneView:
         self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
         self._poses.on_arrival(self._arrived)
         self._steady = Steady()
-        self._eye = Eye(client)
+        self._eye = Eye(client, viewport or Viewport(client.camera))
         self._tools = Tools(client, self._eye, lambda show: session.surface_source(show))
         self._shown: Contents | None = None
         self._place: Hashable = None

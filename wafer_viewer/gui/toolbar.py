@@ -32,12 +32,12 @@ class Toolbar:
 
     def __init__(self, page: Page) -> None:
         self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
-        self._camera = page.client.camera
+        self._viewport = page.viewport
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the toolbar up to date."""
         measuring = view.step == "measure"
-        scene_px = self._camera.image_width
+        scene_px = self._viewport.width_px
         short = measuring or 0 < scene_px < NARROW_SCENE_PX
         looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
         parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks

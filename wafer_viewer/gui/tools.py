@@ -260,6 +260,6 @@ class Tools:
 
     def _in_sight(self, land: Land) -> Land:
         """What of a surface lies round the point looked at, as far as the shorter side of the canvas reaches."""
-        camera, (x, y) = self._client.camera, self._looked_at()
-        reach_um = self._eye.um_per_pixel() * min(camera.image_width, camera.image_height) / 2
+        x, y = self._looked_at()
+        reach_um = self._eye.um_per_pixel() * min(self._eye.canvas_px) / 2
         return land.within((x - reach_um, y - reach_um, x + reach_um, y + reach_um))

@@ -68,9 +68,9 @@ class Welcome:
             self._page.ask("There is no plan", self._page.session.cover_sample())
 
     def _centre(self) -> None:
-        camera = self._page.client.camera
-        place = ((camera.image_width - WIDTH_PX) // 2, max(70, (camera.image_height - HEIGHT_PX) // 2))
-        if place != self._place and camera.image_width > 0:
+        viewport = self._page.viewport
+        place = ((viewport.width_px - WIDTH_PX) // 2, max(70, (viewport.height_px - HEIGHT_PX) // 2))
+        if place != self._place and viewport.width_px > 0:
             self._place = place
             self._panel.float(x=max(0, place[0]), y=place[1], width=WIDTH_PX)
 
