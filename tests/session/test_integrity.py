@@ -247,3 +247,59 @@ def test_a_damaged_surface_of_a_field_is_not_stitched(dataset, tmp_path):
     file.write_bytes(harmed)
     with pytest.raises(DatasetError, match=r"r0000c0000\.npz is damaged, .* make the surface again .*a\.wafer --again"):
         bring_up_to_date(path, "default", result.recipe())
+
+
+def deletable(dataset: Path) -> list[str]:
+    """Files of the stitched surface whose deletion can be told from ground without heights, one of each kind."""
+    return [name for name in files_of(dataset) if re.search(r"/default/mosaic\.zarr/\w+/(\d+/)?c/", name)]
+
+
+def test_a_deleted_shard_is_no_ground_without_heights(dataset, tmp_path):
+    path = shutil.copytree(dataset, tmp_path / "a.wafer")
+    result, names = Dataset.open(path).result(), deletable(path)
+    assert any("/z_um/0/" in name for name in names)
+    for name in names:
+        content = (path / name).read_bytes()
+        (path / name).unlink()
+        report = Dataset.open(path).check()
+        said = [sentence for kind in report.files for sentence in kind.damaged]
+        (path / name).write_bytes(content)
+        if "/all_in_focus/1/" in name:
+            continue  # a picture nobody measures on: dark ground may be nothing but fill there
+        assert any(name in sentence and "stitch the fields again" in sentence for sentence in said), name
+        assert not report.ok
+    assert Dataset.open(path).check().ok
+    shutil.rmtree(result.mosaic_path / "z_um" / "0" / "c")
+    shutil.rmtree(result.mosaic_path / "z_um" / "1" / "c")
+    assert not Dataset.open(path).check().ok, "the facts know of heights"
+
+
+@pytest.mark.parametrize(
+    "name", ["z_um/0/c/0/0", "z_raw_um/0/c/0/0", "origin/0/c/0/0", "z_um/1/c/0/0", "facts/c/0/0/0"]
+)
+def test_a_surface_with_a_deleted_shard_is_not_opened_and_stitching_mends_it(dataset, tmp_path, name):
+    path = shutil.copytree(dataset, tmp_path / "a.wafer")
+    result = Dataset.open(path).result()
+    expected = result.mosaic().window().z_um
+    (result.mosaic_path / name).unlink()
+    again = shutil.move(path, tmp_path / "b.wafer")  # a mosaic is looked at once by a process
+    with pytest.raises(DatasetError, match=f"mosaic.zarr/{name} is missing, .*: stitch the fields again"):
+        Dataset.open(again).result().mosaic()
+    bring_up_to_date(again, "default", result_of(again).recipe())
+    np.testing.assert_array_equal(result_of(again).mosaic().window().z_um, expected)
+
+
+def result_of(path: Path) -> Result:
+    return Dataset.open(path).result()
+
+
+def test_a_stack_is_compared_with_its_checksums_when_it_is_read(dataset):
+    data = Dataset.open(dataset)
+    name = f"frames/{data.fields[0].name}.tif"
+    middle = data.stack(1).images[2]
+    bit = 8 * (data.stack(1).images.offset + 2 * middle.size) + 3
+    with flipped(dataset / name, bit):
+        with pytest.raises(DatasetError, match=rf"{name} is damaged, the checksum of frame 2 differs: restore it"):
+            Dataset.open(dataset).stack(1)
+        assert Dataset.open(dataset).stack(1, verify=False).n_frames == data.stack(2).n_frames
+    assert Dataset.open(dataset).stack(1).n_frames

@@ -163,7 +163,10 @@ class Library:
     def _stored_surface(self) -> SurfaceInfo | None:
         from wafer_viewer.session.summary import load_summary
 
-        info = load_summary(self.result) if self.result.has_mosaic else None
+        try:
+            info = load_summary(self.result) if self.result.has_mosaic and self.result.mosaic() else None
+        except DatasetError:  # told when its numbers are asked for
+            return None
         return None if info is None else replace(info, stamp=next(self._stamps))
 
     def _show(self, **changes: Any) -> None:

@@ -150,9 +150,11 @@ def _stacks(source: Source) -> list[FieldStack]:
 
     dataset = Dataset.open(source.dataset)
     if source.show:
-        return [dataset.stack(source.show)]
+        return [dataset.stack(source.show, verify=False)]
     complete = dataset.complete_fields()
     shown = as_stitched(dataset.fields, dataset.result(source.result).poses())
     return [
-        dataclasses.replace(dataset.stack(field.number), field=field) for field in shown if field.number in complete
+        dataclasses.replace(dataset.stack(field.number, verify=False), field=field)
+        for field in shown
+        if field.number in complete
     ]

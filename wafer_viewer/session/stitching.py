@@ -223,9 +223,16 @@ def describe_mosaic(
 ) -> SurfaceInfo:
     """A worker's task: say how a mosaic looks that was stitched elsewhere."""
     from wafer_viewer.session.sheets import Sheets
+    from wafer_viewer.session.summary import save_summary, summarise
     from wafer_viewer.store.dataset import Dataset
 
-    recipe = Dataset.open(dataset).result(result).recipe()
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    mosaic, recipe = kept.mosaic(), kept.recipe()
+    if not data.fields:  # a surface of a file
+        info = summarise(mosaic, 0, result, recipe)
+        save_summary(kept, info)
+        return info
     sheets = Sheets.open(dataset, result, recipe.stitching)
     return _described(sheets, sheets.kept.poses(), recipe)
 

@@ -80,7 +80,6 @@ def reconstruct_field(
 
     data = Dataset.open(dataset)
     kept = data.result(result)
-    data.require_good_frames(field_number)
     recipe = kept.settled() or recipe
     surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
     kept.save_surface(data.field(field_number), surface)
@@ -124,7 +123,7 @@ def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Itera
         complete = field_number in data.complete_fields()
         if complete or (now > before and now >= MIN_FRAMES):
             before, came_at = now, time.monotonic()
-            yield data.stack(field_number)
+            yield data.stack(field_number, verify=False)  # frames that came just now, at every one of them
         else:
             time.sleep(LIVE_LOOK_EVERY_S)
 

@@ -35,8 +35,10 @@ _COMMENT_BYTES = 15
 _END_OF_ARCHIVE, _END_BYTES = b"PK\5\6", 22
 _PIECE_BYTES = 1 << 24
 _MOST_VERIFIED = 8192
-_verified: dict[tuple[Path, int, int, int], None] = {}
-"""Archives whose checksum was found good by this process: path, inode, size, time of change."""
+FileMark = tuple[Path, int, int, int]
+"""A file and its state: path, inode, size, time of change."""
+_verified: dict[FileMark, None] = {}
+"""Archives whose checksum was found good by this process."""
 S = TypeVar("S", bound=Spec)
 
 
@@ -166,8 +168,7 @@ def archive_state(path: Path) -> Checksum:
 
 def require_good_archive(path: Path) -> None:
     """Raise DatasetError when the checksum of an ``.npz`` differs; a file that did not change is read once."""
-    stat = path.stat()
-    key = path, stat.st_ino, stat.st_size, stat.st_mtime_ns
+    key = file_mark(path)
     if key in _verified:
         return
     if archive_state(path) is Checksum.DAMAGED:
@@ -175,6 +176,12 @@ def require_good_archive(path: Path) -> None:
     while len(_verified) >= _MOST_VERIFIED:
         _verified.pop(next(iter(_verified)), None)
     _verified[key] = None
+
+
+def file_mark(path: Path) -> FileMark:
+    """A file and its state: another where the file was written to since."""
+    stat = path.stat()
+    return path, stat.st_ino, stat.st_size, stat.st_mtime_ns
 
 
 def _before(path: Path, n_bytes: int) -> bytes:
@@ -213,6 +220,8 @@ def mend_of(path: Path) -> str:
     again = f"wafer-viewer stitch {dataset}" + (f" --result '{result}'" if result != "default" else "")
     if result.startswith("difference-"):
         return "compare the two surfaces again"
+    if any(part.endswith(".zarr") for part in parts) and _is_of_surface_file(path):
+        return "remove the dataset and import its surface file again"
     if any(part.endswith(".zarr") for part in parts) or path.name == "poses.npz":
         return f"stitch the fields again ({again})"
     if path.parent.name == SURFACES or path.name in ("recipe.json", "settled.json"):
@@ -220,6 +229,12 @@ def mend_of(path: Path) -> str:
     if path.name.endswith(".golden.npz"):
         return "make it again or use an older version"
     return _OTHER_MENDS.get(path.name, "restore it from a copy")
+
+
+def _is_of_surface_file(path: Path) -> bool:
+    """Whether a file lies in a dataset that was made of a surface file: it has no frames to make anything of."""
+    dataset = next((parent for parent in path.parents if parent.suffix == ".wafer"), None)
+    return dataset is not None and dataset.is_dir() and not (dataset / "frames").exists()
 
 
 _OTHER_MENDS = {

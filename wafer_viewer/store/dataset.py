@@ -14,6 +14,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.stack import Bracket, FieldStack, Image
+from wafer_viewer.store.checksums import FileMark, file_mark, mend_of
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
 from wafer_viewer.store.pages import map_pages, tags_crc32c
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
@@ -23,6 +24,9 @@ from wafer_viewer.store.result import Result
 if TYPE_CHECKING:
     from wafer_viewer.store.integrity import KindReport
 
+_MOST_VERIFIED = 8192
+_verified: dict[tuple[FileMark, str], None] = {}
+"""Stacks whose frames this process found good: the file and its state, and the checksum of what the journal says."""
 FILES_SHARE = 0.5
 """Of a check, how much of the progress bar all files but the frames take."""
 
@@ -155,12 +159,17 @@ class Dataset:
         """Numbers of the fields that have all their frames, those of the pass under way left out."""
         return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
 
-    def stack(self, field_number: int, exposure: int | None = None) -> FieldStack:
+    def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
         """The focus stack of a field, memory-mapped; z as recorded, times the calibrated z scale.
 
         exposure: one of them alone; without it the stack holds them all, the first as its images and the others as its
-        brackets, at the mean of their z. Raises DatasetError when the field, its file or the exposure is missing, or
-        fewer than three frames are there. Frames of a pass under way are among them.
+        brackets, at the mean of their z. Frames of a pass under way are among them.
+
+        verify: compare every frame with its checksum in the journal, for which all of them are read; once for a file
+        that does not change.
+
+        Raises DatasetError when the field, its file or the exposure is missing, a frame is damaged, or fewer than three
+        frames are there.
         """
         field = self.field(field_number)
         wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
@@ -168,6 +177,10 @@ class Dataset:
         pages = map_pages(frames_file(self.path, field), self.scan.pages)
         first, *others = (self._bracket(pages, e, of_one) for e, of_one in zip(wanted, lines, strict=True))
         self._require_frames(field, int(first.present.sum()))
+        there = [line for of_one in lines for line in of_one if line is not None]
+        checksum = _checksum(there)
+        if verify:
+            self._require_good(field, pages, there, checksum)
         return FieldStack(
             field=field,
             images=first.images,
@@ -176,7 +189,7 @@ class Dataset:
             pixel_um=self.scan.pixel_um,
             calibration=self.scan.calibration,
             simulated=self.simulated,
-            checksum=_checksum(line for of_one in lines for line in of_one if line is not None),
+            checksum=checksum,
             source=f"{self.path.name}, field {field_number}",
             exposure_us=first.exposure_us,
             brackets=tuple(others),
@@ -202,16 +215,6 @@ class Dataset:
             good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
         missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
         return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
-
-    def require_good_frames(self, field_number: int) -> None:
-        """Read the frames of a field. Raises DatasetError when one is not what the journal has a checksum of."""
-        bad = self._damaged(self.field(field_number))
-        if bad:
-            path = frames_file(self.path, self.field(field_number))
-            raise DatasetError(
-                f"{path} is damaged, the checksum of frame {bad[0].k} differs"
-                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: restore it from a copy."
-            )
 
     def results(self) -> tuple[str, ...]:
         """Names of the reconstructions."""
@@ -272,11 +275,30 @@ class Dataset:
             raise DatasetError(f"{path} is damaged, the checksum of its tags differs: restore it from a copy.")
 
     def _damaged(self, field: Field) -> list[Shot]:
-        shots = [shot for shot in self._shots(field) if shot in self._frames]
-        if not shots:
-            return []
-        pages = map_pages(frames_file(self.path, field), self.scan.pages)
-        return [s for s in shots if zlib.crc32(pages[self.scan.page_of(s.k, s.exposure)]) != self._frames[s].crc32]
+        lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
+        return self._bad(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
+
+    def _bad(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
+        """The slots of lines of the journal whose checksum is not that of their page."""
+        page_of = self.scan.page_of
+        return [
+            line.shot for line in lines if zlib.crc32(pages[page_of(line.shot.k, line.shot.exposure)]) != line.crc32
+        ]
+
+    def _require_good(self, field: Field, pages: Image, lines: Iterable[FrameKept], checksum: str) -> None:
+        """Raise DatasetError when a page is not what the journal has a checksum of; a file is read once."""
+        path = frames_file(self.path, field)
+        key = file_mark(path), checksum
+        if key in _verified:
+            return
+        if bad := self._bad(pages, lines):
+            raise DatasetError(
+                f"{path} is damaged, the checksum of frame {bad[0].k} differs"
+                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {mend_of(path)}."
+            )
+        while len(_verified) >= _MOST_VERIFIED:
+            _verified.pop(next(iter(_verified)), None)
+        _verified[key] = None
 
 
 def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:

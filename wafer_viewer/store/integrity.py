@@ -18,13 +18,17 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.checksums import Checksum, archive_state, damaged, line_state, mend_of, require_json, text_state
 from wafer_viewer.store.files import natural
+from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.mosaic_facts import facts_state
+from wafer_viewer.store.mosaic_missing import missing, missing_files
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
 from wafer_viewer.store.record import FRAMES, JOURNAL
+from wafer_viewer.store.result import DRAWING
 from wafer_viewer.store.shard import Shards
 
 Examine = Callable[[Path], Checksum]
 UNKNOWN = "Unknown files"
+STITCHED = "Stitched surfaces"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,8 @@ def check_files(
             states[UNKNOWN].append(Checksum.NONE)
         elif kind.examine is not None:
             states[kind.title].append(_state(path, kind.examine))
+    for mosaic in sorted(dataset.glob("results/*/mosaic.zarr")):
+        states[STITCHED] += _missing(mosaic)
     order = [*dict.fromkeys(kind.title for kind in KINDS), UNKNOWN]
     return tuple(_report(title, states[title]) for title in order if title in states)
 
@@ -95,7 +101,17 @@ def is_mosaic_good(mosaic: Path) -> bool:
         kind = kind_of(f"{prefix}/{path.relative_to(mosaic).as_posix()}")
         if kind is not None and kind.examine is not None and isinstance(_state(path, kind.examine), str):
             return False
-    return True
+    return not _missing(mosaic)
+
+
+def _missing(mosaic: Path) -> list[Checksum | str]:
+    """A sentence for each file of a mosaic that was written and is gone; none of one whose writing was broken off."""
+    if (mosaic.parent / DRAWING).exists():
+        return []
+    try:
+        return [str(missing(path)) for path in dict.fromkeys(missing_files(ZarrMosaic.open(mosaic)))]
+    except DatasetError:
+        return []  # the damaged file has a sentence of its own
 
 
 def _report(title: str, states: list[Checksum | str]) -> KindReport:
@@ -151,9 +167,9 @@ KINDS = (
     _kind("Recipes", _RESULT + r"(recipe|settled)\.json", _json_state),
     _kind("Surfaces of fields", _RESULT + r"surfaces/[^/]+\.npz", archive_state),
     _kind("Poses", _RESULT + r"poses(-being-drawn)?\.npz", archive_state),
-    _kind("Stitched surfaces", _RESULT + r"mosaic\.zarr/(.+/)?zarr\.json", _json_state),
-    _kind("Stitched surfaces", _RESULT + r"mosaic\.zarr/facts/c/\d+/\d+/0", facts_state),
-    _kind("Stitched surfaces", _RESULT + r"mosaic\.zarr/\w+/\d+/c/\d+/\d+", _shard_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/(.+/)?zarr\.json", _json_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/facts/c/\d+/\d+/0", facts_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/\w+/\d+/c/\d+/\d+", _shard_state),
     _kind("Summaries of surfaces", _RESULT + r"surface\.json", _json_state),
     _kind("Results", _RESULT + r"(findings|defects|verdict|comparison)\.json", _json_state),
     _kind("Notebooks", _RESULT + r"notebook\.json", _json_state),

@@ -124,6 +124,20 @@ def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
     return _joined(np.concatenate([_loaded(path, record).ravel() for path in files]))
 
 
+def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, int]]:
+    """Rows and columns of the blocks, of two chunks of level 0 a side, that hold a height.
+
+    Raises DatasetError when a file of facts is damaged.
+    """
+    record, n = _record(_step(shape)), _per_shard()
+    found: set[tuple[int, int]] = set()
+    for path in (mosaic / FACTS).glob("c/*/*/0"):
+        top, left = int(path.parts[-3]) * n, int(path.parts[-2]) * n
+        blocks = _loaded(path, record)
+        found |= {(top + row, left + col) for row, col in np.argwhere(blocks["lowest"] <= blocks["highest"]).tolist()}
+    return found
+
+
 def facts_state(path: Path) -> Checksum:
     """State of the checksum of one file of facts."""
     try:

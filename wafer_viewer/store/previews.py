@@ -91,7 +91,7 @@ def _of_dataset(path: Path) -> NDArray[Any] | None:
     for field in dataset.fields:
         frames = sorted({shot.k for shot in dataset.kept() if shot.field == field.number})
         if frames:
-            return np.asarray(dataset.stack(field.number).images[frames[len(frames) // 2]])
+            return np.asarray(dataset.stack(field.number, verify=False).images[frames[len(frames) // 2]])
     return None
 
 

@@ -18,6 +18,7 @@ from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.checksums import SURFACES, load_json, require_good_json, save_json
 from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic_missing import require_whole_once
 from wafer_viewer.store.npz import read_npz, write_npz
 from wafer_viewer.store.poses import POSES, read_poses, write_poses
 
@@ -115,10 +116,13 @@ class Result:
         return self.mosaic_path.is_dir()
 
     def mosaic(self) -> Mosaic:
-        """The stitched surface. Raises DatasetError when the fields were not stitched yet."""
+        """The stitched surface. Raises DatasetError when the fields were not stitched yet, or files of it are gone."""
         if not self.has_mosaic:
             raise DatasetError(f"Result {self.name!r} has no stitched surface: stitch its fields first.")
-        return ZarrMosaic.open(self.mosaic_path)
+        mosaic = ZarrMosaic.open(self.mosaic_path)
+        if not self.broken_off:
+            require_whole_once(mosaic)
+        return mosaic
 
     def poses(self) -> Poses | None:
         """Where the fields of the stitched surface lie; None where they lie where the stage says, or none are."""

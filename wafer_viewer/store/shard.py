@@ -55,6 +55,20 @@ class Shards:
             raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
         return out
 
+    def places(self, path: Path) -> set[tuple[int, int]]:
+        """Rows and columns of the chunks in the shard at `path` that hold something; none where there is no file.
+
+        Raises DatasetError when the index of the file is damaged.
+        """
+        try:
+            with path.open("rb") as file:
+                there = np.argwhere(self._index(file)[..., 0] != ABSENT).tolist()
+        except FileNotFoundError:
+            return set()
+        except (OSError, ValueError) as fault:
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+        return {(row, col) for row, col in there}
+
     def require_good(self, path: Path) -> None:
         """Test the checksums of the index and of all chunks. Raises DatasetError when one differs."""
         for chunk in self._kept(path).values():
