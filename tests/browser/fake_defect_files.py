@@ -85,6 +85,9 @@ class FakeDefectFiles(Recording):
         kept = golden_header(name, version, "2026-03-14T10:00:00")
         return self._put("keep_golden", (name,), golden=(kept, *self._shelf.golden))
 
+    def add_golden(self, path: Path) -> Future[Any]:
+        return self.keep_golden(path.name.split(".")[0])
+
     def lay_over(self, path: Path, unit: Any = None, within_um: float = SAME_PLACE_UM) -> Future[Any]:
         now = self._session.snapshot
         try:

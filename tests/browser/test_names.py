@@ -36,7 +36,7 @@ def test_every_input_of_plan_is_found_by_its_label(serve: Serve):
     for label in PLAN:
         n_inputs = 2 if label == "Overlap, %" else 1  # a slider, and the number beside it
         expect(panel.get_by_label(label, exact=True)).to_have_count(n_inputs)
-    for label in ("Size, mm", "Columns, rows", "Centre, µm", "From, to, µm"):
+    for label in ("Columns, rows", "Centre, µm", "From, to, µm"):
         expect(panel.get_by_label(f"{label}, second", exact=True)).to_have_count(1)
     wait_for_names(page)
     panel.get_by_role("textbox", name="Lot", exact=True).fill("L99")

@@ -59,7 +59,7 @@ def test_the_dies_of_an_inspection_stand_there_to_be_given_again():
 
 
 def test_dies_without_a_size_are_as_large_as_their_pitch():
-    grid = dies_of(DefectForm(dies=GIVEN, pitch_um=(300.0, 200.0), angle_deg=90.0))
+    grid = dies_of(DefectForm(dies=GIVEN, pitch_um="300 × 200", corner_um="0, 0", angle_deg=90.0))
     assert (grid.width_um, grid.height_um) == (300.0, 200.0)
     assert grid.angle_rad == pytest.approx(1.5708, abs=1e-4)
 
@@ -67,8 +67,13 @@ def test_dies_without_a_size_are_as_large_as_their_pitch():
 @pytest.mark.parametrize(
     ("form", "says"),
     [
-        (DefectForm(dies=GIVEN), "The pitch of the dies is 0 x 0 um: both must be over 0"),
-        (DefectForm(dies=GIVEN, pitch_um=(9, 9), size_um=(10, 9)), "a die is at most as large as the pitch"),
+        (DefectForm(dies=GIVEN), "The pitch of the dies is not given: type it"),
+        (DefectForm(dies=GIVEN, pitch_um="0 × 9"), "Pitch, µm is 0: it must be over 0"),
+        (DefectForm(dies=GIVEN, pitch_um="9 × 9"), "The corner of the dies is not given"),
+        (
+            DefectForm(dies=GIVEN, pitch_um="9 × 9", corner_um="0, 0", size_um="10 × 9"),
+            "a die is at most as large as the pitch",
+        ),
     ],
 )
 def test_dies_that_are_none_are_told_in_a_sentence(form: DefectForm, says: str):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.gui.number_field import number_of, text_of
+from wafer_viewer.gui.number_field import number_of, pair_of, pair_text, text_of
 from wafer_viewer.model.errors import WaferViewerError
 
 GUI = Path(__file__).parents[2] / "wafer_viewer" / "gui"
@@ -46,6 +46,29 @@ def test_limits_are_said_with_the_value():
 @pytest.mark.parametrize("value", [None, 0.0, 23.5, 0.123456789, -5.0, 400.0, 1e-7])
 def test_a_value_comes_back_as_it_was(value: float | None):
     assert number_of(text_of(value), "x") == value
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("", None),
+        ("12.5 × 8", (12.5, 8.0)),
+        ("12,5 x 8", (12.5, 8.0)),
+        ("12.5, 8", (12.5, 8.0)),
+        ("12.5;8", (12.5, 8.0)),
+        ("12.5 8", (12.5, 8.0)),
+        ("−3, 0", (-3.0, 0.0)),
+    ],
+)
+def test_what_is_typed_is_a_pair_or_nothing(typed: str, meant: tuple[float, float] | None):
+    assert pair_of(typed, "Corner, µm") == meant
+    assert pair_of(pair_text(meant), "Corner, µm") == meant
+
+
+@pytest.mark.parametrize("typed", ["12", "1 × 2 × 3", "a × b", "1 ×", "0 × 8"])
+def test_what_is_no_pair_is_refused_by_name(typed: str):
+    with pytest.raises(WaferViewerError, match="Size, mm"):
+        pair_of(typed, "Size, mm", over=0)
 
 
 def test_no_hint_says_that_zero_stands_for_nothing():

@@ -76,7 +76,7 @@ def test_a_range_typed_for_another_job_changes_nothing(job, typed):
 
 
 def test_the_first_size_lays_a_grid_over_the_whole_sample():
-    job = job_of(PlanForm(name="coupon", size_mm=(3.6, 2.88)), None, LIMITS)
+    job = job_of(PlanForm(name="coupon", size_mm="3.6 × 2.88"), None, LIMITS)
     assert job.grid.width_um >= 3600
     assert job.grid.height_um >= 2880
     assert job.grid.center_um == pytest.approx((0, 0))
@@ -112,4 +112,4 @@ def test_without_a_size_or_a_rig_there_is_no_first_job():
     with pytest.raises(PlanError, match="no size"):
         job_of(PlanForm(), None, LIMITS)
     with pytest.raises(PlanError, match="rig has not reported"):
-        job_of(PlanForm(size_mm=(1.0, 1.0)), None, None)
+        job_of(PlanForm(size_mm="1 × 1"), None, None)

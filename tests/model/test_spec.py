@@ -112,3 +112,12 @@ def test_the_largest_uncertainty_is_doubled_once():
 
     length = Length.evaluated(400.0, (Contribution(name="noise", u_um=0.3), Contribution(name="z scale", u_um=0.4)))
     assert length.expanded_um == pytest.approx(1.0)
+
+
+def test_a_sample_of_an_older_file_has_no_size_where_it_says_zero():
+    older = decode("width_um = 0.0\nheight_um = 0.0\n", Sample, "older.toml")
+    assert (older.width_um, older.height_um, older.size_um) == (None, None, None)
+    assert older == Sample()
+    given = Sample(width_um=12500, height_um=8000)
+    assert given.size_um == (12500, 8000)
+    assert decode(encode(given), Sample, "newer.toml") == given

@@ -17,6 +17,7 @@ from wafer_viewer.gui.kit import Cell, duo
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.golden import GoldenHeader
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_handover import Handover
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
@@ -118,6 +119,21 @@ def golden_dialog(page: Page) -> None:
         page.ask("No golden die was kept", done, lambda out: page.say("Golden die kept", str(out)))
 
     dialog.answers("Keep", viser.Icon.CHECK, keep, "No golden die was kept")
+
+
+def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None:
+    """Take a golden die from a file, kept on another machine say, and go on with it."""
+    below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
+    dialog = Dialog(page, "Choose a golden die", below)
+    with dialog.modal:
+        files = FileList(dialog, "golden", rows=7)
+        files.add_upload()
+
+    def take() -> None:
+        then(page.session.defects.files.add_golden(files.path()).result(WAIT_S))
+        page.redraw()
+
+    dialog.answers("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
 
 
 def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:

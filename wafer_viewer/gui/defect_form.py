@@ -10,7 +10,7 @@ import viser
 
 from wafer_viewer.gui import defect_form_words as words
 from wafer_viewer.gui import html
-from wafer_viewer.gui.defect_dialogs import recipes_dialog, save_recipe_dialog
+from wafer_viewer.gui.defect_dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
 from wafer_viewer.gui.defect_form_values import (
     AGAINST,
     DIES,
@@ -27,10 +27,12 @@ from wafer_viewer.gui.defect_limits_text import limits_of, text_of
 from wafer_viewer.gui.edits import Edits
 from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.number_field import PLACE, OptionalPair
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.golden import GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_shelf import product_of
@@ -69,6 +71,7 @@ class InspectionForm:
             in_a_row(gui, [self._begin], 34)
             self._build_recipe(gui)
         page.on_pick("defect-golden", self._choose_golden)
+        page.on_pick("defect-golden-file", lambda _: self._ask_golden())
         page.on_pick("defect-more", lambda _: self._show_more())
 
     def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
@@ -149,9 +152,9 @@ class InspectionForm:
         self._dies.on_update(self._redrawing())
         self._given = gui.add_folder(None, visible=False)
         with self._given:
-            self._pitch = gui.add_vector2("Pitch, µm", (0.0, 0.0), min=(0.0, 0.0), step=1.0, hint="From die to die")
-            self._corner = gui.add_vector2("Corner, µm", (0.0, 0.0), step=1.0, hint="Lower left one of die 0,0, stage")
-            self._size = gui.add_vector2("Die, µm", (0.0, 0.0), min=(0.0, 0.0), step=1.0, hint="0: as the pitch")
+            self._pitch = OptionalPair(gui, "Pitch, µm", over=0, hint="From die to die, x × y")
+            self._corner = OptionalPair(gui, "Corner, µm", between=PLACE, hint="Lower left one of die 0,0, stage x, y")
+            self._size = OptionalPair(gui, "Die, µm", over=0, hint="Width × height; empty: as the pitch")
             self._angle = gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise")
 
     def _build_limits(self, gui: Any) -> None:
@@ -188,6 +191,16 @@ class InspectionForm:
     def _choose_golden(self, name: str) -> None:
         self._form = replace(self._form, golden=name)
         self._page.redraw()
+
+    def _ask_golden(self) -> None:
+        """Choose a golden die from a file; the list names a version only where a newer one follows it."""
+
+        def take(header: GoldenHeader) -> None:
+            known = self._page.session.snapshot.shelf.golden
+            newest = max((h.version for h in known if h.name == header.name), default=header.version)
+            self._choose_golden(header.name if header.version == newest else f"{header.name}.{header.version}")
+
+        golden_file_dialog(self._page, take)
 
     def _show_more(self) -> None:
         self._shows_more = not self._shows_more
@@ -240,8 +253,8 @@ class InspectionForm:
         self._recipe, self._form = recipe, form
         self._dial.value, self._against.value, self._evidence.value = form.sensitivity, form.compare, form.evidence
         self._product.value, self._scales.value, self._dies.value = form.product, form.scales_px, form.dies
-        self._pitch.value, self._corner.value = form.pitch_um, form.corner_um
-        self._size.value, self._angle.value = form.size_um, form.angle_deg
+        self._pitch.handle.value, self._corner.handle.value = form.pitch_um, form.corner_um
+        self._size.handle.value, self._angle.value = form.size_um, form.angle_deg
         self._per_die.handle.value, self._per_mm2.handle.value = form.max_per_die, form.max_per_mm2
 
     def _typed(self) -> DefectForm:
@@ -253,9 +266,9 @@ class InspectionForm:
             golden=self._form.golden,
             excluded=self._form.excluded,
             dies=self._dies.value,
-            pitch_um=self._pitch.value,
-            corner_um=self._corner.value,
-            size_um=self._size.value,
+            pitch_um=self._pitch.handle.value,
+            corner_um=self._corner.handle.value,
+            size_um=self._size.handle.value,
             angle_deg=float(self._angle.value),
             product=self._product.value,
             scales_px=self._scales.value,

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of
+from wafer_viewer.gui.number_field import PLACE, Pair, pair_of, pair_text
 from wafer_viewer.model.defects import DefectRecipe, Evidence, Inspection
 from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_work import Against, Dies
@@ -19,7 +20,6 @@ AGAINST = (DIE, GOLDEN, FORM)
 EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
 OF_JOB, FOUND, GIVEN = "The job's, or found", "Found", "Given"
 DIES = (OF_JOB, FOUND, GIVEN)
-Pair = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class DefectForm:
     evidence: str = "Height and picture"
     golden: str = ""
     dies: str = OF_JOB
-    pitch_um: Pair = (0.0, 0.0)
-    corner_um: Pair = (0.0, 0.0)
-    size_um: Pair = (0.0, 0.0)
+    pitch_um: str = ""
+    corner_um: str = ""
+    size_um: str = ""
     angle_deg: float = 0.0
     product: str = ""
     scales_px: str = ""
@@ -94,14 +94,17 @@ def against_of(form: DefectForm) -> Against:
 def dies_of(form: DefectForm) -> Dies:
     """Where the dies lie; those that are given are as large as their pitch where no size is.
 
-    Raises MeasureError where the pitch is missing, or dies are larger than it.
+    Raises MeasureError where the pitch or the corner is missing, or dies are larger than their pitch.
     """
     if form.dies != GIVEN or form.compare == FORM:
         return "found" if form.dies == FOUND else None
-    (pitch_x, pitch_y), (width, height) = form.pitch_um, form.size_um
-    if min(pitch_x, pitch_y) <= 0:
-        raise MeasureError(f"The pitch of the dies is {pitch_x:g} x {pitch_y:g} um: both must be over 0.")
-    width, height = width or pitch_x, height or pitch_y
+    pitch, corner = _pair(form.pitch_um, "Pitch, µm", over=0), _pair(form.corner_um, "Corner, µm")
+    if pitch is None:
+        raise MeasureError("The pitch of the dies is not given: type it, such as 300 × 200, or have the dies found.")
+    if corner is None:
+        raise MeasureError("The corner of the dies is not given: type stage x, y of the lower left one of die 0,0.")
+    pitch_x, pitch_y = pitch
+    width, height = _pair(form.size_um, "Die, µm", over=0) or pitch
     if width > pitch_x or height > pitch_y:
         raise MeasureError(
             f"The dies are {width:g} x {height:g} um and their pitch {pitch_x:g} x {pitch_y:g} um: "
@@ -112,8 +115,8 @@ def dies_of(form: DefectForm) -> Dies:
         pitch_y_um=pitch_y,
         width_um=width,
         height_um=height,
-        x0_um=form.corner_um[0],
-        y0_um=form.corner_um[1],
+        x0_um=corner[0],
+        y0_um=corner[1],
         angle_rad=math.radians(form.angle_deg),
     )
 
@@ -121,11 +124,18 @@ def dies_of(form: DefectForm) -> Dies:
 def _shown(grid: DieGrid) -> dict[str, Any]:
     """The fields of a lattice as they stand on the form, whole nanometres."""
     return {
-        "pitch_um": (round(grid.pitch_x_um, 3), round(grid.pitch_y_um, 3)),
-        "corner_um": (round(grid.x0_um, 3), round(grid.y0_um, 3)),
-        "size_um": (round(grid.width_um, 3), round(grid.height_um, 3)),
+        "pitch_um": pair_text((round(grid.pitch_x_um, 3), round(grid.pitch_y_um, 3))),
+        "corner_um": pair_text((round(grid.x0_um, 3), round(grid.y0_um, 3)), PLACE),
+        "size_um": pair_text((round(grid.width_um, 3), round(grid.height_um, 3))),
         "angle_deg": round(math.degrees(grid.angle_rad), 5),
     }
+
+
+def _pair(text: str, name: str, over: float | None = None) -> Pair | None:
+    try:
+        return pair_of(text, name, over=over)
+    except WaferViewerError as fault:
+        raise MeasureError(str(fault)) from fault
 
 
 def _scales(text: str) -> tuple[float, ...]:

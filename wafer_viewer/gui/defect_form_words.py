@@ -60,12 +60,15 @@ def golden_table(shelf: DefectShelf, product: str, chosen: str) -> str:
     mine = [header for header in shelf.golden if not product or header.product in ("", product)]
     others = len(shelf.golden) - len(mine)
     left = f"{others} of other products" if others else ""
+    link = f'<div class="wv-lab"><span class="wv-link" {html.pick("defect-golden-file")}>From a file…</span></div>'
     if not mine:
-        return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left)
+        return html.empty("No golden die is kept", "compare with the fitted form, or die to die.") + _lab(left) + link
     rows = [_row(header, name, name == chosen) for header, name in _named(mine)][:MOST_GOLDEN]
     hidden = f"{len(mine) - MOST_GOLDEN} older ones" if len(mine) > MOST_GOLDEN else ""
     more = " and ".join(part for part in (hidden, left) if part)
-    return html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "")
+    return (
+        html.table(["Golden die", "Dies", "Kept"], rows, " nn") + _lab(f"{more} are not listed." if more else "") + link
+    )
 
 
 def more(form: DefectForm, unfolded: bool) -> str:

@@ -8,6 +8,7 @@ import viser
 
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.job_dialogs import edit, required_job
+from wafer_viewer.gui.number_field import OptionalPair, Pair
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.errors import PlanError
@@ -24,25 +25,35 @@ def dies_dialog(page: Page) -> None:
     start = lattice_of(job.dies) if job.dies is not None else suggested_dies(page.session.snapshot.overview)
     dialog, gui = Dialog(page, "Dies", HOW), page.gui
     with dialog.modal:
-        size = gui.add_vector2("Die, µm", (start.width_um, start.height_um), min=(0.0, 0.0), step=1.0)
-        pitch = gui.add_vector2("Pitch, µm", (start.pitch_x_um, start.pitch_y_um), min=(0.0, 0.0), step=1.0)
+        pitch = OptionalPair(gui, "Pitch, µm", _given(start.pitch_x_um, start.pitch_y_um), over=0)
+        size = OptionalPair(gui, "Die, µm", _given(start.width_um, start.height_um), over=0)
         first = gui.add_vector2("First die, µm", (start.x0_um, start.y0_um), step=1.0)
         counts = gui.add_vector2("Across, up", (start.cols, start.rows), min=(1, 1), step=1)
 
     def keep() -> None:
+        steps, sides = pitch.value, size.value or pitch.value
+        if sides is None:
+            raise PlanError("Die and pitch are not given: type at least one of them, such as 300 × 200.")
+        if steps is None and counts.value != (1, 1):
+            raise PlanError("The pitch of the dies is not given: type it, or 1 across and 1 up for a single die.")
         lattice = Dies(
-            width_um=size.value[0],
-            height_um=size.value[1],
+            width_um=sides[0],
+            height_um=sides[1],
             rows=int(counts.value[1]),
             cols=int(counts.value[0]),
-            pitch_x_um=pitch.value[0],
-            pitch_y_um=pitch.value[1],
+            pitch_x_um=steps[0] if steps is not None else 0.0,
+            pitch_y_um=steps[1] if steps is not None else 0.0,
             x0_um=first.value[0],
             y0_um=first.value[1],
         )
         edit(page, dies=within_fields(lattice, required_job(page)))
 
     dialog.answers("Keep", viser.Icon.CHECK, keep, "The dies were not changed")
+
+
+def _given(x_um: float, y_um: float) -> Pair | None:
+    """A pair as it is typed: a plan has 0 where one is not given, and along a single row or column of dies."""
+    return (x_um or y_um, y_um or x_um) if x_um or y_um else None
 
 
 def within_fields(lattice: Dies, job: Job) -> Dies:

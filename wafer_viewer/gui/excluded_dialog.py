@@ -10,14 +10,14 @@ from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.number_field import PLACE, OptionalPair
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 
 Areas = tuple[Region, ...]
-STAYS, CORNER = "The areas were not changed", "corner of a new one, from that of the die; 0 in all: none"
-NOWHERE = (0.0, 0.0)
+STAYS, CORNER = "The areas were not changed", "corner of a new one, x, y from that of the die; empty: none"
 ROOM = 0.25
 """Round a defect, of its size: that of the next die differs a little."""
 BELOW = (
@@ -37,17 +37,19 @@ class ExcludedDialog:
         dialog = Dialog(page, "Areas left out", BELOW)
         with dialog.modal:
             self._table = Cell(page.gui, area_table(self._areas))
-            self._start = page.gui.add_vector2("From, µm", NOWHERE, step=0.5, hint=f"Lower left {CORNER}")
-            self._end = page.gui.add_vector2("To, µm", NOWHERE, step=0.5, hint=f"Upper right {CORNER}")
+            self._start = OptionalPair(page.gui, "From, µm", between=PLACE, hint=f"Lower left {CORNER}")
+            self._end = OptionalPair(page.gui, "To, µm", between=PLACE, hint=f"Upper right {CORNER}")
         page.on_pick("defect-area-change", lambda key: self._change(int(key)))
         page.on_pick("defect-area-away", lambda key: self._take_away(int(key)))
         dialog.answers("Keep", viser.Icon.CHECK, lambda: keep((*self._areas, *self._typed())), STAYS)
 
     def _typed(self) -> Areas:
-        """The rectangle between the corners that were typed; none where they are as they were."""
+        """The rectangle between the corners that were typed; none where there are none."""
         start, end = self._start.value, self._end.value
-        if start == end == NOWHERE:
+        if start is None and end is None:
             return ()
+        if start is None or end is None:
+            raise MeasureError("One corner of the area is missing: type both, or leave both empty.")
         if start[0] == end[0] or start[1] == end[1]:
             raise MeasureError("The area is empty: type two opposite corners of a rectangle.")
         return (Region.rectangle(*map(min, start, end), *map(max, start, end)),)

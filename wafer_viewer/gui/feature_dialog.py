@@ -12,7 +12,7 @@ from wafer_viewer.gui.dies_dialog import on_the_die_it_is_on
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import edit, required_job
 from wafer_viewer.gui.kept_features import KeptFeature, kept_features
-from wafer_viewer.gui.kit import Cell, set_prop
+from wafer_viewer.gui.kit import Cell, duo, set_prop
 from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import RULES
@@ -26,7 +26,6 @@ from wafer_viewer.model.region import Region
 AS_BEFORE, BY_HAND = "as before", "as typed below"
 MAIN = "the main one"
 STAYS = "The feature was not changed"
-BOTH, UPPER_ALONE, LOWER_ALONE = "both limits", "the upper one alone", "the lower one alone"
 HOW = "A step height as typed below, or any result kept on the surface shown, with the limits of a good wafer."
 
 
@@ -67,11 +66,10 @@ class FeatureDialog:
 
     def _ask_limits(self) -> None:
         gui, old = self._page.gui, self._old
-        low, high = (old.lower_limit, old.upper_limit) if old else (0.0, 0.0)
         self._nominal = OptionalNumber(gui, "Nominal, µm", old.nominal if old else None)
-        self._limits = gui.add_vector2("Limits, µm", (low or 0.0, high or 0.0), step=0.01)
-        judged_by = UPPER_ALONE if low is None else LOWER_ALONE if high is None else BOTH
-        self._sides = gui.add_dropdown("Judged by", (BOTH, UPPER_ALONE, LOWER_ALONE), initial_value=judged_by)
+        duo(gui)
+        self._low = OptionalNumber(gui, "Lower limit", old.lower_limit if old else None)
+        self._high = OptionalNumber(gui, "Upper limit", old.upper_limit if old else None)
         rule = RULES[old.decision_rule if old else "guard_band"]
         self._rule = gui.add_dropdown("Rule", tuple(RULES.values()), initial_value=rule)
 
@@ -123,15 +121,14 @@ class FeatureDialog:
     def _made(self, unnamed: str) -> Feature:
         """The feature as it stands there. Raises PlanError where it cannot be."""
         places = self._asked_places()
-        low, high = self._limits.value
         return Feature(
             name=self._name.value.strip() or unnamed,
             tool=self._tool,
             quantity=self._quantity_name,
             unit=self._unit,
             nominal=self._nominal.value,
-            lower_limit=None if self._sides.value == UPPER_ALONE else low,
-            upper_limit=None if self._sides.value == LOWER_ALONE else high,
+            lower_limit=self._low.value,
+            upper_limit=self._high.value,
             decision_rule=next(key for key, title in RULES.items() if title == self._rule.value),
             per_die=self._every.value,
             places=places,

@@ -12,7 +12,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, Group
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
-from wafer_viewer.gui.number_field import OPTIONAL_LABELS
+from wafer_viewer.gui.number_field import EMPTY
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.glossary import Subject, terms_of
 
@@ -90,7 +90,7 @@ def _group(group: Group, rows: list[tuple[str, str]]) -> str:
 
 @cache
 def _script() -> str:
-    optional = f"window.wvOptional={json.dumps(OPTIONAL_LABELS, ensure_ascii=False)};"
+    optional = f"window.wvOptional={json.dumps(EMPTY, ensure_ascii=False)};"
     picks = ",".join(f"'{what}':function(event){{{html.pick_script(what)}}}" for what in FILE_PICKS)
     read = ((Path(__file__).parent / name).read_text() for name in SCRIPTS)
     return "\n".join((optional, f"window.wvReport={{{picks}}};", *read))

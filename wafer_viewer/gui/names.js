@@ -1,6 +1,6 @@
 /* Accessible names: viser draws a label beside its input and ties the two together for some inputs only. Every input
    in the row of a label gets the label as its name; a field that may be left empty says so in grey. Runs once a page.
-   `window.wvOptional` holds the labels of those fields. */
+   `window.wvOptional` holds their labels with these words. */
 if (!window.wvNames) {
   const INPUTS = 'input:not([type=hidden]), textarea, select, [role=slider], [role=combobox], [role=switch]';
   const HIDDEN = 'div:has(>.wv-picks)+div input, div:has(>.wv-tells)+div input';
@@ -16,7 +16,7 @@ if (!window.wvNames) {
       inputs.forEach(at => {
         const n = Math.max(0, typed.indexOf(at)), tied = n === 0 && at.id === label.htmlFor;
         if (!tied) set(at, 'aria-label', n === 0 ? text : typed.length === 2 ? `${text}, second` : `${text}, ${n + 1}`);
-        if (window.wvOptional?.includes(text) && inputs.length === 1) set(at, 'placeholder', 'not given');
+        if (inputs.length === 1 && window.wvOptional?.[text]) set(at, 'placeholder', window.wvOptional[text]);
       });
     }
   };

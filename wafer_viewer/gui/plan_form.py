@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from wafer_viewer.model.errors import PlanError
+from wafer_viewer.gui.number_field import Pair, pair_of, pair_text
+from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.sample import Sample
@@ -28,7 +29,7 @@ class PlanForm:
     wafer_id: str = ""
     product: str = ""
     operator: str = ""
-    size_mm: tuple[float, float] = (0.0, 0.0)
+    size_mm: str = ""
     columns_rows: tuple[float, float] = (1.0, 1.0)
     overlap_percent: float = 10.0
     centre_um: tuple[float, float] = (0.0, 0.0)
@@ -49,7 +50,7 @@ def form_of(job: Job | None) -> PlanForm:
         wafer_id=sample.wafer_id,
         product=sample.product,
         operator=sample.operator,
-        size_mm=(round(sample.width_um / 1000, 4), round(sample.height_um / 1000, 4)),
+        size_mm=_size_text(sample),
         columns_rows=(float(grid.cols), float(grid.rows)) if grid else (1.0, 1.0),
         overlap_percent=round(100 * grid.overlap_x_fraction, 2) if grid else 0.0,
         centre_um=_rounded(grid.center_um) if grid else (0.0, 0.0),
@@ -118,11 +119,12 @@ def with_typed_range(form: PlanForm, job: Job | None, typed_um: tuple[float, flo
 
 
 def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
-    width_um, height_um = (1000 * side for side in form.size_mm)
+    size_um = _size_um(form)
     if limits is None:
         raise PlanError("The rig has not reported its limits yet: the grid follows when it is ready.")
-    if width_um <= 0 or height_um <= 0:
-        raise PlanError("The sample has no size yet: both sides must be over 0 mm.")
+    if size_um is None:
+        raise PlanError("The sample has no size yet: type its width and height in mm, such as 12.5 × 8.")
+    width_um, height_um = size_um
     step_um = max(0.5, math.floor(limits.depth_of_field_um) / 2)
     return Job(
         sample=_sample(form, Sample()),
@@ -135,7 +137,24 @@ def _first_job(form: PlanForm, limits: RigLimits | None) -> Job:
     )
 
 
+def _size_um(form: PlanForm) -> Pair | None:
+    """Width and height of the sample, None where they are not given."""
+    try:
+        size_mm = pair_of(form.size_mm, "Size, mm", over=0)
+    except WaferViewerError as fault:
+        raise PlanError(str(fault)) from fault
+    return None if size_mm is None else (1000 * size_mm[0], 1000 * size_mm[1])
+
+
+def _size_text(sample: Sample) -> str:
+    size_um = sample.size_um
+    return "" if size_um is None else pair_text((round(size_um[0] / 1000, 4), round(size_um[1] / 1000, 4)))
+
+
 def _sample(form: PlanForm, old: Sample) -> Sample:
+    width_um, height_um = _size_um(form) or (None, None)
+    if form.size_mm == _size_text(old):
+        width_um, height_um = old.width_um, old.height_um
     return replace(
         old,
         name=form.name.strip(),
@@ -143,8 +162,8 @@ def _sample(form: PlanForm, old: Sample) -> Sample:
         wafer_id=form.wafer_id.strip(),
         product=form.product.strip(),
         operator=form.operator.strip(),
-        width_um=1000 * form.size_mm[0],
-        height_um=1000 * form.size_mm[1],
+        width_um=width_um,
+        height_um=height_um,
     )
 
 

@@ -31,9 +31,9 @@ def sample_box(snapshot: Snapshot) -> Box | None:
         xs, ys = zip(*snapshot.overview.outline_um, strict=True)
         return min(xs) * 1e-3, min(ys) * 1e-3, max(xs) * 1e-3, max(ys) * 1e-3
     job = snapshot.draft.job
-    if job is None or job.sample.width_um <= 0 or job.sample.height_um <= 0:
+    if job is None or (size_um := job.sample.size_um) is None:
         return None
-    half_x, half_y = job.sample.width_um / 2e3, job.sample.height_um / 2e3
+    half_x, half_y = size_um[0] / 2e3, size_um[1] / 2e3
     return -half_x, -half_y, half_x, half_y
 
 

@@ -23,7 +23,9 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import READ
 
 Order = Literal["date", "name", "size"]
-KindName = Literal["dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "any"]
+KindName = Literal[
+    "dataset", "images", "plan", "job", "certificate", "klarf", "wafers", "surface", "study", "golden", "any"
+]
 IMAGE_ENDINGS = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".webp")
 DATASET_ENDING = ".wafer"
 PAGE = 200
@@ -58,6 +60,7 @@ FILE_KINDS: dict[KindName, FileKind] = {
     "klarf": FileKind("KLARF files", (".klarf", ".klf", ".kla", ".txt", *(f".{n:03d}" for n in range(10)))),
     "wafers": FileKind("Datasets", (DATASET_ENDING,), takes_folder=True),
     "surface": FileKind("Datasets and surface files", (DATASET_ENDING, *READ)),
+    "golden": FileKind("Golden dies", (".golden.npz",)),
     "study": FileKind("Tables and folders of scans", (".csv",), takes_folder=True),
     "any": FileKind("All files", ("",)),
 }
@@ -304,6 +307,8 @@ def saved_as(browsing: Browsing, text: str, folder: Path, ending: str) -> Path:
     path = browsing.path_of(text, folder)
     if not path.parent.is_dir():
         raise DatasetError(f"The folder {path.parent} does not exist: choose one from the list.")
+    if any(folder.name.endswith(DATASET_ENDING) for folder in path.parents):
+        raise DatasetError(f"{path.parent} lies inside of a dataset, whose files are its own: choose another folder.")
     return path if path.name.lower().endswith(ending.lower()) else path.with_name(f"{path.name}{ending}")
 
 

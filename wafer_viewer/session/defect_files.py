@@ -14,6 +14,7 @@ from wafer_viewer.session.defect_shelf import SAME_PLACE_UM, DefectShelf, OtherT
 from wafer_viewer.session.other_tool import KlarfUnit, laid_over
 
 if TYPE_CHECKING:
+    from wafer_viewer.model.golden import GoldenHeader
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.file_work import FileWork
     from wafer_viewer.session.library import Library
@@ -68,6 +69,20 @@ class DefectFilesKeeper:
         done = self._files.work(f"Golden die {name}", keep_golden, *self._looked_at, name)
         return self._desk.afterwards(done, self.refresh)
 
+    def add_golden(self, path: Path) -> GoldenHeader:
+        """Keep a copy of a golden die from a file as the next version of its name; one of the shelf stays as it is."""
+        from wafer_viewer.store.golden import ENDING, FOLDER, header_of, open_golden, save_golden
+
+        folder = self._folder / FOLDER
+        if path.absolute().parent == folder.absolute():
+            header = header_of(path)
+        else:
+            golden = open_golden(path)
+            name = golden.header.name or path.name.removesuffix(ENDING)
+            header = header_of(save_golden(golden, folder / name))
+        self.refresh()
+        return header
+
     def write(self, what: Handover, path: Path) -> Future[Path]:
         """Have a worker write the defects to a file or a folder."""
         return self._files.work(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
@@ -115,6 +130,10 @@ class DefectFiles:
     def keep_golden(self, name: str) -> Future[Path]:
         """Keep the typical die of what was inspected as the next version of a name; none is ever written over."""
         return self._do(self._keeper.keep_golden, name)
+
+    def add_golden(self, path: Path) -> Future[GoldenHeader]:
+        """Take a golden die from a file, as the next version of its name; done with what it is called then."""
+        return self._do(self._keeper.add_golden, Path(path))
 
     def write(self, what: Handover, path: Path) -> Future[Path]:
         """Write the defects as they are judged now: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""

@@ -272,9 +272,9 @@ def _extent(job: Job, overview: Overview | None) -> tuple[float, float, float, f
     """(x, y) of the middle, width and height of the sample in um."""
     outline = overview.outline_um if overview is not None else ()
     sample = job.sample
-    if sample.width_um > 0 and sample.height_um > 0:
+    if (size_um := sample.size_um) is not None:
         x_um, y_um = job.grid.center_um if job.grid is not None and not outline else _middle(outline)
-        return x_um, y_um, sample.width_um, sample.height_um
+        return x_um, y_um, *size_um
     if not outline:
         raise PlanError("The sample has no size: give its width and height, then cover it.")
     xs, ys = [x for x, _ in outline], [y for _, y in outline]

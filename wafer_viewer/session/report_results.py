@@ -83,7 +83,7 @@ def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
         return ()
     job = material.dataset.scan.job
     counts = ", ".join(f"{n} {word}" for word, n in judged.die_counts.items())
-    across_um = job.sample.width_um if job.marks is not None else 0.0
+    across_um = (job.sample.width_um or 0.0) if job.marks is not None else 0.0
     dies = "1 die" if len(judged.dies) == 1 else f"{len(judged.dies)} dies"
     caption = f"{dies}: {counts}. The notch points down; seen from above."
     return (Figure("", caption, svg=die_map_svg(judged.dies, across_um, width_px=260, most_height_px=260)),)
