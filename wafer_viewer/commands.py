@@ -17,6 +17,7 @@ from wafer_viewer.arguments import (
     Numbers,
     Out,
     PlanFile,
+    Ratio,
     Sources,
     Text,
     Um,
@@ -168,6 +169,8 @@ def import_(
     overlap_fraction: float = 0.1,
     z_unit: Text = None,
     invert_z: bool = False,
+    na: Ratio = None,
+    wavelength_um: Um = None,
 ) -> None:
     """Make a dataset of images taken elsewhere, one field or a grid told apart by a name pattern, or of a surface file.
 
@@ -180,6 +183,8 @@ def import_(
         overlap_fraction: Overlap of neighbouring fields.
         z_unit: Unit of the heights, where a surface file does not say it.
         invert_z: The numbers of a surface file are depths: turn them over.
+        na: Numerical aperture of the objective, in air: bounds the width of focus curves.
+        wavelength_um: Of the light; 0.55 um where it is not given.
     """
     from wafer_viewer.model.formats import Reading
     from wafer_viewer.session.surface_import import import_surface
@@ -194,7 +199,17 @@ def import_(
         print(f"{out}: a surface without frames")
         return
     with progress("Import") as tell:
-        dataset = import_dataset(src, out, z_step_um, pixel_um, pattern, overlap_fraction, progress=tell)
+        dataset = import_dataset(
+            src,
+            out,
+            z_step_um,
+            pixel_um,
+            pattern,
+            overlap_fraction,
+            progress=tell,
+            numerical_aperture=na,
+            wavelength_um=wavelength_um,
+        )
     exposures = f" in {dataset.n_exposures} exposures" if dataset.n_exposures > 1 else ""
     print(f"{out}: {len(dataset.fields)} fields of {dataset.scan.plan.sweep.n_frames} frames{exposures}")
 

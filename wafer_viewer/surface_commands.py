@@ -13,6 +13,7 @@ from wafer_viewer.arguments import (
     NewFile,
     Out,
     Place,
+    Ratio,
     Source,
     Sources,
     Text,
@@ -38,6 +39,8 @@ def reconstruct(
     result: str = "default",
     scheduler: Text = None,
     workers: Count = None,
+    na: Ratio = None,
+    wavelength_um: Um = None,
 ) -> None:
     """Make a surface and write it to a file, whose ending picks the format; `convert --help` names them.
 
@@ -50,6 +53,8 @@ def reconstruct(
         result: Name under which a NAME.wafer keeps its surfaces.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
+        na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
+        wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
     from wafer_viewer.session.offline import Hire, surface_of
     from wafer_viewer.store.exporters import require_known
@@ -58,7 +63,18 @@ def reconstruct(
     require_known(out)
     hire = Hire(scheduler, workers)
     with progress("Reconstruction") as tell:
-        surface, info = surface_of(src, recipe, z_step_um, pixel_um, result, tell, warn, hire)
+        surface, info = surface_of(
+            src,
+            recipe,
+            z_step_um,
+            pixel_um,
+            result,
+            tell,
+            warn,
+            hire,
+            numerical_aperture=na,
+            wavelength_um=wavelength_um,
+        )
     _write(surface, out)
     print_surface(out, info)
 

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+import tifffile
 
 from tests.truth.bleeding import PIXEL_UM, Bleeding, Seen, drawn, seen
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
@@ -18,6 +19,7 @@ from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.judge import TOO_WIDE
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.tune import settle
+from wafer_viewer.store.importers import open_stack
 
 SEEDS = (4, 11, 13, 17, 1002, 1003)
 """Where an unbounded width was 1.2 to 2.7 depths of field, and 0.7 to 33 % of the heights false, 8.9 % on average."""
@@ -65,6 +67,16 @@ def test_the_aperture_in_the_objectives_name_bounds_the_width_too():
     stack = dataclasses.replace(one.stack, calibration=calibration)
     assert stack.optical_depth_um == pytest.approx(depth_of_field_um(round(one.scene.na, 2), PIXEL_UM))
     assert width_um(stack) <= stack.optical_depth_um
+
+
+def test_the_aperture_given_with_images_bounds_the_width(tmp_path):
+    one = scene(SEEDS[0])
+    for k, image in enumerate(one.stack.images):
+        tifffile.imwrite(tmp_path / f"z{k:03d}.tif", image)
+    step_um = one.stack.z_step_um
+    stack = open_stack(tmp_path, z_step_um=step_um, pixel_um=PIXEL_UM, numerical_aperture=one.scene.na)
+    assert stack.optical_depth_um == known(one).optical_depth_um
+    assert width_um(stack) == pytest.approx(width_um(known(one)))
 
 
 def test_a_width_that_hides_walls_is_told():

@@ -9,6 +9,7 @@ import tifffile
 from PIL import Image as PillowImage
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.optics import depth_of_field_um
 from wafer_viewer.model.plan import Shot
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.store.images import REC_709, pictures
@@ -284,6 +285,8 @@ def test_bad_images_are_named_and_nothing_is_written(folder, tmp_path, spoil, se
         ({"pixel_um": None}, "The pixel size is missing: give it with --pixel-um"),
         ({"z_step_um": 0.0}, "The z step is 0 um"),
         ({"pixel_um": -1.0}, "The pixel size is -1 um"),
+        ({"numerical_aperture": 1.4}, "The numerical aperture is 1.4: in air it lies between 0 and 1"),
+        ({"wavelength_um": 550.0}, "The wavelength is 550 um: it must lie from 0.2 to 2.0 um"),
         ({"overlap_fraction": 0.6}, "The overlap is 60% of a field: it must be between 0 % and 50%"),
         ({"pattern": "r{row}.tif"}, "does not say which field a file is"),
         ({"pattern": "r{row}_e{e}.tif"}, "does not say which field a file is"),
@@ -301,6 +304,15 @@ def test_wrong_settings_are_one_sentence(folder, tmp_path, monkeypatch, change, 
         import_dataset(**({"srcs": folder, "out": "a.wafer", **STEP} | change))
     assert names(tmp_path) == ["stack"]
     assert len(names(folder)) == 12
+
+
+def test_the_aperture_gives_images_their_depth_of_field(folder, tmp_path):
+    expected_um = depth_of_field_um(0.28, 0.5)
+    assert open_stack(folder, **STEP, numerical_aperture=0.28).depth_of_field_um == expected_um
+    assert open_stack(folder, **STEP).depth_of_field_um == 0
+    given = import_dataset(folder, tmp_path / "a.wafer", **STEP, numerical_aperture=0.28, wavelength_um=0.46)
+    assert given.stack(1).depth_of_field_um == depth_of_field_um(0.28, 0.5, 0.46) < expected_um
+    assert import_dataset(folder, tmp_path / "b.wafer", **STEP).stack(1).depth_of_field_um == 0
 
 
 def test_a_frame_that_is_there_twice(tmp_path):

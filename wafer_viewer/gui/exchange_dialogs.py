@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,41 @@ def open_dialog(page: Page) -> None:
     dialog.answers("Open", viser.Icon.FOLDER_OPEN, begin, "The dataset was not opened")
 
 
+def save_dialog(
+    page: Page, title: str, name: str, write: Callable[[Path], Future[Path]], saved: str, failed: str
+) -> None:
+    """Write a file in the folder and under the name chosen, the data folder and `name` at first.
+
+    Parameters
+    ----------
+    page : Page
+        Where it is asked.
+    title : str
+        Of the dialog, ``Save the plan``.
+    name : str
+        Name proposed; its ending is that of the file.
+    write : callable
+        Begins to write to a path; a file that is there is replaced only after a question.
+    saved, failed : str
+        Titles of the news that it is written, or is not.
+    """
+    dialog = Dialog(page, title, "")
+    with dialog.modal:
+        files = FileList(dialog, "any", saving=name, ending=Path(name).suffix)
+
+    def begin(target: Path) -> None:
+        page.ask(failed, write(target), lambda path: page.say(saved, str(path)))
+
+    def save() -> None:
+        target = files.target()
+        files.write_to(target, lambda: begin(target))
+
+    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, failed)
+
+
 def load_plan_dialog(page: Page) -> None:
     """Load a plan from its file."""
-    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan writes it.")
+    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan… writes it.")
     with dialog.modal:
         files = FileList(dialog, "plan")
 
@@ -63,6 +97,9 @@ def import_dialog(page: Page) -> None:
         step = OptionalNumber(gui, "z step, µm")
         pixel = OptionalNumber(gui, "Pixel, µm", over=0)
         duo(gui)
+        aperture = OptionalNumber(gui, "NA", over=0, hint="Numerical aperture of the objective; tests walls by it")
+        light = OptionalNumber(gui, "Light, µm", over=0, hint="Wavelength; empty: 0.55 µm")
+        duo(gui)
         name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
         pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
         Cell(gui, html.head("Surface file", "where the file does not say it"))
@@ -82,6 +119,8 @@ def import_dialog(page: Page) -> None:
             pixel_um=_wanted("pixel size", pixel.value, "the size of a pixel on the sample"),
             pattern=pattern.value.strip() or None,
             name=called,
+            numerical_aperture=aperture.value,
+            wavelength_um=light.value,
         )
         page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
 

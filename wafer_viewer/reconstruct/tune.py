@@ -186,9 +186,13 @@ def _clean_widths(bench: Bench, peaks: Peaks, power: float) -> NDArray[np.float3
     return last - first + rise + fall
 
 
+_GIVE_APERTURE = (
+    "Name the objective with its aperture in the calibration, as in 10x/0.28, give the aperture (NA) when images are "
+    "imported, or set focus_width_um."
+)
 _NO_CURVES = (
     "No focus curve is clear enough to tell the depth of field: walls between bright and dark heights could not be "
-    "tested. Name the objective with its aperture in the calibration, as in 10x/0.28, or set focus_width_um."
+    f"tested. {_GIVE_APERTURE}"
 )
 
 
@@ -196,7 +200,7 @@ def _too_wide(found_um: float, most_um: float, pixel_um: float) -> str:
     return (
         f"Walls between bright and dark heights could not be tested for sure: focus curves look {found_um:.3g} um "
         f"wide, as bleeding light makes them, so {most_um:.3g} um was assumed from the pixel of {pixel_um:.3g} um. "
-        "Name the objective with its aperture in the calibration, as in 10x/0.28, or set focus_width_um."
+        + _GIVE_APERTURE
     )
 
 

@@ -66,6 +66,9 @@ def surface_of(
     tell: Tell,
     warn: Warn,
     hire: Hire,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
 ) -> tuple[Mosaic, SurfaceInfo]:
     """The surface of images or of a dataset, made now, and its numbers. Raises DatasetError for unreadable images."""
     if len(src) == 1 and is_dataset(src[0]):
@@ -74,7 +77,14 @@ def surface_of(
     from wafer_viewer.reconstruct.field import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
-    stack = open_stack(files, z_step_um, pixel_um, progress=lambda share: tell(READ_SHARE * share))
+    stack = open_stack(
+        files,
+        z_step_um,
+        pixel_um,
+        progress=lambda share: tell(READ_SHARE * share),
+        numerical_aperture=numerical_aperture,
+        wavelength_um=wavelength_um,
+    )
     surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
     return surface, summarise(surface, 1, result, recipe)
 

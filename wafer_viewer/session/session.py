@@ -192,13 +192,20 @@ class Session(Asking):
         pattern: str | None = None,
         name: str | None = None,
         overlap_fraction: float = 0.1,
+        numerical_aperture: float | None = None,
+        wavelength_um: float | None = None,
     ) -> Future[Path]:
-        """Make a dataset of images taken elsewhere, open and reconstruct it; done when it is open."""
+        """Make a dataset of images taken elsewhere, open and reconstruct it; done when it is open.
+
+        numerical_aperture: of the objective, in air; None: not known. wavelength_um: None stands for 0.55 um.
+        """
         options = {
             "z_step_um": z_step_um,
             "pixel_um": pixel_um,
             "pattern": pattern,
             "overlap_fraction": overlap_fraction,
+            "numerical_aperture": numerical_aperture,
+            "wavelength_um": wavelength_um,
         }
         made = self._do(self._rooms.files.import_images, srcs, options, name)
         return self._desk.then(made, self._rooms.open)

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.optics import WAVELENGTH_UM, depth_of_field_um
 from wafer_viewer.model.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.stack import FieldStack, Frame, FrameStatus, Image
 from wafer_viewer.store.dataset import Dataset
@@ -32,6 +33,7 @@ The same for all exposures of a bracket, so that their ratio says nothing: fusio
 than the other, and never takes an invented ratio for a measured one.
 """
 MAX_OVERLAP = 0.5
+MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
 Stacks = dict[Cell, list[Slot]]
 P = TypeVar("P", Picture, Slot)
 
@@ -43,10 +45,15 @@ def open_stack(
     z_start_um: float = 0.0,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
 ) -> FieldStack:
     """Read a folder of images, a multi-page TIFF or a list of files, the lowest frame first, into memory.
 
-    A negative z_step_um says that they were taken downward: their order is turned round.
+    A negative z_step_um says that they were taken downward: their order is turned round. numerical_aperture: of the
+    objective, in air; its depth of field bounds the width of focus curves. Without it the pixel size does, and heights
+    beside walls cannot always be tested. wavelength_um: of the light, 0.55 um where it is not given.
     Raises DatasetError when the step or the pixel size is missing, fewer than three images are found, or an image is
     damaged or differs in size or depth from those before it.
     """
@@ -62,6 +69,7 @@ def open_stack(
         pixel_um=pixel,
         checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
         source=_source_name(src),
+        depth_of_field_um=_depth_um(numerical_aperture, wavelength_um, pixel),
     )
 
 
@@ -74,15 +82,20 @@ def import_dataset(
     overlap_fraction: float = 0.1,
     progress: Progress | None = None,
     should_stop: ShouldStop | None = None,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
 ) -> Dataset:
     """Copy images into a new dataset at `out`: one field, or with a pattern a grid of fields, row 0 at the top.
 
-    A pattern with ``{e}`` tells the exposures of a bracket apart; their times need not be known.
+    A pattern with ``{e}`` tells the exposures of a bracket apart; their times need not be known. numerical_aperture and
+    wavelength_um are those of `open_stack`.
     The dataset appears once it is whole. Raises DatasetError, with nothing written, for all that `open_stack` refuses,
     an overlap over 50 %, a place that is taken, cannot be written to or has not enough space, and when it is stopped.
     """
     target = Path(out)
     step_um, pixel = _required(z_step_um, pixel_um)
+    depth_um = _depth_um(numerical_aperture, wavelength_um, pixel)
     _require_overlap(overlap_fraction)
     _require_free(target)
     stacks = {cell: _upward(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
@@ -91,7 +104,7 @@ def import_dataset(
         _require_frames(sum(None not in slot for slot in stack), what)
     first = next(p for stack in stacks.values() for slot in stack for p in slot if p is not None).read()
     job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
-    plan = _plan(job, first, pixel)
+    plan = _plan(job, first, pixel, depth_um)
     require_space(target.parent, plan.n_frames * first.nbytes, target.name)
     with replacing(target) as beside:
         bits = 8 * first.dtype.itemsize
@@ -188,7 +201,7 @@ def _fields(cells: list[Cell], grid: FieldGrid) -> Iterator[Field]:
         yield Field(number=number, row=row - top, col=col - left, x_um=x_um, y_um=y_um, z_start_um=0.0)
 
 
-def _plan(job: Job, first: Image, pixel_um: float) -> ScanPlan:
+def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
     return ScanPlan(
         fields=job.fields,
         sweep=job.sweep,
@@ -200,6 +213,7 @@ def _plan(job: Job, first: Image, pixel_um: float) -> ScanPlan:
         rows=first.shape[0],
         cols=first.shape[1],
         pixel_um=pixel_um,
+        depth_of_field_um=depth_um,
     )
 
 
@@ -219,6 +233,21 @@ def _required(z_step_um: float | None, pixel_um: float | None) -> tuple[float, f
     if not 0 < pixel_um < np.inf:
         raise DatasetError(f"The pixel size is {pixel_um:g} um: it must be over 0.")
     return z_step_um, pixel_um
+
+
+def _depth_um(numerical_aperture: float | None, wavelength_um: float | None, pixel_um: float) -> float:
+    """The depth of field; 0 where no aperture is given."""
+    if wavelength_um is not None and not MIN_WAVELENGTH_UM <= wavelength_um <= MAX_WAVELENGTH_UM:
+        raise DatasetError(
+            f"The wavelength is {wavelength_um:g} um: it must lie from {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} um."
+        )
+    if numerical_aperture is None:
+        return 0.0
+    if not 0 < numerical_aperture < 1:
+        raise DatasetError(
+            f"The numerical aperture is {numerical_aperture:g}: in air it lies between 0 and 1, as in 10x/0.28."
+        )
+    return depth_of_field_um(numerical_aperture, pixel_um, wavelength_um or WAVELENGTH_UM)
 
 
 def _require_overlap(fraction: float) -> None:
