@@ -84,6 +84,7 @@ class FakePapers(Recording):
         super().__init__(Papers, session._done, "papers.")
         self._session = session
         self.folder, self.pictures_kept = Path(), 0
+        self.saved_reports: dict[str, Path] = {}
         self.fails_with: Exception | None = None
 
     def contents(self) -> Future[Any]:
@@ -98,13 +99,13 @@ class FakePapers(Recording):
         path.write_bytes(png)
         return done(path)
 
-    def write_report(self, order: ReportOrder) -> Future[Path]:
-        self._session._done("write_report", (order,), {})
+    def write_report(self, order: ReportOrder, path: Path | None = None) -> Future[Path]:
+        self._session._done("write_report", (order, path), {})
         if self.fails_with is not None:
             failed: Future[Path] = Future()
             failed.set_exception(self.fails_with)
             return failed
-        path = self.folder / "coupon-07-report-1.html"
+        path = path or self.folder / "coupon-07-report-1.html"
         path.write_text(f"<h1>{order.title}</h1>")
         return done(path)
 

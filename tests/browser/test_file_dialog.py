@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 from collections.abc import Iterator
@@ -13,11 +14,16 @@ import tifffile
 from playwright.sync_api import Locator, Page, expect
 from scipy import ndimage
 
+from tests.browser.fake_session import a_job
 from tests.browser.gauge_blocks import CERTIFICATE_TOML
 from tests.browser.steps import eventually, go_to, press, set_numbers, text_field, title_is
 from tests.browser.test_exchange import a_part
+from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.exporters import export
+from wafer_viewer.store.golden import save_golden
 from wafer_viewer.store.readers import read_surface
 
 pytestmark = [
@@ -146,3 +152,91 @@ def test_a_path_outside_of_what_may_be_shown_is_refused_with_the_way_out(page: P
     text_field(page, "Path").fill(str(tmp_path / "elsewhere"))
     answer(page, "Open")
     expect(page.get_by_role("dialog")).to_contain_text("start the viewer with --browse")
+
+
+def saved(page: Page, button: str, folder: str, name: str) -> None:
+    """Save a file by its dialog into a folder of the list, under a name."""
+    press(page, button)
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text("free on this disk")
+    row(page, folder).dblclick()
+    expect(dialog).to_contain_text(f"/{folder}.")
+    field = text_field(page, "File name")
+    field.fill(name)
+    field.press("Enter")
+
+
+def test_plan_results_and_report_are_saved_where_a_person_chose(page: Page, session: Session, data: Path):
+    session.exchange.import_surface(data / "part.x3p").result(WORK_S)
+    session.wait_until(lambda now: now.surface is not None, WORK_S)
+    line = Region.line(2010.0, -350.0, 2090.0, -350.0)
+    session.keep(session.measure("profile", (line,))).result(WORK_S)
+    session.edit_job(a_job()).result(WORK_S)
+    go_to(page, "Plan")
+    saved(page, "Save plan…", "exports", "monday")
+    eventually((data / "exports" / "monday.toml").exists, "the plan is saved")
+    assert read_job(data / "exports" / "monday.toml") == a_job()
+
+    go_to(page, "Measure")
+    press(page, "CSV…")
+    expect(text_field(page, "File name")).to_have_value("part-results.csv")
+    answer(page, "Save")
+    eventually((data / "part-results.csv").exists, "the results are saved in the data folder")
+    (data / "exports" / "part-results.csv").write_text("older")
+    saved(page, "CSV…", "exports", "part-results")
+    answer(page, "Replace part-results.csv")
+    eventually(lambda: "Profile" in (data / "exports" / "part-results.csv").read_text(), "the results are replaced")
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    press(page, "CSV…")
+    text_field(page, "File name").fill("part.wafer/kept")
+    answer(page, "Save")
+    expect(page.get_by_role("dialog")).to_contain_text("lies inside of a dataset")
+    answer(page, "Cancel")
+
+    go_to(page, "Report")
+    press(page, "Save report as…")
+    expect(text_field(page, "File name")).to_have_value("part-report-1.html")
+    answer(page, "Cancel")
+    saved(page, "Save report as…", "exports", "for Anna")
+    eventually((data / "exports" / "for Anna.html").exists, "the report is saved", WORK_S)
+    link = page.get_by_role("link", name="Open the report")
+    expect(page.locator(".wv-note.good")).to_contain_text(str(data / "exports" / "for Anna.html"))
+    with page.context.expect_page() as opened:
+        link.click()
+    expect(opened.value.locator("h1").first).to_contain_text("part")
+    assert not list(data.glob("*-report-*.html"))
+
+
+def test_a_surface_is_compared_with_a_file_from_the_list(page: Page, session: Session, data: Path):
+    part = a_part()
+    export(dataclasses.replace(part, z_um=part.z_um + 3, z_raw_um=part.z_raw_um + 3), data / "exports" / "second.x3p")
+    session.exchange.import_surface(data / "part.x3p").result(WORK_S)
+    session.wait_until(lambda now: now.surface is not None, WORK_S)
+    go_to(page, "Surface")
+    page.locator("[data-pick=compare-new]").click()
+    press(page, "From a file…")
+    row(page, "exports").dblclick()
+    row(page, "second.x3p").dblclick()
+    session.wait_until(lambda now: len(now.comparisons) == 1, WORK_S)
+    expect(page.get_by_role("dialog")).to_have_count(0)
+    expect(page.locator("tr[data-pick=compare-look].sel")).to_contain_text("second")
+    expect(page.get_by_role("button", name="Close comparison")).to_be_visible()
+
+
+def test_a_golden_die_is_chosen_from_a_file_and_kept_on_the_shelf(page: Page, session: Session, data: Path):
+    layer = np.zeros((24, 24), np.float32)
+    header = GoldenHeader(product="", pixel_um=0.5, width_um=12.0, height_um=12.0, dies=9, made_of="other")
+    save_golden(GoldenDie(header, layer, layer + 1, layer, layer + 1), data / "exports" / "lx7")
+    session.exchange.import_surface(data / "part.x3p").result(WORK_S)
+    session.wait_until(lambda now: now.surface is not None, WORK_S)
+    go_to(page, "Review")
+    page.get_by_label("Compare", exact=True).click()
+    page.get_by_role("option", name="With a golden die").click()
+    page.locator("[data-pick=defect-golden-file]").click()
+    row(page, "exports").dblclick()
+    row(page, "lx7.1.golden.npz").click()
+    answer(page, "Use this golden die")
+    chosen = page.locator("tr[data-pick=defect-golden]")
+    expect(chosen).to_have_attribute("aria-pressed", "true")
+    expect(chosen).to_contain_text("lx7")
+    assert (data / "golden" / "lx7.1.golden.npz").exists()

@@ -89,7 +89,8 @@ def keep_a_step(page: Page, session: Session) -> None:
     finding = session.snapshot.findings[0]
     assert finding.name == "Die to street"
     assert finding.simulated
-    press(page, "CSV")
+    press(page, "CSV…")
+    press(page, "Save")
     eventually(lambda: list(session.snapshot.data_folder.glob("*.csv")) != [], "the results are in a file")
     press(page, "Delete")
     expect(page.locator("tr[data-pick=finding]")).to_have_count(0)

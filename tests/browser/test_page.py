@@ -54,7 +54,8 @@ def test_without_a_picture_of_the_sample_a_plan_begins_with_its_size(serve: Serv
     page = serve(session)
     press(page, "Plan a scan")
     expect(page.get_by_text("Start with a sample")).to_have_count(0)
-    set_numbers(page, "Size, mm", 3.6, 2.88)
+    expect(text_field(page, "Size, mm")).to_have_attribute("placeholder", re.compile("^not given"))
+    type_into(page, "Size, mm", "3.6 × 2.88")
     expect(page.get_by_role("button", name="Start scan")).to_be_enabled()
     assert session.snapshot.draft.job.grid.width_um >= 3600
 
@@ -239,7 +240,8 @@ def test_results_are_renamed_deleted_and_exported(serve: Serve):
     put(page, text_field(page, "Name"), "Die 4 to trench")
     page.get_by_role("dialog").get_by_role("button", name="Rename").click()
     eventually(lambda: ("rename", (1, "Die 4 to trench"), {}) in session.asked, "the result was renamed")
-    press(page, "CSV")
+    press(page, "CSV…")
+    press(page, "Save")
     eventually(lambda: "export_findings" in verbs(session), "the results were exported")
     press(page, "Delete")
     eventually(lambda: ("delete", (1,), {}) in session.asked, "the result was deleted")

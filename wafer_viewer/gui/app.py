@@ -100,7 +100,7 @@ def start(session: SessionApi, host: str = "127.0.0.1", port: int = 0, token: st
     quicken()
     cache_prop_types()
     server, guard = open_server(host, _free(host, port), token)
-    guard.report = lambda name: read_report(name, _report_folders(session))
+    guard.report = lambda name: read_report(name, _report_folders(session), session.papers.saved_reports)
     server.scene.set_up_direction("+z")
     server.scene.world_axes.visible = False
     server.scene.configure_environment_map(None)  # surfaces bring their own light; making one costs a second

@@ -23,7 +23,7 @@ HANDS_ON = frozenset(
     {
         *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
         *("From, to, µm", "Step, µm", "Exposures, µs"),
-        *("Cover the sample", "Move to stage", "Save plan", "Load plan…", "Start scan"),
+        *("Cover the sample", "Move to stage", "Save plan…", "Load plan…", "Start scan"),
         *("Pause", "Continue", "Continue the scan"),
         *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
         *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
@@ -41,7 +41,7 @@ viser's button groups cannot be disabled: what they do is refused.
 """
 OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
 OF_GAUGE = ("gauge-tick", "gauge-drop")
-OF_DEFECTS = ("defect-class",)
+OF_DEFECTS = ("defect-class", "defect-golden-file")
 OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
 PICKS = (
     *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),

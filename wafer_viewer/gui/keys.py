@@ -119,7 +119,7 @@ def _planning(page: Page, parts: Parts) -> list[Command]:
             group="Plan",
         ),
         Command(
-            "Save plan",
+            "Save plan…",
             "S",
             parts.plan.save,
             ICON.DEVICE_FLOPPY,

@@ -12,12 +12,12 @@ import viser
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui import plan_words as words
 from wafer_viewer.gui.align_section import Aligning, AlignSection
-from wafer_viewer.gui.dialogs import unless_there
 from wafer_viewer.gui.edits import Edits
-from wafer_viewer.gui.exchange_dialogs import load_plan_dialog
+from wafer_viewer.gui.exchange_dialogs import load_plan_dialog, save_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.job_dialogs import job_table, jobs_dialog, required_job, start_dialog, take_up
 from wafer_viewer.gui.kit import Cell, Field, button, duo, in_a_row, leading, set_prop
+from wafer_viewer.gui.number_field import OptionalPair
 from wafer_viewer.gui.operator_view import OperatorView, folded, unfold
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plan_form import PlanForm, form_of, half_typed, job_of, text_of, with_typed_range
@@ -72,15 +72,10 @@ class PlanPanel:
             start_dialog(self._page, checks, self._start_now)
 
     def save(self) -> None:
-        """Write the plan beside the datasets; in place of another file only after a question that names it."""
+        """Ask for folder and name, and write the plan."""
         page = self._page
-        folder, job = page.session.snapshot.data_folder, required_job(page)
-        path, failed = folder / f"{suggested_name(job)}{PLAN_ENDING}", "The plan was not saved"
-
-        def write() -> None:
-            page.ask(failed, page.session.save_plan(path), lambda path: page.say("Plan saved", str(path)))
-
-        unless_there(page, path, write)
+        name = f"{suggested_name(required_job(page))}{PLAN_ENDING}"
+        save_dialog(page, "Save the plan", name, page.session.save_plan, "Plan saved", "The plan was not saved")
 
     def why_not(self, snapshot: Snapshot) -> str | None:
         """Why the scan cannot start now, or None."""
@@ -127,7 +122,7 @@ class PlanPanel:
         self._build_grid()
         self._build_sweep()
         self._strategies = Cell(gui)
-        save = button(gui, "Save plan", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save))
+        save = button(gui, "Save plan…", viser.Icon.DEVICE_FLOPPY, self._on("The plan was not saved", self.save))
         load = button(gui, "Load plan…", viser.Icon.FOLDER_OPEN, lambda _: load_plan_dialog(self._page))
         in_a_row(gui, [save, load])
         self._release = ReleaseSection(self._page)
@@ -143,7 +138,7 @@ class PlanPanel:
         duo(gui)
         self._product = self._field(gui.add_text("Product", ""))
         self._operator = self._field(gui.add_text("Operator", ""))
-        self._size = self._field(gui.add_vector2("Size, mm", (0.0, 0.0), min=(0.0, 0.0), step=0.01))
+        self._size = self._field(OptionalPair(gui, "Size, mm", over=0).handle)
 
     def _build_grid(self) -> None:
         gui = self._page.gui

@@ -11,13 +11,14 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless
+from wafer_viewer.gui.exchange_dialogs import save_dialog
 from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.kit import Cell, Field, button, leading, set_prop
+from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, leading, set_prop
 from wafer_viewer.gui.obstacles import no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
-from wafer_viewer.session.papers import newest_report
+from wafer_viewer.session.papers import REPORT, free_path, newest_report
 from wafer_viewer.session.state import Snapshot
 
 UNKNOWN = Holds("…")
@@ -32,7 +33,8 @@ class ReportPanel:
         self._left_out: set[Part] = set()
         """What a person does not want; that a part holds nothing now says nothing of what it may hold."""
         self._of: object = None
-        self._written = ""
+        self._written: tuple[Path, Path] | None = None
+        """The report that was written last, after its dataset."""
         self._writing: Future[Any] | None = None
         self._folder = page.gui.add_folder(None, visible=False)
         with self._folder:
@@ -55,14 +57,16 @@ class ReportPanel:
             self._boxes[part].enable(not holds.nothing)
             told.show(_line(holds, part in chosen))
         self._outcome.show(
-            _newest(data.path) if chosen else '<div class="wv-why">Not yet: no section is selected.</div>'
+            _newest(self._last(data.path)) if chosen else '<div class="wv-why">Not yet: no section is selected.</div>'
         )
-        set_prop(self._write, "disabled", self._busy or not chosen)
+        for act in (self._elsewhere, self._write):
+            set_prop(act, "disabled", self._busy or not chosen)
 
     def commands(self) -> list[Command]:
-        """The one verb."""
+        """Writing it, with and without a question."""
         write = Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")
-        return unless(self._why_not, write)
+        ask = Command("Save report as…", None, self.ask_where, viser.Icon.DEVICE_FLOPPY, group="Report")
+        return unless(self._why_not, write, ask)
 
     def _why_not(self, snapshot: Snapshot, view: View) -> str | None:
         if (missing := no_surface(snapshot, view)) is not None:
@@ -72,14 +76,31 @@ class ReportPanel:
         return None if self._chosen() else "no section is selected."
 
     def write(self) -> None:
-        """Write the report."""
+        """Write the report beside the dataset, under a name that is free."""
         page = self._page
-        if self._why_not(page.session.snapshot, page.view) is not None:
-            return
+        if self._why_not(page.session.snapshot, page.view) is None:
+            page.ask("The report was not written", self._begin(None), self._hand_out)
+
+    def ask_where(self) -> None:
+        """Ask for folder and name, and write the report."""
+        page, data = self._page, self._page.session.snapshot.dataset
+        if data is not None and self._why_not(page.session.snapshot, page.view) is None:
+            name = free_path(data.path, REPORT, ".html").name
+            save_dialog(page, "Save the report", name, self._begin, "Report saved", "The report was not written")
+
+    def _begin(self, path: Path | None) -> Future[Path]:
+        """Write to a path, or beside the dataset."""
+        page, data = self._page, self._page.session.snapshot.dataset
         order = ReportOrder(title=self._name.value, parts=self._chosen())
-        self._writing = page.session.papers.write_report(order)
-        page.ask("The report was not written", self._writing, self._hand_out)
+        self._writing = page.session.papers.write_report(order, path)
+        self._writing.add_done_callback(lambda done: self._take(data.path if data is not None else None, done))
         page.redraw()
+        return self._writing
+
+    def _take(self, dataset: Path | None, done: Future[Path]) -> None:
+        if dataset is not None and not done.cancelled() and done.exception() is None:
+            self._written = dataset, done.result()
+        self._page.redraw()
 
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
@@ -95,12 +116,15 @@ class ReportPanel:
                 box, lambda event, p=part: self._tick(p, event.target.value), page, "The report was not changed"
             )
             self._told[part] = Cell(gui)
+        failed = guarded(page, "The report was not written")
+        self._elsewhere = button(gui, "Save report as…", viser.Icon.DEVICE_FLOPPY, failed(lambda _: self.ask_where()))
+        in_a_row(gui, [self._elsewhere], 34)
         self._outcome = Cell(gui)
         self._write = button(
             gui,
             "Write report",
             viser.Icon.FILE_TEXT,
-            guarded(page, "The report was not written")(lambda _: self.write()),
+            failed(lambda _: self.write()),
         )
         leading(gui, self._write)
 
@@ -133,9 +157,12 @@ class ReportPanel:
 
         self._page.ask("The contents were not read", papers.contents(), found)
 
+    def _last(self, dataset: Path) -> Path | None:
+        """The report of a dataset that was written last: from here, or beside it."""
+        written = self._written[1] if self._written is not None and self._written[0] == dataset else None
+        return written if written is not None and written.exists() else newest_report(dataset)
+
     def _hand_out(self, path: Path) -> None:
-        self._written = str(path)
-        self._page.redraw()
         self._page.client.send_file_download(path.name, path.read_bytes())
 
 
@@ -144,9 +171,9 @@ def report_address(report: Path) -> str:
     return f"/reports/{quote(report.name)}"
 
 
-def _newest(dataset: Path) -> str:
+def _newest(path: Path | None) -> str:
     """The report that was written last, to be opened in the browser."""
-    if (path := newest_report(dataset)) is None:
+    if path is None:
         return ""
     link = f'<a class="wv-link" href="{report_address(path)}" target="_blank" rel="noopener">Open the report</a>'
     words = f'<div><b>The report is written.</b><p>{html.safe(path)}</p><p class="wv-foot">{link}</p></div>'

@@ -9,6 +9,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import rename_dialog
+from wafer_viewer.gui.exchange_dialogs import save_dialog
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kept_places import Box, bounds_of, places_of, tool_of
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
@@ -37,7 +38,7 @@ class ResultList:
         self._folder = gui.add_folder(None, visible=False)
         with self._folder:
             self._list = Cell(gui)
-            self._csv = button(gui, "CSV", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
+            self._csv = button(gui, "CSV…", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
             self._rename = button(
                 gui, "Rename", viser.Icon.PENCIL, self._on("The name was not changed", self._ask_name)
             )
@@ -108,9 +109,10 @@ class ResultList:
     def _export(self) -> None:
         page, data = self._page, self._page.session.snapshot.dataset
         if data is not None:
-            target = page.session.snapshot.data_folder / f"{data.path.stem}-results.csv"
-            done = page.session.export_findings(target)
-            page.ask("Export failed", done, lambda path: page.say("Results exported", str(path)))
+            name = f"{data.path.stem}-results.csv"
+            save_dialog(
+                page, "Save the results", name, page.session.export_findings, "Results exported", "Export failed"
+            )
 
     def _rows(self, snapshot: Snapshot, view: View) -> str:
         if not snapshot.findings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from itertools import count
 from pathlib import Path
@@ -26,6 +26,8 @@ class Papers:
         self._do, self._library, self._files = do, library, files
         self.pictures_kept = 0
         """Since the start: it changes when a report may have more to hold."""
+        self.saved_reports: dict[str, Path] = {}
+        """Reports that were written where a person chose, by the names of their files."""
 
     def keep_picture(self, png: bytes) -> Future[Path]:
         """Keep a picture of the open dataset beside it, as ``NAME-picture-3.png``; done with its path."""
@@ -35,9 +37,18 @@ class Papers:
         """What each part of a report of the open dataset would hold, in a few words."""
         return self._do(lambda: contents(self._library.dataset.path, self._library.result_name))
 
-    def write_report(self, order: ReportOrder) -> Future[Path]:
-        """Write the report beside the dataset, as ``NAME-report-2.html``; done with its path."""
-        return self._do(lambda: self._files.write_report(order, free_path(self._library.shown.path, REPORT, ".html")))
+    def write_report(self, order: ReportOrder, path: Path | None = None) -> Future[Path]:
+        """Write the report; done with its path. Without one it is ``NAME-report-2.html`` beside the dataset."""
+
+        def note(done: Future[Path]) -> None:
+            if path is not None and not done.cancelled() and done.exception() is None:
+                self.saved_reports[path.name] = path
+
+        written = self._do(
+            lambda: self._files.write_report(order, path or free_path(self._library.shown.path, REPORT, ".html"))
+        )
+        written.add_done_callback(note)
+        return written
 
     def _keep_picture(self, png: bytes) -> Path:
         from wafer_viewer.store.files import replacing
@@ -55,8 +66,13 @@ def newest_report(dataset: Path) -> Path | None:
     return max(reports, key=lambda path: path.stat().st_mtime, default=None)
 
 
-def read_report(name: str, folders: Iterable[Path]) -> bytes | None:
-    """The bytes of a report by its file name, from the first of the folders that has it; None for any other file."""
+def read_report(name: str, folders: Iterable[Path], saved: Mapping[str, Path] = {}) -> bytes | None:
+    """The bytes of a report by its file name, from the first of the folders that has it; None for any other file.
+
+    saved: reports that were written in other folders or under other names.
+    """
+    if (path := saved.get(name)) is not None and path.is_file():
+        return path.read_bytes()
     if not _REPORT_NAME.fullmatch(name):
         return None
     return next((path.read_bytes() for folder in folders if (path := folder / name).is_file()), None)
