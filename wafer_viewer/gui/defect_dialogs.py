@@ -13,7 +13,7 @@ import viser
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.file_dialog import FileList
-from wafer_viewer.gui.kit import Cell, duo
+from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError
@@ -78,9 +78,8 @@ def klarf_dialog(page: Page) -> None:
     below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
     dialog, gui = Dialog(page, "Overlay a KLARF file", below), page.gui
     with dialog.modal:
-        files = FileList(dialog, "klarf", rows=7)
+        files = FileList(dialog, "klarf", rows=6)
         files.add_upload()
-        duo(gui)
         unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
         within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR)
 

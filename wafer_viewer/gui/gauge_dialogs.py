@@ -13,7 +13,7 @@ from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.file_dialog import FileList
-from wafer_viewer.gui.kit import Cell
+from wafer_viewer.gui.kit import Cell, duo
 from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import LOOKS
@@ -43,7 +43,7 @@ def certificate_dialog(page: Page) -> None:
     """Take a certificate from a file, or type it in."""
     dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
     with dialog.modal:
-        files = FileList(dialog, "certificate", rows=5)
+        files = FileList(dialog, "certificate", rows=3)
         files.add_upload()
         Cell(page.gui, html.head("Or type it in"))
         form = _form(page, page.session.snapshot.gauge.certificate)
@@ -108,19 +108,21 @@ def _warned(offered: ScaleCorrection) -> str:
 
 
 def _form(page: Page, known: Certificate | None) -> _Form:
-    gui, step = page.gui, known.step if known is not None else None
-    certified_um, u_um = (step.value_um, step.expanded_um) if step is not None else (None, None)
+    gui, height = page.gui, known.step if known is not None else None
+    certified_um, u_um = (height.value_um, height.expanded_um) if height is not None else (None, None)
     nominal_um = known.step_nominal_um if known is not None else None
-    return _Form(
-        serials=gui.add_text("Blocks", " / ".join(known.serials) if known is not None else ""),
-        step=OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step"),
-        expanded=OptionalNumber(gui, "U (k = 2), µm", u_um, over=0),
-        nominal=OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called"),
-        laboratory=gui.add_text("Laboratory", known.laboratory if known is not None else ""),
-        number=gui.add_text("Number", known.number if known is not None else ""),
-        issued=gui.add_text("Issued", known.issued.isoformat() if known is not None else ""),
-        expires=gui.add_text("Valid until", known.expires.isoformat() if known is not None else ""),
-    )
+    duo(gui)
+    serials = gui.add_text("Blocks", " / ".join(known.serials) if known is not None else "")
+    number = gui.add_text("Number", known.number if known is not None else "")
+    duo(gui)
+    step = OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step")
+    expanded = OptionalNumber(gui, "U (k = 2), µm", u_um, over=0)
+    nominal = OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called")
+    laboratory = gui.add_text("Laboratory", known.laboratory if known is not None else "")
+    duo(gui)
+    issued = gui.add_text("Issued", known.issued.isoformat() if known is not None else "")
+    expires = gui.add_text("Valid until", known.expires.isoformat() if known is not None else "")
+    return _Form(serials, step, expanded, nominal, laboratory, number, issued, expires)
 
 
 def _typed(form: _Form) -> Certificate:

@@ -140,8 +140,8 @@ class ReviewPanel:
     def _build(self) -> None:
         page, gui = self._page, self._page.gui
         self._title, self._notes, self._picture, self._numbers, self._classes = (Cell(gui) for _ in range(5))
-        Cell(gui, html.head("", "keys Y and N"))
-        self._judgement = Choice(gui, "Judgement", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge))
+        Cell(gui, html.head("Judgement", "keys Y and N"))
+        self._judgement = Choice(gui, "Decision", JUDGEMENTS, guarded(page, "The judgement was not saved")(self.judge))
         note = gui.add_text("Note", "", hint="Saved with the judgement and shown in the report")
         self._note: Field[str] = Field(note, lambda _: self._edits.made(), page, "The note was not changed")
         self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._taking_back("undo"))
