@@ -1,205 +1,110 @@
-"""The audit of the page: its states on few pages, each looked over at every size of the window, light and dark."""
+"""The audit of the page: every state of `audit_states` looked over at every size of the window, light and dark.
+
+    python -m tests.browser.audit [GROUP ...] [--pictures FOLDER]
+
+A look (audit.js) waits until the panels are at rest, judges the page, turns it to the colours of the other theme and
+judges the contrasts again. That turning by colours alone is the page's own is checked in every group.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import argparse
+import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Error, Page, sync_playwright
 
-from tests.browser import fake_session as fake
-from tests.browser import operator_session as operator
-from tests.browser.compared_session import ComparedSession
-from tests.browser.fake_session import FakeSession
-from tests.browser.gauge_session import GaugeSession, checked
-from tests.browser.inspected_session import inspected_session
-from tests.browser.measuring_session import MeasuringSession
-from tests.browser.screen_list import moving, noted
-from tests.browser.screens import dismiss_viser_warning, remember
-from wafer_viewer.gui.app import start
+from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
+from wafer_viewer.gui.app import Running, start
 
-SIZES = (1024, 768), (1280, 720), (1366, 768), (1600, 900), (2560, 1440)
-DARK_SIZES = (1024, 768), (1366, 768)
-"""Dark pages differ in colour alone: two sizes see every panel."""
+SIZES = (1366, 768), (1024, 768), (1280, 720), (1600, 900), (2560, 1440)
 LOOK = (Path(__file__).parent / "audit.js").read_text()
-SETTLED = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 60))))"
+SMALL_PICTURE = """
+for (const side of ['width', 'height']) {
+  const own = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, side);
+  Object.defineProperty(HTMLCanvasElement.prototype, side,
+    { ...own, set(px) { own.set.call(this, this.ofScene ? Math.min(px, 16) : px); } });
+}
+const getContext = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  if (kind.startsWith('webgl')) { this.ofScene = true; this.width = this.width; this.height = this.height; }
+  return getContext.call(this, kind, ...rest);
+};
+"""
+"""The scene is drawn into few pixels, scaled to its place: the audit reads the page, and software draws slowly."""
+SHARP = ""
+"""For pictures: the scene as it is."""
 STEADY = "&fixedDpr=1"
 """viser's own parameter: it would draw coarser on a busy machine, and panels follow the pixels of the scene."""
-PATIENCE = 4
-Act = Callable[[Page, Any], None]
+PATIENCE_MS = 20_000
+LOOKS, AGAIN_MS = 3, 150
+"""What is found must be found again: names.js names an input a moment after it came."""
+INK = {False: "rgb(21, 32, 43)", True: "rgb(233, 238, 243)"}
+"""Colour of the program's name, light and dark."""
 
 
-def shows(make: Callable[[], Any], step: str) -> Act:
-    """Another snapshot, and a step of it."""
-
-    def act(page: Page, session: Any) -> None:
-        escape(page)
-        now = make()
-        session.change(
-            **{f.name: getattr(now, f.name) for f in dataclasses.fields(now) if f.name not in ("version", "hands")}
-        )
-        go_to(step)(page, session)
-
-    return act
+Themes = tuple[Any, Any]
+"""The colours of the page, light and dark, as audit.js reads them."""
 
 
-def go_to(step: str) -> Act:
-    def act(page: Page, session: Any) -> None:
-        escape(page)
-        button = page.get_by_role("button", name=step, exact=True).first
-        page.wait_for_function(
-            "button => button.getAttribute('aria-disabled') !== 'true'", arg=button.element_handle(), timeout=30_000
-        )
-        button.click()
+@dataclass
+class Visit:
+    """A page that is looked over, with the session and the server behind it, and what its console complains of."""
 
-    return act
+    page: Page
+    session: Any
+    running: Running
+    errors: list[str] = field(default_factory=list)
 
 
-def escape(page: Page) -> None:
-    """Leave a dialog, a palette or a tool."""
-    page.keyboard.press("Escape")
-    page.locator(".mantine-Modal-content, .mantine-Spotlight-content").first.wait_for(state="detached")
+Act = Callable[[Visit], None]
 
 
-def keys(*pressed: str, until: str) -> Act:
-    """Press keys; done when what `until` selects is there."""
+@dataclass(frozen=True)
+class State:
+    """A state of the page. act: how to come to it from the one before; until: selector of what is there then."""
 
-    def act(page: Page, session: Any) -> None:
-        escape(page)
-        for key in pressed:
-            page.keyboard.press(key)
-        page.locator(until).first.wait_for()
-
-    return act
-
-
-def click(selector: str, until: str) -> Act:
-    def act(page: Page, session: Any) -> None:
-        page.locator(selector).first.click()
-        page.locator(until).first.wait_for()
-
-    return act
+    name: str
+    act: Act | None = None
+    until: str = ".wv-title"
 
 
 @dataclass(frozen=True)
 class Group:
-    """States that one page of one session goes through, in order, by name."""
+    """States that one page of one session goes through, in order."""
 
     session: Callable[[], Any]
     step: str
-    states: dict[str, Act | None]
-
-
-DIALOG = ".mantine-Modal-content:has(.wv-away)"
-TOOL = {"k": "Step height", "Shift+K": "Groove", "x": "Point", "b": "Angle", "v": "Volume", "Shift+T": "Texture"}
-GROUPS = {
-    "still": Group(
-        lambda: FakeSession(fake.empty()),
-        "plan",
-        {
-            "start": None,
-            "open": keys("Control+o", until=DIALOG),
-            "import": keys("Shift+I", until=DIALOG),
-            "keys": keys("F1", until=".wv-sheet"),
-            "palette": keys("Control+k", until=".mantine-Spotlight-content"),
-            "plan": shows(fake.planned, "Plan"),
-            "moving": shows(moving, "Plan"),
-            "scanning": shows(fake.scanning, "Acquire"),
-            "stopped": keys("Shift+Escape", until=DIALOG),
-            "unfinished": shows(fake.unfinished, "Acquire"),
-            "fault": shows(fake.at_fault, "Plan"),
-            "uncalibrated": shows(lambda: fake.measured("no calibration was given"), "Surface"),
-            "export": keys("Shift+E", until=DIALOG),
-            "measure": shows(fake.measured, "Measure"),
-            "gauge": go_to("Gauge check"),
-        },
-    ),
-    "surface": Group(
-        noted,
-        "surface",
-        {"surface": None, "fields": keys("o", until=".wv-title"), "review": go_to("Review"), "report": go_to("Report")},
-    ),
-    "tools": Group(
-        MeasuringSession,
-        "measure",
-        {
-            "profile": keys("l", until=".wv-profiles"),
-            **{name: keys(key, until=f".wv-title:has-text('{name}')") for key, name in TOOL.items()},
-        },
-    ),
-    "gauge": Group(lambda: GaugeSession(checked()), "gauge", {"checked": None}),
-    "defects": Group(
-        inspected_session,
-        "review",
-        {
-            "list": keys("PageDown", until=".wv-review-picture"),
-            "form": click("[data-pick=defect-form]", ".wv-title"),
-        },
-    ),
-    "operator": Group(
-        lambda: FakeSession(operator.waiting()),
-        "plan",
-        {
-            "wafer": None,
-            "aligned": shows(operator.aligned, "Plan"),
-            "taking": shows(operator.taking, "Acquire"),
-            "judged": shows(lambda: operator.judged(operator.on_dies()), "Review"),
-            "trial": shows(operator.tried, "Plan"),
-        },
-    ),
-    "compared": Group(ComparedSession, "surface", {"compare": click("[data-pick=compare-new]", ".wv-title")}),
-}
-
-
-def look(page: Page, width: int) -> list[str]:
-    """Return what one look finds."""
-    return page.evaluate(LOOK, {"widthPx": width})
-
-
-def audit(page: Page, sizes: tuple[tuple[int, int], ...]) -> Iterator[tuple[str, str]]:
-    """Look over the page as it stands at every size; gives size and finding."""
-    for width, height in sizes:
-        page.set_viewport_size({"width": width, "height": height})
-        page.evaluate(SETTLED)
-        found = look(page, width)
-        for _ in range(PATIENCE):  # panels follow the scene with a moment's delay
-            if not found:
-                break
-            page.wait_for_timeout(250)
-            found = look(page, width)
-        for what in found:
-            yield f"{width}", what
-
-
-def turn(page: Page, dark: bool) -> None:
-    """Have the page light or dark, also behind a dialog."""
-    page.locator("[data-pick=theme]").evaluate("switcher => switcher.click()")
-    colour = "rgb(233, 238, 243)" if dark else "rgb(21, 32, 43)"
-    page.wait_for_function("c => getComputedStyle(document.querySelector('.wv-mark')).color === c", arg=colour)
+    states: tuple[State, ...]
 
 
 @contextmanager
-def opened(browser: Browser, group: Group) -> Iterator[tuple[Page, Any, list[str]]]:
-    """The page of a group's session, with what its console complains of."""
+def opened(browser: Browser, group: Group, script: str = SMALL_PICTURE) -> Iterator[Visit]:
+    """The page of a group's session."""
     session = group.session()
     running = start(session)
-    context = browser.new_context(viewport={"width": 1366, "height": 768}, reduced_motion="reduce")
+    width, height = SIZES[0]
+    context = browser.new_context(viewport={"width": width, "height": height}, reduced_motion="reduce")
+    context.add_init_script(script)
     page = context.new_page()
-    errors: list[str] = []
-    page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
-    page.on("pageerror", lambda fault: errors.append(str(fault)))
+    page.set_default_timeout(PATIENCE_MS)
+    visit = Visit(page, session, running)
+    page.on("console", lambda said: visit.errors.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda fault: visit.errors.append(str(fault)))
     try:
         remember(page, group.step, dark=False)
         page.goto(running.address + STEADY)
         page.locator(".wv-title").first.wait_for(timeout=60_000)
         page.locator(".wv-contact").wait_for(state="attached", timeout=60_000)
         dismiss_viser_warning(page)
-        yield page, session, errors
+        page.evaluate(LOOK)
+        yield visit
     finally:
         page.goto("about:blank")
         context.close()
@@ -208,43 +113,115 @@ def opened(browser: Browser, group: Group) -> Iterator[tuple[Page, Any, list[str
             session.close()
 
 
+def come_to(visit: Visit, state: State) -> None:
+    """Bring the page to a state."""
+    if state.act is not None:
+        state.act(visit)
+    visit.page.locator(state.until).first.wait_for()
+
+
+def turn(page: Page, dark: bool) -> None:
+    """Have the page turn itself light or dark."""
+    page.locator("[data-pick=theme]").evaluate("switcher => switcher.click()")
+    page.wait_for_function("c => getComputedStyle(document.querySelector('.wv-mark')).color === c", arg=INK[dark])
+
+
+def both_themes(page: Page) -> tuple[Themes, list[str]]:
+    """Return the colours of the page light and dark, and texts that have others when it is only given those."""
+    light = page.evaluate("wvAudit.theme()")
+    turn(page, True)
+    page.evaluate("wvAudit.rest()")
+    dark, own = page.evaluate("[wvAudit.theme(), wvAudit.colours()]")
+    turn(page, False)
+    page.evaluate("wvAudit.rest()")
+    given = page.evaluate("dark => wvAudit.coloursTurned(dark)", dark)
+    differs = [f"theme: {text} is {own[text]}, here {given.get(text)}" for text in own if given.get(text) != own[text]]
+    return (light, dark), differs
+
+
+def look(page: Page, themes: Themes | None = None) -> Iterator[tuple[str, str]]:
+    """What one look finds at each size of the window: where, and what. Without `themes` only as the page is."""
+    last = {"width": SIZES[-1][0], "height": SIZES[-1][1]}
+    for width, height in SIZES[::-1] if page.viewport_size == last else SIZES:
+        page.set_viewport_size({"width": width, "height": height})
+        for _ in range(LOOKS):
+            is_dark, (here, turned) = _look_once(page, themes)
+            if not here and not turned:
+                break
+            page.wait_for_timeout(AGAIN_MS)
+        names = f"{width}{' dark' if is_dark else ''}", f"{width}{'' if is_dark else ' dark'}"
+        yield from ((names[0], what) for what in here)
+        yield from ((names[1], what) for what in turned)
+
+
+def _look_once(page: Page, themes: Themes | None) -> tuple[bool, tuple[list[str], list[str]]]:
+    return page.evaluate(
+        """async themes => {
+             const dark = document.documentElement.dataset.mantineColorScheme === 'dark';
+             return [dark, await wvAudit.look(themes?.[dark ? 0 : 1])];
+           }""",
+        themes,
+    )
+
+
 def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
-    """Return all that was found in a group, with the states and sizes where; light and dark take turns to begin."""
+    """Return all that was found in a group, with the states and sizes where."""
     found: dict[str, list[str]] = {}
-    dark = False
-    with opened(browser, group) as (page, session, errors):
-        for name, act in group.states.items():
-            if act is not None:
-                act(page, session)
-            for again in (False, True):
-                if again:
-                    dark = not dark
-                    turn(page, dark)
-                for size, what in audit(page, DARK_SIZES if dark else SIZES):
-                    found.setdefault(what, []).append(f"{name} at {size}{' dark' if dark else ''}")
-        for error in errors:
+    with opened(browser, group) as visit:
+        themes, differs = both_themes(visit.page)
+        found |= {what: [group.states[0].name] for what in differs}
+        for state in group.states:
+            try:
+                come_to(visit, state)
+            except Error as fault:
+                found.setdefault(f"state: it was not reached, {str(fault).splitlines()[0]}", []).append(state.name)
+                continue
+            for where, what in look(visit.page, themes):
+                found.setdefault(what, []).append(f"{state.name} at {where}")
+        for error in visit.errors:
             found.setdefault(f"console: {error}", []).append("console")
     return found
 
 
+def take_pictures(browser: Browser, group: Group, folder: Path) -> None:
+    """A picture of every state of a group, light and dark, in the first of the sizes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with opened(browser, group, SHARP) as visit:
+        themes, _ = both_themes(visit.page)
+        for n, state in enumerate(group.states):
+            try:
+                come_to(visit, state)
+            except Error as fault:
+                print(f"{state.name}: {fault}", flush=True)
+                continue
+            visit.page.evaluate("wvAudit.rest()")
+            visit.page.wait_for_timeout(700)
+            for name, colours in zip(("dark", "light"), themes[::-1], strict=True):
+                visit.page.evaluate("colours => wvAudit.turn(colours)", colours)
+                visit.page.screenshot(path=folder / f"{n:02d} {state.name} {name}.png")
+
+
 def main() -> None:
-    """Print what the audit finds, group by group: python -m tests.browser.audit [GROUP ...]"""
-    import shutil
-    import sys
+    """Print what the audit finds, group by group."""
+    from tests.browser.audit_states import GROUPS
+    from tests.browser.conftest import LIGHT
 
-    from playwright.sync_api import sync_playwright
-
-    from tests.browser.screens import FLAGS
-
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("groups", nargs="*", default=list(GROUPS), metavar="GROUP")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="take a picture of every state instead")
+    asked = parser.parse_args()
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
-        for name in sys.argv[1:] or GROUPS:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[*FLAGS, *LIGHT])
+        for name in asked.groups:
+            if asked.pictures is not None:
+                take_pictures(browser, GROUPS[name], asked.pictures / name)
+                continue
             began = time.monotonic()
             for what, where in sorted(look_over(browser, GROUPS[name]).items()):
                 print(f"{what}   [{', '.join(dict.fromkeys(where))}]")
-            print(f"== {name}: {time.monotonic() - began:.0f} s", flush=True)
+            print(f"== {name}: {len(GROUPS[name].states)} states, {time.monotonic() - began:.0f} s", flush=True)
         browser.close()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

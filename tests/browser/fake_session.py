@@ -20,7 +20,7 @@ from tests.browser.recording import Recording
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.devices import Overview
-from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
 from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
 from wafer_viewer.model.levelling import Levelling
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
@@ -32,6 +32,7 @@ from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.browsing import Browsing
+from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.state import (
     DatasetEntry,
     Draft,
@@ -66,6 +67,7 @@ class FakeSession(Recording):
         self.sections = FakeSections()
         self.browsing = Browsing(DATA, (Path(tempfile.gettempdir()),), home=None)
         self.notebook, self.papers = FakeNotebook(self), FakePapers(self)
+        self.gauge: Any = NoFaces(GaugeVerbs, self._done, "gauge.")
 
     def subscribe(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         self._listeners.append(listener)
@@ -114,6 +116,13 @@ class FakeSession(Recording):
         else:
             answer.set_result(None)
         return answer
+
+
+class NoFaces(Recording):
+    """The verbs of a gauge check where there is nothing to find the faces on."""
+
+    def find_faces(self, show: int = 0) -> Any:
+        raise MeasureError("Too little of the surface is measured to look for faces: scan it again.")
 
 
 def a_job() -> Job:

@@ -49,7 +49,7 @@ const drawn = () => {{
   const scene = document.querySelector('canvas[data-engine]') || document.querySelector('canvas');
   return scene && scene.clientWidth ? Math.round(1e3 * scene.width / scene.clientWidth) / 1e3 : 0;
 }};
-window.wvTelling = setInterval(() => {{
+const tell = () => {{
   const now = JSON.stringify({{
     system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'), window: innerWidth,
     drawn: drawn(),
@@ -59,7 +59,9 @@ window.wvTelling = setInterval(() => {{
   told = now;
   Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, now);
   field.dispatchEvent(new Event('input', {{bubbles: true}}));
-}}, {_EVERY_MS});
+}};
+window.wvTelling = setInterval(tell, {_EVERY_MS});
+window.onresize = tell;
 """
 
 

@@ -33,6 +33,10 @@ const place = () => {
     top = below ? box.bottom + GAP : middle - height / 2;
     left = Math.min(Math.max(left, EDGE), innerWidth - width - EDGE);
     top = Math.min(Math.max(top, below ? 0 : TOP), innerHeight - BOTTOM - EDGE - height);
+    const scale = document.querySelector('.wv-scale')?.getBoundingClientRect();
+    if (scale?.width && left < scale.right + EDGE && scale.left - EDGE < left + width && scale.top - EDGE < top + height) {
+      top = Math.max(TOP, scale.top - EDGE - height);
+    }
     const side = below ? 'up' : toLeft ? 'right' : 'left';
     arrow.className = `wv-tour-arrow ${side}`;
     Object.assign(arrow.style, below
