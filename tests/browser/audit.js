@@ -113,7 +113,7 @@
   const hits = found => {
     const inSight = [];
     for (const control of all(CONTROLS)) {
-      if (!inPlay(control) || off(control) || control.closest('svg') || control.type === 'hidden') continue;
+      if (!inPlay(control) || off(control) && words(control.textContent) !== 'Stop' || control.closest('svg') || control.type === 'hidden') continue;
       const middle = () => { const r = boxOf(control); return [r.left + r.width / 2, r.top + r.height / 2]; };
       let other = isAt(control, ...middle());
       if (!other && !control.closest('.wv-tour')) inSight.push(control);

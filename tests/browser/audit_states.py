@@ -146,7 +146,7 @@ def watch(visit: Visit) -> None:
     escape(visit)
     holder = visit.session.snapshot.hands.holder
     visit.session.control.arrive("another", "K. Adler")
-    visit.session.control.pass_on(holder, "another")
+    visit.session.control.hand_over(holder, "another")
 
 
 TOOLS = {

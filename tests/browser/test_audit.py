@@ -1,11 +1,15 @@
-"""Every screen looked over at every size of the window, light and dark: see audit.py and audit.js."""
+"""Every screen looked over at every size of the window, light and dark: see audit.py, audit.js, audit_states.py."""
 
 from __future__ import annotations
 
-import pytest
-from playwright.sync_api import Browser
+from collections.abc import Iterator
 
-from tests.browser.audit import GROUPS, look_over
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests.browser import fake_session as fake
+from tests.browser.audit import Group, State, Themes, both_themes, look_over, opened
+from tests.browser.audit_states import GROUPS
 
 pytestmark = [
     pytest.mark.browser,
@@ -13,6 +17,35 @@ pytestmark = [
     # The page may still be drawing when the browser of a test goes.
     pytest.mark.filterwarnings("ignore:Queued a .* on a closed connection"),
 ]
+REPORT = Group(lambda: fake.FakeSession(fake.measured()), "report", (State("report"),))
+FAULTS = {
+    'hit: the middle of button[button] "Stop" is span "Report"': """
+        const [stop, report] = ['Stop', 'Report'].map(name =>
+          [...document.querySelectorAll('button')].find(b => b.textContent.trim() === name));
+        const { left, top } = stop.getBoundingClientRect();
+        report.style.cssText =
+          `position: fixed !important; z-index: 9; left: ${left}px; top: ${top}px; width: 96px`;""",
+    'cut: "Report"': """
+        const title = document.querySelector('.wv-title');
+        title.style.cssText = 'display: block; width: 20px; overflow: hidden; white-space: nowrap';""",
+    'pale: "mm"': "document.querySelector('.wv-where').style.color = '#8FA0AF';",
+    'name: input[text] "': """
+        window.wvNames.disconnect();
+        const inputs = [...document.querySelectorAll(".mantine-Input-input")];
+        const input = inputs.find(e => e.getBoundingClientRect().width);
+        input.removeAttribute('id');
+        input.removeAttribute('aria-label');""",
+    "overlap: input[checkbox]": """
+        const boxes = [...document.querySelectorAll("input[type=checkbox]")];
+        const [a, b] = boxes.filter(e => e.checkVisibility() && !e.disabled);
+        const [p, q] = [a, b].map(e => e.getBoundingClientRect());
+        b.style.transform = `translate(${p.left - q.left + 10}px, ${p.top - q.top}px)`;""",
+    "layout: the panel below the scene": """
+        document.body.insertAdjacentHTML('beforeend',
+          '<div data-floating-window style="position: fixed; width: 90px; height: 9px; bottom: 0">' +
+          '<i class="wv-bottom"></i></div>');""",
+}
+"""What a look has to say, of each fault that is put into the page."""
 
 
 @pytest.mark.parametrize("name", GROUPS)
@@ -21,3 +54,28 @@ def test_nothing_is_covered_cut_nameless_or_pale(browser: Browser, name: str):
     assert not found, "\n".join(
         f"{what}   [{', '.join(dict.fromkeys(where))}]" for what, where in sorted(found.items())
     )
+
+
+@pytest.fixture(scope="module")
+def report(browser: Browser) -> Iterator[tuple[Page, Themes]]:
+    with opened(browser, REPORT) as visit:
+        themes, _ = both_themes(visit.page)
+        yield visit.page, themes
+
+
+def test_a_contrast_that_is_too_low_in_the_dark_alone_is_found(report: tuple[Page, Themes]):
+    page, themes = report
+    page.add_style_tag(content="[data-mantine-color-scheme=dark] .wv-title { color: #44505C !important; }")
+    light, dark = page.evaluate("dark => wvAudit.look(dark)", themes[1])
+    page.evaluate("light => wvAudit.turn(light)", themes[0])
+    assert light == []
+    assert any(what.startswith('pale: "Report"') for what in dark), dark
+
+
+def test_a_look_finds_nothing_then_each_fault_that_is_put_into_the_page(report: tuple[Page, Themes]):
+    page, _ = report
+    assert page.evaluate("wvAudit.look()") == [[], []]
+    for fault in FAULTS.values():
+        page.evaluate(f"() => {{ {fault} }}")
+    found = page.evaluate("wvAudit.look()")[0]
+    assert [told for told in FAULTS if not any(what.startswith(told) for what in found)] == [], found

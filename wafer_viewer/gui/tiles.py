@@ -317,8 +317,9 @@ def _add_points(scene: viser.SceneApi, name: str, data: bytes, request: PaintReq
     first = (2**request.level - 1) / 2 * facts.pixel_um * 1e-3
     x = facts.x0_um * 1e-3 + first + (sum(request.cols) - 1) / 2 * pixel
     y = facts.y0_um * 1e-3 - first - (sum(request.rows) - 1) / 2 * pixel
+    shades = colours if len(places) else np.zeros(3, np.uint8)  # the browser complains of a cloud without any colour
     cloud = scene.add_point_cloud(
-        name, places, colours, point_size=pixel * 1.15, point_shape="square", point_shading="flat",
+        name, places, shades, point_size=pixel * 1.15, point_shape="square", point_shading="flat",
         precision="float16", position=(x, y, 0.0),
     )  # fmt: skip
     return PointTile(cloud, len(places))
