@@ -306,11 +306,6 @@ GROUPS = {
             ),
             State("tour: surface", press_step("Surface"), ".wv-tour:has-text('Measure this')"),
             State("tour: measure", press_step("Measure"), ".wv-tour:has-text('Measure a step')"),
-            State(
-                "tour: tool",
-                lambda visit: visit.page.locator("[data-pick=tool][data-k=step]").first.click(),
-                ".wv-tour",
-            ),
             State("tour: to review", skip, ".wv-tour:has-text('Find what')"),
             State("tour: inspect", press_step("Review"), ".wv-tour:has-text('Inspect')"),
             State("tour: judge", change(inspection=lambda: _tour_found().inspection), ".wv-tour:has-text('Judge')"),

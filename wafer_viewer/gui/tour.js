@@ -2,11 +2,19 @@
 clearInterval(window.wvTourTimer);
 const RING = 5, GAP = 26, EDGE = 12, TOP = 64, BOTTOM = 34;
 const inSight = e => e.getClientRects().length > 0 && !e.matches('[data-disabled],:disabled');
+const folded = () => document.querySelector('[data-dock-region=left] [data-dock-minimize-all]');
 const target = note => {
   const { at, button } = note.dataset;
   const all = at ? [...document.querySelectorAll(at)]
     : button ? [...document.querySelectorAll('button')].filter(b => b.textContent.trim() === button) : [];
-  return all.filter(inSight).at(-1);
+  /* The left panel is folded away in a narrow window: what lies in it is behind its handle. */
+  return all.length || !button ? all.filter(inSight).at(-1) : folded();
+};
+/* The top of a note that would lie over the scale bar, moved above the bar. */
+const clearOfScale = (left, top, width, height) => {
+  const scale = document.querySelector('.wv-scale')?.getBoundingClientRect();
+  const beside = !scale?.width || left > scale.right + EDGE || left + width < scale.left - EDGE;
+  return beside || top + height < scale.top - EDGE ? top : Math.max(TOP, scale.top - EDGE - height);
 };
 let brought = '';
 const place = () => {
@@ -20,7 +28,7 @@ const place = () => {
   brought = aim ? key : '';
   const { width, height } = note.getBoundingClientRect();
   ring.style.display = arrow.style.display = aim ? 'block' : 'none';
-  let left = EDGE + 300, top = innerHeight - BOTTOM - EDGE - height;
+  let left = EDGE + 300, top = clearOfScale(EDGE + 300, innerHeight - BOTTOM - EDGE - height, width, height);
   if (aim) {
     const box = aim.getBoundingClientRect();
     Object.assign(ring.style, {
@@ -33,10 +41,7 @@ const place = () => {
     top = below ? box.bottom + GAP : middle - height / 2;
     left = Math.min(Math.max(left, EDGE), innerWidth - width - EDGE);
     top = Math.min(Math.max(top, below ? 0 : TOP), innerHeight - BOTTOM - EDGE - height);
-    const scale = document.querySelector('.wv-scale')?.getBoundingClientRect();
-    if (scale?.width && left < scale.right + EDGE && scale.left - EDGE < left + width && scale.top - EDGE < top + height) {
-      top = Math.max(TOP, scale.top - EDGE - height);
-    }
+    top = clearOfScale(left, top, width, height);
     const side = below ? 'up' : toLeft ? 'right' : 'left';
     arrow.className = `wv-tour-arrow ${side}`;
     Object.assign(arrow.style, below
