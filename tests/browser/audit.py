@@ -28,16 +28,29 @@ LOOK = (Path(__file__).parent / "audit.js").read_text()
 SMALL_PICTURE = """
 for (const side of ['width', 'height']) {
   const own = Object.getOwnPropertyDescriptor(HTMLCanvasElement.prototype, side);
-  Object.defineProperty(HTMLCanvasElement.prototype, side,
-    { ...own, set(px) { own.set.call(this, this.ofScene ? Math.min(px, 16) : px); } });
+  Object.defineProperty(HTMLCanvasElement.prototype, side, {
+    ...own,
+    get() { return this.ofScene?.[side] ?? own.get.call(this); },
+    set(px) {
+      if (this.ofScene) this.ofScene[side] = px;
+      own.set.call(this, this.ofScene ? Math.min(px, 16) : px);
+    },
+  });
 }
 const getContext = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
-  if (kind.startsWith('webgl')) { this.ofScene = true; this.width = this.width; this.height = this.height; }
+  if (kind.startsWith('webgl') && !this.ofScene) {
+    const { width, height } = this;
+    this.ofScene = {};
+    Object.assign(this, { width, height });
+  }
   return getContext.call(this, kind, ...rest);
 };
 """
-"""The scene is drawn into few pixels, scaled to its place: the audit reads the page, and software draws slowly."""
+"""The scene is drawn into few pixels, scaled to its place: the audit reads the page, and software draws slowly.
+
+Whoever asks the canvas for its size hears the one that it was given: the panel below the scene follows it.
+"""
 SHARP = ""
 """For pictures: the scene as it is."""
 STEADY = "&fixedDpr=1"
