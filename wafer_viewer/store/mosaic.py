@@ -244,7 +244,9 @@ class ZarrMosaic:
         rows, cols = self._window(region, level)
         layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
         pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
-        return HeightMap(**layers, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance)
+        return HeightMap(
+            **layers, refused=None, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance
+        )
 
     def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
         """One layer of heights of what `window` returns, and nothing else; raises as `window` does."""
