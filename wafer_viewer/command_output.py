@@ -71,7 +71,7 @@ def print_preflight(checks: Iterable[LookedAt]) -> None:
 
 
 def print_verdict(verdict: WaferVerdict) -> int:
-    """Every feature, the word for the wafer, and what to do next; 0 for a pass, 1 for any other word."""
+    """Every feature, the word for the wafer, and what to do next; 0 for a pass, 1 for any other verdict."""
     for item in verdict.items:
         limits = limits_text(item.feature)
         print(f"{item.word.upper():<12} {item.name}: {measured_text(item.measured)}, limits {limits}. {item.why}")

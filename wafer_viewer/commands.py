@@ -90,7 +90,7 @@ def serve(
 
 
 def plan(plan_file: PlanFile, rig: File = None, json: bool = False) -> None:
-    """Price every strategy for a plan. Nothing moves.
+    """Estimate the time of every strategy for a plan. Nothing moves.
 
     Args:
         plan_file: The plan.
@@ -115,10 +115,10 @@ def scan(
     corners: Numbers = (),
     yes: bool = False,
 ) -> int:
-    """Scan without the browser. An unfinished dataset of the same plan is gone on with. Ctrl-C stops the rig.
+    """Scan without the browser. An unfinished dataset of the same plan is continued. Ctrl-C stops the rig.
 
-    Prints the look round before the start; what forbids the scan ends it there. A released job goes on to the surface
-    and the verdict: status 0 is pass, 1 any other word.
+    Prints the checks before the start; one that forbids the scan ends it there. A released job continues to the surface
+    and the verdict: status 0 is pass, 1 any other verdict.
 
     Args:
         plan_file: The plan, or a released job.
@@ -182,7 +182,7 @@ def import_(
         pattern: How files are named, such as r{row}_c{col}_k{k}.tif; {e} where each z was taken in several exposures.
         overlap_fraction: Overlap of neighbouring fields.
         z_unit: Unit of the heights, where a surface file does not say it.
-        invert_z: The numbers of a surface file are depths: turn them over.
+        invert_z: The numbers of a surface file are depths: invert them.
         na: Numerical aperture of the objective, in air: bounds the width of focus curves.
         wavelength_um: Of the light; 0.55 um where it is not given.
     """
@@ -215,10 +215,10 @@ def import_(
 
 
 def check(dataset: DatasetFolder) -> int:
-    """Test every checksum of a dataset and name missing frames; status 1 when there is something to mend.
+    """Test every checksum of a dataset and name missing frames; status 1 when something is damaged or missing.
 
     All files that a number depends on are read: frames, scan record, journal, surfaces, poses, recipes, results.
-    Also holds the passes of a scan against what the pulse box counted and against the times of their frames.
+    Also checks the passes of a scan against the counts of the pulse box and the times of their frames.
 
     Args:
         dataset: The dataset.

@@ -43,7 +43,7 @@ def compare(
         second_result: Name of the second's.
         field: A field of the first; 0 is the stitched surface.
         second_field: A field of the second.
-        heights: Which of the first's heights; both subtracts raw from raw and cleaned from cleaned.
+        heights: Which of the first's heights; both subtracts measured from measured and filtered from filtered heights.
         second_heights: Which of the second's.
     """
     one = SurfaceName(path=str(first.absolute()), result=result, field=field, heights=heights)

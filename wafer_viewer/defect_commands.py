@@ -55,7 +55,7 @@ def measure_defects(
     scheduler: Text = None,
     workers: Count = None,
 ) -> int:
-    """The defects of a patterned wafer, each with size, height and class, as JSON; dies that were not scanned are told.
+    """The defects of a patterned wafer, each with size, height and class, as JSON; dies not scanned are named.
 
     Status 0: within the limits; 1: beyond them, or dies were not or only partly scanned; 2: bad input. What people
     judged a nuisance in the dataset does not count.
@@ -70,9 +70,9 @@ def measure_defects(
         klarf: Write a KLARF 1.2 file.
         csv: Write a table.
         training: Write a folder of cut-outs with the classes given by the rules and by people.
-        other: A KLARF of another tool: what both found and what only one of them did is told.
-        max_per_die: The most defects on one die; the recipe's by default.
-        max_per_mm2: The most defects on one mm2 of what was inspected; the recipe's by default.
+        other: A KLARF of another tool: reports what both found and what only one of them found.
+        max_per_die: Largest number of defects per die; the recipe's by default.
+        max_per_mm2: Largest number of defects per inspected mm2; the recipe's by default.
         pitch_um: From die to die along x and y; found by default.
         origin_um: Lower left corner of die 0,0, stage um; goes with the pitch.
         size_um: Width and height of a die without its street; as large as the pitch by default.
@@ -81,7 +81,7 @@ def measure_defects(
         as_given: Leave given dies where they were given; they are moved to where they are seen by default.
         result: Name of the reconstruction.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
-        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
+        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
     """
     from wafer_viewer.measure.die_stack import repeated_places
 

@@ -40,18 +40,18 @@ def measure_gauge(
 ) -> int:
     """Check the instrument against certified gauge blocks: error with U, En, verdict, as JSON. Stage um.
 
-    Status 0 for PASS, 1 for another word. Each SRC is a repeat, a scan of its own. Without SRC: the signed checks of
-    --log with their run chart and capability; status 1 where the chart warns.
+    Status 0 for PASS, 1 for any other verdict. Each SRC is a repeat, a scan of its own. Without SRC: the signed checks
+    of --log with their run chart and capability; status 1 where the chart warns.
 
     Args:
         src: Datasets NAME.wafer or surface files, .npz.
         certificate: The blocks' certificate, .toml.
         limit_um: The largest error allowed.
-        upper: Two opposite corners of the upper face; both faces are found by themselves by default.
+        upper: Two opposite corners of the upper face; both faces are found by default.
         lower: The same of the lower face.
         temperature_c: Of the blocks, known to 0.5 (k = 1).
-        tolerance_um: The product's, upper limit less lower: Cg and Cgk are told for it, over all scans so far.
-        interval_days: The next check is due after them.
+        tolerance_um: The product's, upper limit less lower: Cg and Cgk are evaluated over all scans so far.
+        interval_days: Days until the next check is due.
         sign: Who signs: the check goes to the log and into the results of the last SRC.
         log: The folder of gauge-checks.jsonl; that of the first SRC by default.
         serial: Of the history, the checks with these blocks alone.

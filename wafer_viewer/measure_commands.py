@@ -35,7 +35,7 @@ def measure_point(src: Source, at: Place, level: Level = (), field: int = 0, res
 def measure_distance(
     src: Source, start: Place, end: Place, level: Level = (), field: int = 0, result: str = "default"
 ) -> None:
-    """The way between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. Stage um.
+    """The distance between two points: in space, lateral, along z, its slope; with uncertainties, as JSON. Stage um.
 
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
@@ -132,9 +132,9 @@ def measure_texture(
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle.
-        form_order: Order of the polynomial that is taken off as form; 0 the mean alone, 1 a plane.
-        s_filter_um: Nesting index of the Gaussian filter against shorter waves; none by default.
-        l_filter_um: Nesting index of the Gaussian filter against longer waves; none by default.
+        form_order: Order of the polynomial that is removed as form; 0 the mean alone, 1 a plane.
+        s_filter_um: Nesting index of the Gaussian filter that removes shorter wavelengths; none by default.
+        l_filter_um: Nesting index of the Gaussian filter that removes longer wavelengths; none by default.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
@@ -159,8 +159,8 @@ def measure_roughness(
         src: A NAME.wafer or a surface file, such as .x3p.
         line: The two ends of the line.
         width_um: Width across the line that is averaged over.
-        lambda_c_um: Cut-off of the Gaussian filter against longer waves, and the sampling length; none by default.
-        lambda_s_um: Cut-off of the Gaussian filter against shorter waves; none by default.
+        lambda_c_um: Cut-off of the Gaussian filter against longer wavelengths, the sampling length; none by default.
+        lambda_s_um: Cut-off of the Gaussian filter that removes shorter wavelengths; none by default.
         level: Heights over: plane, form [ORDER], region X0 Y0 X1 Y1, points X Y X Y X Y. The stage's zero by default.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.

@@ -25,7 +25,7 @@ def release(
     """Release a plan as a job that operators run with four actions; prints its file. A revision is never overwritten.
 
     The plan names corners to align by, and features with their places and limits. Tried against stored datasets before,
-    it says which verdicts change, and why; a changed recipe makes their surfaces anew, beside those that are there.
+    it says which verdicts change, and why; a changed recipe makes their surfaces again, beside the existing ones.
 
     Args:
         plan_file: The plan, or a released job to make another revision of.
@@ -51,7 +51,7 @@ def release(
 
 
 def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:
-    """The verdict on a wafer by the features of its job, as JSON; status 0 is pass, 1 any other word.
+    """The verdict on a wafer by the features of its job, as JSON; status 0 is pass, 1 any other verdict.
 
     Args:
         dataset: The dataset, stitched.

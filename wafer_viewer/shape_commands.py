@@ -30,7 +30,7 @@ def measure_kerf(
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle across the kerf, stage um.
-        kerf: Whether it is brighter or darker than what lies beside it.
+        kerf: Whether it is brighter or darker than the ground beside it.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
@@ -46,7 +46,7 @@ def measure_die(
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle round the die, stage um.
-        die: Whether its rim is brighter or darker than what is round it.
+        die: Whether its rim is brighter or darker than its surroundings.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
@@ -83,7 +83,7 @@ def measure_chipping(
     Args:
         src: A NAME.wafer or a surface file, such as .x3p.
         region: Two opposite corners of a rectangle over one edge, stage um.
-        limit_um: What is deeper is a chip; by itself four robust deviations of the edge, two pixels at least.
+        limit_um: What is deeper is a chip; by default four robust deviations of the edge, two pixels at least.
         die: The side of the edge that the die lies on; auto takes the higher one.
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.

@@ -52,7 +52,7 @@ def reconstruct(
         pixel_um: Size of a pixel on the sample, where SRC does not say.
         result: Name under which a NAME.wafer keeps its surfaces.
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
-        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as pay by default.
+        workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
         na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
@@ -97,7 +97,7 @@ def stitch(
         again: Make the heights of all fields again.
         poses: Also write where each field lies, with uncertainties, as CSV.
         scheduler: A dask cluster that does the work, tls://HOST:PORT.
-        workers: Processes of this machine that do the work; 1 is this one alone. As many as pay by default.
+        workers: Processes of this machine that do the work; 1 is this one alone. As many as help by default.
     """
     from wafer_viewer.session.offline import Hire, make_surface, write_poses_of
 
@@ -158,7 +158,7 @@ def convert(
         max_points: As many rows and columns as make at most N points.
         z_unit: Unit of the heights, such as um, where SRC does not say it; of points the unit of x and y, too.
         pixel_um: Pixel size where SRC does not say it, or what to grid scattered points on.
-        invert_z: The numbers of SRC are depths: turn them over.
+        invert_z: The numbers of SRC are depths: invert them.
         result: Name of the reconstruction of a NAME.wafer.
     """
     from wafer_viewer.model.formats import Reading

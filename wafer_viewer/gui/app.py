@@ -6,6 +6,7 @@ import contextlib
 import errno
 import functools
 import gc
+import importlib
 import io
 import logging
 import logging.handlers
@@ -32,6 +33,10 @@ from wafer_viewer.session.papers import read_report
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
 
+with contextlib.suppress(ImportError):
+    importlib.import_module("cv2")
+"""Where it is installed viser imports it with its first picture, which changes sys.path for a moment: a process that is
+spawned in that moment finds its modules in place of Python's own and dies."""
 LOG_BYTES = 1_000_000
 HEARD_WITHIN_S = 0.5
 """The system may hand a signal to any thread, and only the main one acts on it: it must not sleep for ever."""
