@@ -105,6 +105,7 @@
     const hit = document.elementFromPoint(x, y);
     if (!hit) return 'nothing: outside of the window';
     if (hit.closest('.wv-tour') && !element.closest('.wv-tour')) return '';  // what it may not cover: see tour
+    if (hit.matches('.wv-dot') && element.matches('.wv-dot')) return '';  // points of a chart may lie on each other
     const same = element.contains(hit) || hit.contains(element) && hit.closest('label, button, [role=button]')?.contains(element) ||
       [...(element.labels ?? [])].some(label => label.contains(hit)) ||
       element.parentElement.contains(hit) && element.matches('input, [role=slider]');

@@ -55,8 +55,8 @@ SHARP = ""
 """For pictures: the scene as it is."""
 STEADY = "&fixedDpr=1"
 """viser's own parameter: it would draw coarser on a busy machine, and panels follow the pixels of the scene."""
-PATIENCE_MS = 20_000
-LOOKS, AGAIN_MS = 3, 150
+PATIENCE_MS = 60_000
+LOOKS, AGAIN_MS = 6, 300
 """What is found must be found again: names.js names an input a moment after it came."""
 INK = {False: "rgb(21, 32, 43)", True: "rgb(233, 238, 243)"}
 """Colour of the program's name, light and dark."""

@@ -99,7 +99,7 @@ def command(name: str) -> Act:
     def act(visit: Visit) -> None:
         escape(visit)
         visit.page.keyboard.press("Control+k")
-        visit.page.locator(".mantine-Spotlight-search").fill(name)
+        visit.page.locator("input.mantine-Spotlight-search").fill(name)
         visit.page.locator(".mantine-Spotlight-action", has_text=name).first.click()
 
     return act
@@ -194,7 +194,7 @@ GROUPS = {
         lambda: FakeSession(fake.empty()),
         "plan",
         (
-            State("start", until=".wv-card"),
+            State("start", until=".wv-hello"),
             State("open", keys("Control+o"), DIALOG),
             State("import", keys("Shift+I"), DIALOG),
             State("load plan", command("Load plan…"), DIALOG),
@@ -237,7 +237,7 @@ GROUPS = {
             State("surface", until=".wv-title:has-text('Surface')"),
             State("fields", keys("o")),
             State("points", press("Points"), ":text('Size, px')"),
-            State("clipped", press("Clip to view"), ":text('Box x')"),
+            State("clipped", press("To view"), "button:has-text('Reset'):not([data-disabled])"),
             State("one z", then(press("Plan"), click("label:has-text('One z')")), ":text('z, µm')"),
             State("review", go_to("Review")),
             State("result", keys("PageDown"), ".wv-title"),
@@ -306,10 +306,10 @@ GROUPS = {
             ),
             State("tour: surface", press_step("Surface"), ".wv-tour:has-text('Measure this')"),
             State("tour: measure", press_step("Measure"), ".wv-tour:has-text('Measure a step')"),
-            State("tour: to review", skip, ".wv-tour:has-text('Find what')"),
+            State("tour: to review", skip, ".wv-tour:has-text('Find the defects')"),
             State("tour: inspect", press_step("Review"), ".wv-tour:has-text('Inspect')"),
             State("tour: judge", change(inspection=lambda: _tour_found().inspection), ".wv-tour:has-text('Judge')"),
-            State("tour: to report", skip, ".wv-tour:has-text('Write it down')"),
+            State("tour: to report", skip, ".wv-tour:has-text('Write the report')"),
             State("tour: report", press_step("Report"), ".wv-tour:has-text('Write report')"),
             State("tour: end", skip, ".wv-tour-end"),
         ),

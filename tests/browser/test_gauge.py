@@ -68,7 +68,7 @@ def figure(page: Page) -> Locator:
 def take_certificate(page: Page, path: Path) -> None:
     page.get_by_role("button", name="Certificate…", exact=True).click()
     type_into(page, "Path", str(path))
-    press(page, "Use this certificate")
+    press(page, "Use certificate")
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
@@ -118,7 +118,7 @@ def test_three_scans_are_measured_signed_and_still_there_after_a_reload(page: Pa
         expect(page.get_by_label(f"{point}, done")).to_be_visible()
     press(page, "Load the certificate…")
     type_into(page, "Path", str(folder / "blocks.toml"))
-    press(page, "Use this certificate")
+    press(page, "Use certificate")
     expect(page.locator("[data-dock-region=right]")).to_contain_text("valid until 14 Mar 2099")
     set_numbers(page, "Limit, ± µm", 0.5)
     expect(figure(page)).to_contain_text("live")

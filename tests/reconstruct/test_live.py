@@ -62,5 +62,5 @@ def test_what_cannot_be_live_says_why(stack: FieldStack) -> None:
     field = LiveField(stack.images, 4.0, recipe)
     field.take(3, 5)
     assert np.flatnonzero(field.came).tolist() == [3, 4]
-    with pytest.raises(ComputeError, match="taken in already"):
+    with pytest.raises(ComputeError, match="added already"):
         field.take(4, 6)

@@ -122,8 +122,8 @@ def test_without_a_calibration_that_holds_there_is_no_uncertainty(measuring, sho
 @pytest.mark.parametrize(
     ("tool", "places", "sentence"),
     [
-        ("distance", (POINT,), r"Distance is measured at 2 places \(from, to\), here are 1: give as many"),
-        ("point", (), r"Point is measured at 1 places \(point\), here are 0"),
+        ("distance", (POINT,), r"Distance is measured at 2 places \(from, to\), 1 are given: give as many"),
+        ("point", (), r"Point is measured at 1 places \(point\), 0 are given"),
         ("flatness", (POINT,), "has no area"),
         ("radius", (LEFT,), "draw a circle"),
         ("point", (CIRCLE,), "set a point"),

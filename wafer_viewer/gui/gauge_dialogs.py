@@ -54,7 +54,7 @@ def certificate_dialog(page: Page) -> None:
         else:
             _wait(page.session.gauge.put_certificate(_typed(form)))
 
-    dialog.answers("Use this certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
+    dialog.answers("Use certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
 
 
 def sign_dialog(page: Page, check: GaugeCheck) -> None:

@@ -7,7 +7,7 @@ if (!window.wvNames) {
   const set = (at, name, value) => { if (at.getAttribute(name) !== value) at.setAttribute(name, value); };
   const nameAll = () => {
     for (const at of document.querySelectorAll(HIDDEN)) { set(at, 'aria-hidden', 'true'); set(at, 'tabindex', '-1'); }
-    for (const at of document.querySelectorAll('.mantine-Spotlight-search')) set(at, 'aria-label', 'Search the commands');
+    for (const at of document.querySelectorAll('input.mantine-Spotlight-search')) set(at, 'aria-label', 'Search the commands');
     for (const label of document.querySelectorAll('label[for]')) {
       const text = label.textContent.trim(), row = label.closest('.mantine-Flex-root');
       if (!text || !row) continue;

@@ -146,7 +146,7 @@ def _summary(inspection: Inspection) -> Iterator[str]:
 
 
 def _size_mm(sample: Sample) -> float:
-    return max(sample.size_um or (0.0,)) / 1000 or STANDARD_MM
+    return max(sample.width_um or 0.0, sample.height_um or 0.0) / 1000 or STANDARD_MM
 
 
 def _quoted(text: str) -> str:
