@@ -5,7 +5,7 @@
 (() => {
   const CONTROLS = 'button, input, select, textarea, a[href], summary, [role=button], [role=slider], [role=tab]';
   const DIALOG = '.mantine-Modal-content, .mantine-Spotlight-content, .wv-tour-end';
-  const ASIDE = '[aria-hidden=true], .mantine-Notification-root, .u-over';
+  const ASIDE = '[aria-hidden=true], [inert], .mantine-Notification-root, .u-over';
   const SCROLLER = '.mantine-ScrollArea-viewport, .wv-sheet, .mantine-Modal-content, .mantine-ScrollArea-root';
   const RESTING_FRAMES = 2, REST_MS = 6000;
   const CRAMPED_PX = 300 + 404 + 440;  // browser.py: below it the left panel is folded away
@@ -26,6 +26,7 @@
 
   const scene = () => document.querySelector('[data-dock-root] > div:first-child');
   const unsettled = () => {
+    if (document.querySelector('.wv-bar-over.lost.on')) return '';  // nobody is there to lay it out
     const left = document.querySelector('[data-dock-region=left]');
     if (left && !!left.querySelector('[data-dock-minimize-all]') !== innerWidth < CRAMPED_PX) return 'the left panel';
     const wide = boxOf(scene()).width;

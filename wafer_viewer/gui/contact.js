@@ -33,6 +33,7 @@ if (!window.wvContact) {
     .wv-bar-over button { flex: none; font: inherit; font-weight: 650; padding: 7px 16px; border-radius: 6px; cursor: pointer;
       border: 1.5px solid currentColor; background: #FFFFFF; color: #5E3900; }
     body.wv-no-contact :is([data-dock-region], [data-floating-window], .wv-strip) { opacity: .5; }
+    body.wv-no-contact :is([data-dock-region], [data-floating-window]) :is([data-dock-region], .wv-strip) { opacity: 1; }
   </style>`);
   const bar = document.createElement('div');
   document.body.append(bar);

@@ -36,6 +36,9 @@ class Toolbar:
 
     def show(self, snapshot: Snapshot, view: View) -> None:
         """Bring the toolbar up to date."""
+        if view.sheet_over != "none":  # what lies over the scene would lie over the tools
+            self._glass.show("")
+            return
         measuring = view.step == "measure"
         scene_px = self._viewport.width_px
         short = measuring or 0 < scene_px < NARROW_SCENE_PX
