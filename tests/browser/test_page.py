@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
@@ -230,8 +231,9 @@ def test_the_numbers_of_a_surface_and_what_names_of_people_cannot_do(serve: Serv
     expect(page.locator("tr.strong")).to_contain_text("0.155")
 
 
-def test_results_are_renamed_deleted_and_exported(serve: Serve):
+def test_results_are_renamed_deleted_and_exported(serve: Serve, tmp_path: Path):
     session = fake.FakeSession(fake.measured())
+    session.change(data_folder=tmp_path)
     page = serve(session)
     go_to(page, "Measure")
     expect(page.get_by_role("button", name="Delete")).to_be_disabled()
