@@ -162,7 +162,7 @@ def show_false(count: int, parts: int, area_mm2: float) -> None:
     print(
         f"\nFalse: {count} on {area_mm2:.2f} mm2: {share:.3f} a mm2, at most {limit:.3f} (95 %); "
         f"goal {FALSE_PER_MM2} {met(share, FALSE_PER_MM2)}, shown {'yes' if limit <= FALSE_PER_MM2 else 'no'}. "
-        f"{FALSE_PER_MM2} a mm2 are {FALSE_PER_MM2 * WAFER_MM2:.0f} on a wafer of 300 mm.\n"
+        f"{FALSE_PER_MM2} per mm2 are {FALSE_PER_MM2 * WAFER_MM2:.0f} on a wafer of 300 mm.\n"
         f"  Further pieces of planted defects that were found already: {parts}",
         flush=True,
     )

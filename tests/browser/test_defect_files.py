@@ -52,7 +52,7 @@ def test_a_recipe_a_golden_die_and_a_klarf_are_kept_as_a_person_does(session: Se
     assert (kept.name, kept.sensitivity) == ("night shift", 0.25)
 
     page.locator("[data-pick=defect-errand][data-k=golden]").press("Enter")
-    expect(dialog).to_contain_text("none is written over")
+    expect(dialog).to_contain_text("earlier versions are kept")
     type_into(page, "Name", "lx7")
     expect(dialog).to_contain_text("It will be version 1.")
     dialog.get_by_role("button", name="Keep", exact=True).click()

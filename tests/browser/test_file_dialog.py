@@ -231,7 +231,7 @@ def test_a_golden_die_is_chosen_from_a_file_and_kept_on_the_shelf(page: Page, se
     session.wait_until(lambda now: now.surface is not None, WORK_S)
     go_to(page, "Review")
     page.get_by_label("Compare", exact=True).click()
-    page.get_by_role("option", name="With a golden die").click()
+    page.get_by_role("option", name="Die to golden die").click()
     page.locator("[data-pick=defect-golden-file]").click()
     row(page, "exports").dblclick()
     row(page, "lx7.1.golden.npz").click()
