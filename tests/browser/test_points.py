@@ -168,7 +168,7 @@ def test_the_clip_box_follows_its_balls_and_its_numbers(page: Page, session: Ses
     expect(head).not_to_have_text(n_out)
     x0 = float(numbers(page, "X, µm").first.input_value())
     assert x0 == pytest.approx(left + 0.35 * width, abs=0.05 * width)
-    assert stored(page, "view")["clip"]["box_um"] == pytest.approx([x0, low, right - width / 4, high], abs=0.01)
+    assert stored(page, "view")["clip"]["box_um"] == pytest.approx([x0, low, right - width / 4, high], abs=0.1)
     press(page, "Reset")
     expect(head).not_to_contain_text("outside of the box")
 
