@@ -158,13 +158,13 @@ def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
     torn.unlink()
     refused = capsys.readouterr().err
     assert "LX-7-torn.defects.toml: unknown key 'sensitvity'" in refused
-    assert "Recipe 'keen' of LX-7 is taken" in refused
+    assert "Recipe 'keen' of LX-7 is used" in refused
     assert "no golden die 'lx7'" in refused
     plain = tmp_path / "plain.toml"
     plain.write_text('product = "LX-7"')
     golden = dataset.parent / "golden" / "lx7"
     assert main(["measure", "defects", str(dataset), *GIVEN, "--recipe", str(plain), "--save-golden", str(golden)]) < 2
-    assert "is taken" not in capsys.readouterr().err
+    assert "is used because" not in capsys.readouterr().err
     assert main(["measure", "defects", str(dataset), *GIVEN]) < 2
     told = json.loads(capsys.readouterr().out)["inspection"]
     assert (told["recipe"]["name"], told["reference"], told["recipe"]["sensitivity"]) == ("keen", "golden", 0.2)

@@ -185,6 +185,7 @@ def look_over(browser: Browser, group: Group) -> dict[str, list[str]]:
         themes, differs = both_themes(visit.page)
         found |= {what: [group.states[0].name] for what in differs}
         for state in group.states:
+            visit.page.evaluate("light => wvAudit.turn(light)", themes[0])  # what is new is drawn as the page is
             try:
                 come_to(visit, state)
             except Error as fault:

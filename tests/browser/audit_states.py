@@ -17,6 +17,7 @@ from tests.browser.inspected_session import inspected_session, repeating_session
 from tests.browser.inspected_states import whole_wafer
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.screen_list import EXPIRED, moving, noted
+from tests.browser.seen_session import SeenSession
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.inspection_state import InspectionState
@@ -236,12 +237,18 @@ GROUPS = {
         (
             State("surface", until=".wv-title:has-text('Surface')"),
             State("fields", keys("o")),
-            State("points", press("Points"), ":text('Size, px')"),
-            State("clipped", press("To view"), "button:has-text('Reset'):not([data-disabled])"),
             State("one z", then(press("Plan"), click("label:has-text('One z')")), ":text('z, µm')"),
             State("review", go_to("Review")),
             State("result", keys("PageDown"), ".wv-title"),
             State("report", go_to("Report"), "button:has-text('Write report')"),
+        ),
+    ),
+    "points": Group(
+        SeenSession,
+        "surface",
+        (
+            State("points", press("Points"), ".wv-points:has-text('points')"),
+            State("clipped", press("To view"), ".wv-points:has-text('points')"),
         ),
     ),
     "tools": Group(

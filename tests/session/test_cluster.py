@@ -243,7 +243,7 @@ def test_strangers_are_refused_in_a_sentence(fresh, machines, tmp_path):
 def test_certificates_are_for_their_owner_and_never_overwritten(trust):
     assert {f.stat().st_mode & 0o077 for f in (trust, *trust.iterdir()) if f.suffix != ".txt"} == {0}
     again = viewer("cluster", trust)
-    assert (again.returncode, "is there already" in again.stderr) == (2, True)
+    assert (again.returncode, "exists already" in again.stderr) == (2, True)
 
 
 @pytest.fixture

@@ -35,12 +35,12 @@ class ClipSection:
             Cell(gui, html.head("Clip box", "Drag its balls, or type"))
             self._ends = [self._field(axis) for axis in range(3)]
             place = [
-                button(gui, "To view", viser.Icon.EYE, lambda _: self._put(seen_um())),
-                button(gui, "To selection", viser.Icon.MARQUEE_2, lambda _: self._put(page.view.selection)),
+                self._button("To view", viser.Icon.EYE, seen_um),
+                self._button("To selection", viser.Icon.MARQUEE_2, lambda: page.view.selection),
             ]
             in_a_row(gui, place, 30)
             ends = [
-                button(gui, "Whole surface", viser.Icon.BOX, guarded(page, FAILED)(lambda _: self._put(self._whole()))),
+                self._button("Whole surface", viser.Icon.BOX, self._whole),
                 button(gui, "Reset", viser.Icon.X, lambda _: self._reset()),
             ]
             in_a_row(gui, ends, 30)
@@ -60,6 +60,9 @@ class ClipSection:
                 field.show((round(low, DECIMALS), round(high, DECIMALS)))
         set_prop(self._to_selection, "disabled", view.selection is None)
         set_prop(self._reset_button, "disabled", view.clip.box_um is None and view.clip.heights_um is None)
+
+    def _button(self, label: str, icon: Any, box: Callable[[], Box | None]) -> Any:
+        return button(self._page.gui, label, icon, guarded(self._page, FAILED)(lambda _: self._put(box())))
 
     def _known(self, view: View) -> tuple[Ends, Ends, Ends] | None:
         """From where to where the box reaches along each axis; the whole surface where nothing is clipped."""
