@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.clipping import LEFT_OUT, Clip, LeftOut
-from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap
 
 Floats = NDArray[np.float64]
@@ -58,22 +57,9 @@ def point_codes(
     if clip.least_confidence > 0:
         _mark(codes, confidence < clip.least_confidence, "confidence")
     if clip.slab is not None and clip.slab.before != "show":
-        _mark(codes, across_um(x_um, y_um, clip.slab.line) < -clip.slab.line.width_um / 2, "slab")
+        line = clip.slab.line
+        _mark(codes, line.along_and_across_um(x_um, y_um)[1] < -line.width_um / 2, "slab")
     return codes
-
-
-def across_um(x_um: Floats, y_um: Floats, line: Region) -> Floats:
-    """Signed distance in um of each place from a line; negative on its near side, the right-hand side of its way."""
-    return along_and_across_um(x_um, y_um, line)[1]
-
-
-def along_and_across_um(x_um: Floats, y_um: Floats, line: Region) -> tuple[Floats, Floats]:
-    """Return the distance of places from the first end of a line along it, and that from it, both in um."""
-    a, b = line.points
-    dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
-    length = max(float(np.hypot(dx, dy)), 1e-9)
-    x, y = x_um - a.x_um, y_um - a.y_um
-    return (x * dx + y * dy) / length, (y * dx - x * dy) / length
 
 
 def depth_shade(z_um: NDArray[np.float32], pixel_um: float, gain: float) -> NDArray[np.float32]:

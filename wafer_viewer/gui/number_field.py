@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Generic, TypeVar
 
 from wafer_viewer.gui.kit import Gui
 from wafer_viewer.model.errors import WaferViewerError
 
+T = TypeVar("T")
 Pair = tuple[float, float]
 SIDES, PLACE = " × ", ", "
 """Between two numbers: sides of something, or a place."""
@@ -36,8 +39,8 @@ EMPTY: dict[str, str] = {
 """Fields that may be left empty, by their labels, and what they say in grey then: what happens without a number."""
 
 
-class OptionalNumber:
-    """A field whose value is a number, or None where it is left empty.
+class _Optional(Generic[T]):
+    """A text field that stands for a value, or for None where it is left empty.
 
     Parameters
     ----------
@@ -45,12 +48,10 @@ class OptionalNumber:
         Where it is made.
     label : str
         Its name with the unit, ``Pixel, µm``; errors name the field by it.
-    value : float or None
-        The number to begin with.
-    over, least, most : float or None
-        Limits: greater than `over`, from `least` to `most`.
-    whole : bool
-        Whether only whole numbers are taken.
+    value : T or None
+        What to begin with.
+    read, write : callable
+        Value of a text, and text of a value. `read` raises WaferViewerError for a text that is neither.
     hint : str or None
         More of it, and what happens where it is empty.
     """
@@ -59,51 +60,39 @@ class OptionalNumber:
         self,
         gui: Gui,
         label: str,
-        value: float | None = None,
-        *,
-        over: float | None = None,
-        least: float | None = None,
-        most: float | None = None,
-        whole: bool = False,
-        hint: str | None = None,
+        value: T | None,
+        read: Callable[[str], T | None],
+        write: Callable[[T | None], str],
+        hint: str | None,
     ) -> None:
-        self._label = label
-        self._limits: dict[str, Any] = {"over": over, "least": least, "most": most, "whole": whole}
-        _require_known(label)
-        self.handle = gui.add_text(label, text_of(value), hint=hint)
+        if label not in EMPTY:
+            raise ValueError(
+                f"The label {label!r} is missing in EMPTY: the page would not say what happens without it."
+            )
+        self.read, self._write = read, write
+        self.handle = gui.add_text(label, write(value), hint=hint)
 
     @property
-    def value(self) -> float | None:
-        """The number, None where nothing is typed. Raises WaferViewerError for other text and out of limits."""
+    def value(self) -> T | None:
+        """What is typed, None where nothing is. Raises WaferViewerError for a text that stands for no value."""
         return self.read(self.handle.value)
 
     @value.setter
-    def value(self, value: float | None) -> None:
-        self.handle.value = text_of(value)
-
-    def read(self, text: str) -> float | None:
-        """Return the number that a text in this field stands for; raises as `value` does."""
-        return number_of(text, self._label, **self._limits)
+    def value(self, value: T | None) -> None:
+        self.handle.value = self._write(value)
 
 
-class OptionalPair:
-    """A field whose value is two numbers, or None where it is left empty.
+class OptionalNumber(_Optional[float]):
+    """A number; `limits` are those of `number_of`."""
 
-    Parameters
-    ----------
-    gui : viser.GuiApi
-        Where it is made.
-    label : str
-        Its name with the unit, ``Size, mm``; errors name the field by it.
-    value : tuple of float or None
-        The numbers to begin with.
-    over : float or None
-        Both are greater than this.
-    between : str
-        Stands between the numbers: ``" × "`` of sides, ``", "`` of a place.
-    hint : str or None
-        More of it, and what happens where it is empty.
-    """
+    def __init__(
+        self, gui: Gui, label: str, value: float | None = None, *, hint: str | None = None, **limits: Any
+    ) -> None:
+        super().__init__(gui, label, value, lambda text: number_of(text, label, **limits), text_of, hint)
+
+
+class OptionalPair(_Optional[Pair]):
+    """Two numbers, both greater than `over`; `between` stands between them: ``" × "`` of sides, ``", "`` of a place."""
 
     def __init__(
         self,
@@ -115,22 +104,8 @@ class OptionalPair:
         between: str = SIDES,
         hint: str | None = None,
     ) -> None:
-        _require_known(label)
-        self._label, self._over, self._between = label, over, between
-        self.handle = gui.add_text(label, pair_text(value, between), hint=hint)
-
-    @property
-    def value(self) -> Pair | None:
-        """The numbers, None where nothing is typed. Raises WaferViewerError for what is no pair, or not over `over`."""
-        return self.read(self.handle.value)
-
-    @value.setter
-    def value(self, value: Pair | None) -> None:
-        self.handle.value = pair_text(value, self._between)
-
-    def read(self, text: str) -> Pair | None:
-        """Return the numbers that a text in this field stands for; raises as `value` does."""
-        return pair_of(text, self._label, over=self._over)
+        read, write = partial(pair_of, name=label, over=over), partial(pair_text, between=between)
+        super().__init__(gui, label, value, read, write, hint)
 
 
 def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
@@ -152,11 +127,6 @@ def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
 def pair_text(value: Pair | None, between: str = SIDES) -> str:
     """Return two numbers as they stand in a field, empty for None."""
     return "" if value is None else between.join(text_of(number) for number in value)
-
-
-def _require_known(label: str) -> None:
-    if label not in EMPTY:
-        raise ValueError(f"The label {label!r} is missing in EMPTY: the page would not say what happens without it.")
 
 
 def number_of(

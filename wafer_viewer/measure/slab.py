@@ -88,7 +88,7 @@ def running_median(distance_um: Floats, z_um: Floats, length_um: float, n: int) 
     Floats
         Heights in um, [n]; NaN where no point is near.
     """
-    own = np.rint(distance_um / length_um * (n - 1)).astype(np.int64)
+    own = _nearest(distance_um, length_um, n)
     reach = MEDIAN_SAMPLES // 2
     place = np.concatenate([own + k for k in range(-reach, reach + 1)])
     z = np.tile(z_um, MEDIAN_SAMPLES)
@@ -130,20 +130,21 @@ def _points(surface: Mosaic, line: Region, layer: Layer, level: int, width_um: f
 
 def _between(part: Heights, line: Region, width_um: float) -> tuple[Floats, Floats]:
     """Distances along a line and heights of those measured points of a part that lie in a slab round it."""
-    a, b = line.points
-    length_um = length_um_of(line)
-    ux, uy = (b.x_um - a.x_um) / length_um, (b.y_um - a.y_um) / length_um
-    x, y = part.x_um[None, :] - a.x_um, part.y_um[:, None] - a.y_um
-    inside: NDArray[np.bool_] = (np.abs(y * ux - x * uy) <= width_um / 2) & np.isfinite(part.z_um)
-    rows, cols = np.nonzero(inside)
-    return x[0, cols] * ux + y[rows, 0] * uy, part.z_um[rows, cols].astype(np.float64)
+    along, across = line.along_and_across_um(part.x_um[None, :], part.y_um[:, None])
+    inside: NDArray[np.bool_] = (np.abs(across) <= width_um / 2) & np.isfinite(part.z_um)
+    return along[inside], part.z_um[inside].astype(np.float64)
+
+
+def _nearest(distance_um: Floats, length_um: float, n: int) -> NDArray[np.int64]:
+    """The nearest of `n` places from 0 to a length, of each distance."""
+    return np.rint(distance_um / length_um * (n - 1)).astype(np.int64)
 
 
 def _spread_um(distance_um: Floats, z_um: Floats, curve: ProfileCurve) -> float:
     """How far from the line `SPREAD_PERCENT` of the points lie at most."""
     if not len(z_um):
         return 0.0
-    place = np.rint(distance_um / curve.distance_um[-1] * (len(curve.z_um) - 1)).astype(np.int64)
+    place = _nearest(distance_um, float(curve.distance_um[-1]), len(curve.z_um))
     return float(np.nanpercentile(np.abs(z_um - curve.z_um[place]), SPREAD_PERCENT))
 
 

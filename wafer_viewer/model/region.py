@@ -92,6 +92,19 @@ class Region(Spec, frozen=True, kw_only=True):
             return (x1 - x0) * (y1 - y0)
         return abs(_twice_the_area(self.points)) / 2 if self.kind == "polygon" else 0.0
 
+    def along_and_across_um(
+        self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the distance of places along a line from its first end, and their signed distance from it, um.
+
+        The latter is negative on the right-hand side of the way from the first end to the second.
+        """
+        a, b = self.points
+        dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
+        length = max(float(np.hypot(dx, dy)), 1e-9)
+        x, y = x_um - a.x_um, y_um - a.y_um
+        return (x * dx + y * dy) / length, (y * dx - x * dy) / length
+
     def contains(self, x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which of the points (arrays that broadcast together) lie inside; a line or a point contains none."""
         x, y = np.broadcast_arrays(np.asarray(x_um, float), np.asarray(y_um, float))

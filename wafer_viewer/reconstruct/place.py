@@ -49,6 +49,12 @@ class Lean:
     sag_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
     so_far_px: tuple[float, float] = (1.0, 1.0)
 
+    def at(self, up_px: Numbers, right_px: Numbers) -> Numbers:
+        """Return what is subtracted, um, so many pixels above and right of the centre."""
+        u, v = right_px / self.so_far_px[0], up_px / self.so_far_px[1]
+        a, b, c = self.sag_um
+        return self.z_um + self.up_um_px * up_px + self.right_um_px * right_px + a * u**2 + b * u * v + c * v**2
+
 
 @dataclass(frozen=True, slots=True)
 class Place:

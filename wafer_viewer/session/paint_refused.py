@@ -124,7 +124,7 @@ def points_of(field: PlacedField, box_um: Box, datum: Datum | None = None, every
         inside &= (row % every == 0) & (col % every == 0)
     taken = np.flatnonzero(inside)
     row, col, x_um, y_um = row[taken], col[taken], x_um[taken], y_um[taken]
-    z_um = refused.z_um[part][taken] - _lean_um(field.lean, (rows - 1) / 2 - row, col - (cols - 1) / 2)
+    z_um = refused.z_um[part][taken] - field.lean.at((rows - 1) / 2 - row, col - (cols - 1) / 2)
     if datum is not None:
         z_um = z_um - datum.at(x_um, y_um)
     confidence = field.height_map.confidence.ravel()[at[taken]]
@@ -164,10 +164,3 @@ def count_refused(fields: Sequence[PlacedField], request: PaintRequest) -> Refus
         n_fields_without=without,
         span_um=(low, high) if by_code.any() else (0.0, 0.0),
     )
-
-
-def _lean_um(lean: Lean, up_px: Floats, right_px: Floats) -> Floats:
-    """What stitching subtracts from heights so many pixels up and right of the centre of a field."""
-    u, v = right_px / lean.so_far_px[0], up_px / lean.so_far_px[1]
-    a, b, c = lean.sag_um
-    return lean.z_um + lean.up_um_px * up_px + lean.right_um_px * right_px + a * u**2 + b * u * v + c * v**2

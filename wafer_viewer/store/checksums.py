@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Hashable
 from enum import Enum
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,11 +35,8 @@ _COMMENT = re.compile(rb"crc32c=([0-9a-f]{8})$")
 _COMMENT_BYTES = 15
 _END_OF_ARCHIVE, _END_BYTES = b"PK\5\6", 22
 _PIECE_BYTES = 1 << 24
-_MOST_VERIFIED = 8192
 FileMark = tuple[Path, int, int, int]
 """A file and its state: path, inode, size, time of change."""
-_verified: dict[FileMark, None] = {}
-"""Archives whose checksum was found good by this process."""
 S = TypeVar("S", bound=Spec)
 
 
@@ -121,6 +119,26 @@ def require_good_json(path: Path) -> None:
         verified_text(path)
 
 
+class KnownGood:
+    """What this process has tested and found good, the last of it: states of files, which change with the files."""
+
+    def __init__(self, most: int = 8192) -> None:
+        self._most = most
+        self._keys: dict[Hashable, None] = {}
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._keys
+
+    def add(self, key: Hashable) -> None:
+        """Remember it, and forget the oldest where there are too many."""
+        while len(self._keys) >= self._most:
+            self._keys.pop(next(iter(self._keys)), None)
+        self._keys[key] = None
+
+
+_good_archives = KnownGood()
+
+
 def verified_text(path: Path) -> bytes:
     """The JSON text of a file without its checksum. Raises DatasetError when it cannot be read or is damaged."""
     try:
@@ -169,13 +187,11 @@ def archive_state(path: Path) -> Checksum:
 def require_good_archive(path: Path) -> None:
     """Raise DatasetError when the checksum of an ``.npz`` differs; a file that did not change is read once."""
     key = file_mark(path)
-    if key in _verified:
+    if key in _good_archives:
         return
     if archive_state(path) is Checksum.DAMAGED:
         raise damaged(path)
-    while len(_verified) >= _MOST_VERIFIED:
-        _verified.pop(next(iter(_verified)), None)
-    _verified[key] = None
+    _good_archives.add(key)
 
 
 def file_mark(path: Path) -> FileMark:

@@ -14,7 +14,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.stack import Bracket, FieldStack, Image
-from wafer_viewer.store.checksums import FileMark, file_mark, mend_of
+from wafer_viewer.store.checksums import KnownGood, file_mark, mend_of
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
 from wafer_viewer.store.pages import map_pages, tags_crc32c
 from wafer_viewer.store.progress import Progress, ShouldStop, watched
@@ -24,9 +24,8 @@ from wafer_viewer.store.result import Result
 if TYPE_CHECKING:
     from wafer_viewer.store.integrity import KindReport
 
-_MOST_VERIFIED = 8192
-_verified: dict[tuple[FileMark, str], None] = {}
-"""Stacks whose frames this process found good: the file and its state, and the checksum of what the journal says."""
+_good_stacks = KnownGood()
+"""By the file of frames and its state, and the checksum of what the journal says of them."""
 FILES_SHARE = 0.5
 """Of a check, how much of the progress bar all files but the frames take."""
 
@@ -289,16 +288,14 @@ class Dataset:
         """Raise DatasetError when a page is not what the journal has a checksum of; a file is read once."""
         path = frames_file(self.path, field)
         key = file_mark(path), checksum
-        if key in _verified:
+        if key in _good_stacks:
             return
         if bad := self._bad(pages, lines):
             raise DatasetError(
                 f"{path} is damaged, the checksum of frame {bad[0].k} differs"
                 f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {mend_of(path)}."
             )
-        while len(_verified) >= _MOST_VERIFIED:
-            _verified.pop(next(iter(_verified)), None)
-        _verified[key] = None
+        _good_stacks.add(key)
 
 
 def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:

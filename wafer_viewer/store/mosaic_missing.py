@@ -12,7 +12,7 @@ from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.store import mosaic_layout
-from wafer_viewer.store.checksums import mend_of
+from wafer_viewer.store.checksums import KnownGood, file_mark, mend_of
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.mosaic_facts import FACTS, blocks_with_heights
 from wafer_viewer.store.mosaic_layout import FILLS, GROUP, SPANS, levels_of
@@ -22,9 +22,8 @@ HEIGHTS = ("z_um", "z_raw_um", "origin")
 VANISHES = ("all_in_focus",)
 """Layers that may be nothing but fill in a coarser level where they are not in a finer one."""
 Place = tuple[int, int]
-_MOST_KEPT = 256
-_whole: dict[tuple[Path, int, int], None] = {}
-"""Mosaics of which this process found no file missing: path, and inode and time of change of their header."""
+_whole = KnownGood()
+"""Mosaics of which no file is missing, by the state of their header."""
 
 
 def missing_files(mosaic: ZarrMosaic, *, heights_only: bool = False) -> Iterator[Path]:
@@ -70,14 +69,10 @@ def require_whole(mosaic: ZarrMosaic) -> None:
 
 def require_whole_once(mosaic: ZarrMosaic) -> None:
     """Raise as `require_whole` does; a mosaic that did not change is looked at once by this process."""
-    stat = (mosaic.path / GROUP).stat()
-    key = mosaic.path, stat.st_ino, stat.st_mtime_ns
-    if key in _whole:
-        return
-    require_whole(mosaic)
-    while len(_whole) >= _MOST_KEPT:
-        _whole.pop(next(iter(_whole)), None)
-    _whole[key] = None
+    key = file_mark(mosaic.path / GROUP)
+    if key not in _whole:
+        require_whole(mosaic)
+        _whole.add(key)
 
 
 def missing(path: Path) -> DatasetError:

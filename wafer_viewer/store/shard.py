@@ -38,7 +38,7 @@ class Shards:
     shard_px: int
 
     def read(self, path: Path, rows: slice, cols: slice) -> NDArray[Any]:
-        """A part of the shard at `path`; the fill value where there is not a file.
+        """A part of the shard at `path`; the fill value where there is no file.
 
         Raises DatasetError when the file is damaged.
         """
