@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
 from wafer_viewer.model.errors import DiesNotFound, MeasureError

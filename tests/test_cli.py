@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from wafer_viewer.__main__ import COMMANDS
+from wafer_viewer.cli.app import COMMANDS
 from wafer_viewer.store.dataset import Dataset
 
 pytestmark = pytest.mark.slow

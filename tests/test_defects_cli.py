@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.golden import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region

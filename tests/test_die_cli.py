@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.feature import Dies
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.spec import encode, replace

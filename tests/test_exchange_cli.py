@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.store.samples import CALIBRATION, make_surface
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.store.exporters import export
 from wafer_viewer.store.readers import read_surface
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.measure.gauge_repeats import record
 from tests.session.gauge_scans import CALIBRATION, CORNERS, RIG, scan_of_blocks, surface
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.calibrations import calibration_in_force
 from wafer_viewer.store.dataset import Dataset

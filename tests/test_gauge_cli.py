@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.measure.test_repeatability import AIAG
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 
 LINES = [
     f"{part + 1},{'ABC'[appraiser]},{value}"

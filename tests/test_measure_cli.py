@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
-from wafer_viewer.__main__ import COMMANDS, main
+from wafer_viewer.cli.app import COMMANDS, main
 from wafer_viewer.store.npz import write_npz
 
 TILT, RADIUS_UM, FOOT_UM = 0.02, 60.0, 25.0

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from tests.measure.surfaces import coordinates, surface_of
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.store.npz import write_npz
 
 

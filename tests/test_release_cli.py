@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.session.judged_datasets import ELSEWHERE, STEP, judged_dataset, released_job
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.feature import Die, Dies
 from wafer_viewer.model.plan import Job
 from wafer_viewer.model.region import Region

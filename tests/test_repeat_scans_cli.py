@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.session.judged_datasets import STEP, judged_dataset, released_job
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.measure.repeatability import gauge_rr, repeats_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode, replace

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from tests.measure.surfaces import STEP_UM, gauge_blocks
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.store.npz import write_npz
 
 UPPER, LOWER = (-150, -50, -40, 50), (40, -50, 150, 50)

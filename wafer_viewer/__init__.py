@@ -9,9 +9,8 @@ import sys
 import types
 from typing import TYPE_CHECKING
 
-from wafer_viewer.homes import HOMES
-
-__version__ = "0.1.0"
+from wafer_viewer._api import MODULES
+from wafer_viewer._version import __version__
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.angle import face_angle
@@ -196,11 +195,11 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name not in HOMES:
+    if name not in MODULES:
         raise AttributeError(f"module 'wafer_viewer' has no attribute {name!r}")
     import importlib
 
-    found = getattr(importlib.import_module(f"wafer_viewer.{HOMES[name]}"), name)
+    found = getattr(importlib.import_module(f"wafer_viewer.{MODULES[name]}"), name)
     return globals().setdefault(name, found)
 
 
@@ -212,7 +211,7 @@ class _Api(types.ModuleType):
     """`reconstruct` is both a function of the API and a room of the house: here the function keeps the name."""
 
     def __setattr__(self, name: str, value: object) -> None:
-        if not (name in HOMES and isinstance(value, types.ModuleType)):
+        if not (name in MODULES and isinstance(value, types.ModuleType)):
             super().__setattr__(name, value)
 
 

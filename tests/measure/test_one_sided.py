@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, surface_of
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.measure.one_sided import REFUSED, site_ranges
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.glossary import GLOSSARY, find_terms, glossary_markdown
 
 ROOT = Path(__file__).parent.parent.parent

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import wafer_viewer as wv
-from wafer_viewer.flags import recipe_file
+from wafer_viewer.cli.parser import recipe_file
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 from wafer_viewer.model.spec import decode

@@ -12,7 +12,7 @@ import tifffile
 from numpy.typing import NDArray
 
 import wafer_viewer as wv
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
 from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.model.surface import HeightMap, Origin

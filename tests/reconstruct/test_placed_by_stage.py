@@ -11,7 +11,7 @@ import tifffile
 from scipy.ndimage import gaussian_filter
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.recipe import Recipe, Stitching

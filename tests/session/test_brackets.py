@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wafer_viewer as wv
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import wafer_viewer as wv
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 
 STACK = Path(__file__).parents[3] / "shared" / "data" / "pcb-stack"
 pytestmark = [

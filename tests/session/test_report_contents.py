@@ -12,7 +12,7 @@ import pytest
 
 from tests.measure.gauge_repeats import signed
 from tests.session.judged_datasets import RESULT, STEP, judged_dataset, released_job
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.measure.tools import measured
 from wafer_viewer.model.feature import Die, Dies
 from wafer_viewer.model.findings import Findings

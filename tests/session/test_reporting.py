@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
-from wafer_viewer.__main__ import main
+from wafer_viewer.cli.app import main
 from wafer_viewer.measure.step import step_height
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.feature import Feature

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.poses import Poses

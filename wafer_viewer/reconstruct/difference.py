@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.model.comparison import Change, Registration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region

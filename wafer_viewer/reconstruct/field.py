@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.refused import RefusedHeights

@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
 from wafer_viewer.session.worker import Sight, attempt, attempt_if_fit, source_mark, why_other, why_unfit, works_on
 

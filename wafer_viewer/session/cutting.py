@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.measure.heights import Layer
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.sections import Section, SectionAsked

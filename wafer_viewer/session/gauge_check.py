@@ -99,7 +99,7 @@ def signed(check: GaugeCheck, operator: str, records: Sequence[GaugeRecord]) -> 
 
 def record_of(check: GaugeCheck, rig: str, result: str) -> GaugeRecord:
     """What the log keeps of a signed check."""
-    from wafer_viewer import __version__
+    from wafer_viewer._version import __version__
 
     return GaugeRecord(check=check, rig=rig, result=result, software_version=__version__)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.notebook import keys_of_features, keys_under_review

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer import __version__
+from wafer_viewer._version import __version__
 from wafer_viewer.model.errors import WaferViewerError
 
 if TYPE_CHECKING:

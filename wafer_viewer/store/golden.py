@@ -135,7 +135,7 @@ def _write_next(golden: GoldenDie, folder: Path, name: str, version: int) -> Pat
 
 
 def _kept_now(header: GoldenHeader, name: str, version: int) -> GoldenHeader:
-    from wafer_viewer import __version__
+    from wafer_viewer._version import __version__
 
     at = header.made_at or datetime.now().isoformat(timespec="seconds")
     return replace(header, name=name, version=version, made_at=at, software_version=__version__)

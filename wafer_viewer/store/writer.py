@@ -14,7 +14,7 @@ from typing import Self
 import msgspec
 import numpy as np
 
-import wafer_viewer
+from wafer_viewer._version import __version__
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import PulseSummary
 from wafer_viewer.model.errors import DatasetError
@@ -70,7 +70,7 @@ class DatasetWriter:
         """
         folder = Path(path)
         record = ScanRecord(
-            software_version=wafer_viewer.__version__,
+            software_version=__version__,
             taken=_now(),
             rig=rig,
             simulated=simulated,

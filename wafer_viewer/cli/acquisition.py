@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.arguments import (
+from wafer_viewer.cli.arguments import (
     DatasetFolder,
     File,
     Folder,
@@ -24,7 +24,7 @@ from wafer_viewer.arguments import (
     Word,
     require_sources,
 )
-from wafer_viewer.command_output import (
+from wafer_viewer.cli.output import (
     plan_facts,
     print_check,
     print_checks,

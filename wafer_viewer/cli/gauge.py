@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import msgspec
 from tyro.conf import Positional, arg
 
-from wafer_viewer.arguments import File, Rectangle, Sources, Text
-from wafer_viewer.command_output import print_json
+from wafer_viewer.cli.arguments import File, Rectangle, Sources, Text
+from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge import GaugeTerms
 from wafer_viewer.model.region import Region

@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 
-from wafer_viewer.arguments import File, Integers, Level, Numbers, OutFile, Source, levelling_from
-from wafer_viewer.command_output import print_json
+from wafer_viewer.cli.arguments import File, Integers, Level, Numbers, OutFile, Source, levelling_from
+from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.cuts import MOST_LINES, column_line, row_line
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region

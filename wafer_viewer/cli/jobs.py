@@ -8,8 +8,8 @@ from typing import Annotated
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import DatasetFolder, File, PlanFile, Text
-from wafer_viewer.command_output import print_json, print_trial, progress
+from wafer_viewer.cli.arguments import DatasetFolder, File, PlanFile, Text
+from wafer_viewer.cli.output import print_json, print_trial, progress
 
 
 def release(

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import Count, File, Source, Text, Um
-from wafer_viewer.command_output import print_json, progress, warn
+from wafer_viewer.cli.arguments import Count, File, Source, Text, Um
+from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.defect_limits import DefectLimits
 from wafer_viewer.model.defect_verdict import verdict_of
 from wafer_viewer.model.defects import DefectRecipe, Inspection

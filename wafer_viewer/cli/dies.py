@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import File, Place, Source
-from wafer_viewer.command_output import print_json
+from wafer_viewer.cli.arguments import File, Place, Source
+from wafer_viewer.cli.output import print_json
 from wafer_viewer.session.given_dies import GivenDies
 
 Size = Annotated[tuple[float, float], arg(metavar="W H")]

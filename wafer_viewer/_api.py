@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-HOMES = {
+MODULES = {
     "AreaVolume": "model.findings",
     "Calibration": "model.calibration",
     "Certificate": "model.gauge",

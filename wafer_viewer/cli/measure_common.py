@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from wafer_viewer.arguments import levelling_from
-from wafer_viewer.command_output import print_json
+from wafer_viewer.cli.arguments import levelling_from
+from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measuring import ToolName
 from wafer_viewer.model.options import ToolOptions

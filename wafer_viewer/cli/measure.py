@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import msgspec
 from tyro.conf import arg
 
-from wafer_viewer.arguments import Circle, Level, Line, Place, Rectangle, Source, Um
-from wafer_viewer.command_output import print_json
-from wafer_viewer.measure_answers import measure as _measure
-from wafer_viewer.measure_answers import print_finding as _print
-from wafer_viewer.measure_answers import surface_over as _surface
+from wafer_viewer.cli.arguments import Circle, Level, Line, Place, Rectangle, Source, Um
+from wafer_viewer.cli.measure_common import measure as _measure
+from wafer_viewer.cli.measure_common import print_finding as _print
+from wafer_viewer.cli.measure_common import surface_over as _surface
+from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.options import RoughnessOptions, TextureOptions, ToolOptions
 from wafer_viewer.model.region import Region
 

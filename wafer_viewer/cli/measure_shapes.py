@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from wafer_viewer.arguments import Circle, Level, Rectangle, Source
-from wafer_viewer.measure_answers import measure
+from wafer_viewer.cli.arguments import Circle, Level, Rectangle, Source
+from wafer_viewer.cli.measure_common import measure
 from wafer_viewer.model.options import (
     ChippingOptions,
     CircleOptions,

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from wafer_viewer.arguments import (
+from wafer_viewer.cli.arguments import (
     Count,
     DatasetFolder,
     File,
@@ -20,7 +20,7 @@ from wafer_viewer.arguments import (
     Um,
     require_sources,
 )
-from wafer_viewer.command_output import print_json, print_surface, progress, warn
+from wafer_viewer.cli.output import print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.report import PARTS, Part, ReportOrder

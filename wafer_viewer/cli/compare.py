@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 from tyro.conf import Positional, arg
 
-from wafer_viewer.command_output import print_json, progress, warn
+from wafer_viewer.cli.output import print_json, progress, warn
 from wafer_viewer.model.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.errors import DatasetError
 

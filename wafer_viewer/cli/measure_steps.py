@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, arg
 
-from wafer_viewer.arguments import Level, Line, Source
-from wafer_viewer.measure_answers import measure, print_finding, surface_over
+from wafer_viewer.cli.arguments import Level, Line, Source
+from wafer_viewer.cli.measure_common import measure, print_finding, surface_over
 from wafer_viewer.model.conditions import STEEL_PER_K, Conditions
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.options import GrooveOptions, StepDefinition, ToolOptions

@@ -1,0 +1,165 @@
+"""The command line: finds the command, reads its flags, and tells what went wrong in one sentence, status 2."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+
+PROGRAM = "wafer-viewer"
+REFUSED, INTERRUPTED = 2, 130
+
+
+class Command(NamedTuple):
+    """A command: its module in this package, its summary, and its function where that has another name."""
+
+    module: str
+    summary: str
+    function: str | None = None
+
+
+COMMANDS: dict[str, Command] = {
+    "serve": Command("acquisition", "open the viewer in the browser"),
+    "plan": Command("acquisition", "estimate the time of every way to scan a plan; nothing moves"),
+    "scan": Command("acquisition", "scan without the browser, or continue an unfinished scan"),
+    "import": Command("acquisition", "make a dataset of images taken elsewhere, or of a surface file", "import_"),
+    "reconstruct": Command("surface", "make a surface of a focus stack or a dataset, as a file"),
+    "release": Command("jobs", "make a plan a job that operators run with four actions"),
+    "stitch": Command("surface", "make the stitched surface of a dataset"),
+    "measure point": Command("measure", "the height at a point"),
+    "measure distance": Command("measure", "the distance between two points"),
+    "measure step": Command("measure_steps", "the height of one region over another"),
+    "measure groove": Command("measure_steps", "the depth of a groove, or the height of a step, along a line"),
+    "measure angle": Command("measure", "the angle between two faces"),
+    "measure radius": Command("measure", "the radius and the height of a bump or pit"),
+    "measure volume": Command("measure", "area and volume over and under a plane"),
+    "measure flatness": Command("measure", "the flatness of a face"),
+    "measure texture": Command("measure", "the texture of a face"),
+    "measure roughness": Command("measure", "the roughness along a line"),
+    "measure kerf": Command("measure_shapes", "the width of a kerf, on the picture"),
+    "measure die": Command("measure_shapes", "the size of a die, on the picture"),
+    "measure dies": Command("dies", "the lattice of the dies, and which are whole, cut, not scanned or missing"),
+    "measure circle": Command("measure_shapes", "the diameter of something round, on the picture"),
+    "measure chipping": Command("measure_shapes", "the chips along an edge of a die, on the picture"),
+    "measure coplanarity": Command("measure_shapes", "how far bumps lie from one plane, and how high each is"),
+    "measure profile": Command("measure_profile", "sections along lines, rows and columns: numbers, table or picture"),
+    "measure site-range": Command("measure", "front-surface site range, as mounted", "measure_site_range"),
+    "measure gauge": Command("gauge", "check the instrument against certified gauge blocks; history of checks"),
+    "measure rr": Command("gauge", "repeatability and reproducibility of repeated measurements"),
+    "measure defects": Command("defects", "the defects of a patterned wafer, with a status by limits for each die"),
+    "measure verdict": Command("jobs", "whether a wafer is good by the features of its job"),
+    "calibrate z": Command("gauge", "set the z scale by a signed check against gauge blocks"),
+    "compare": Command("compare", "the second of two surfaces minus the first, aligned before"),
+    "report": Command("surface", "write the report of a dataset as one HTML file that prints well"),
+    "why": Command("surface", "why a pixel has its height, or none"),
+    "check": Command("acquisition", "test every checksum of a dataset and name missing frames"),
+    "cluster": Command("acquisition", "make what several machines need to work together"),
+    "convert": Command("surface", "write a surface in another format"),
+    "glossary": Command("acquisition", "what the words of this program mean"),
+    "doctor": Command("acquisition", "what this machine has and lacks, and how to fix it"),
+}
+OWN_RECIPE = frozenset({"measure defects"})
+"""Commands whose --recipe is not one that makes surfaces: they read it themselves."""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        return run(list(sys.argv[1:] if argv is None else argv)) or 0
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: stopped.", file=sys.stderr)
+        return INTERRUPTED
+    except WaferViewerError as fault:
+        return _refuse(str(fault))
+    except BrokenPipeError:
+        sys.stderr.close()
+        return REFUSED
+    except OSError as fault:
+        return _refuse(f"{fault.filename or PROGRAM}: {fault.strerror or fault}.")
+
+
+def run(argv: list[str]) -> int | None:
+    """Find the command and run it. Raises WaferViewerError for whatever a person can mend."""
+    if not argv:
+        argv = ["serve"]
+    if argv[0] in ("-h", "--help", "help"):
+        print(_overview())
+        return None
+    if argv[0] == "--version":
+        from wafer_viewer._version import __version__
+
+        print(f"{PROGRAM} {__version__}")
+        return None
+    name, rest = _command(argv)
+    return _call(name, rest)
+
+
+def _command(argv: list[str]) -> tuple[str, list[str]]:
+    """The command's name and its arguments; flags alone are those of `serve`."""
+    if argv[0].startswith("-"):
+        return "serve", argv
+    for words in (2, 1):
+        if (name := " ".join(argv[:words])) in COMMANDS:
+            return name, argv[words:]
+    group = [name for name in COMMANDS if name.startswith(f"{argv[0]} ")]
+    if argv[0] == "measure":
+        _refuse_two_sided(argv[1:2])
+    if group:
+        raise PlanError(f"'{argv[0]}' needs to be told what: {', '.join(group)}.")
+    raise PlanError(f"There is no command '{argv[0]}': choose one of {', '.join(COMMANDS)}.")
+
+
+def _refuse_two_sided(terms: list[str]) -> None:
+    """Raise MeasureError for a term that a map of one side cannot have."""
+    from wafer_viewer.measure.one_sided import REFUSED, refuse
+
+    for term in terms:
+        if term.lower() in REFUSED:
+            raise refuse(term.lower())
+
+
+def _call(name: str, rest: list[str]) -> int | None:
+    """Read the flags of a command through its signature, and call it."""
+    import tyro
+
+    from wafer_viewer.cli.parser import for_people, recipe_file
+
+    function = _function(name)
+    recipe, rest = (None, rest) if name in OWN_RECIPE else recipe_file(rest)
+    if recipe is not None:
+        function = functools.partial(function, recipe=recipe)
+    prog = f"{PROGRAM} {name}"
+    with for_people(rest, prog):
+        return tyro.cli(function, prog=prog, args=rest, config=(tyro.conf.FlagCreatePairsOff,))
+
+
+def _function(name: str) -> Callable[..., int | None]:
+    command = COMMANDS[name]
+    module = importlib.import_module(f"wafer_viewer.cli.{command.module}")
+    return getattr(module, command.function or name.replace(" ", "_"))
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} [COMMAND] [OPTIONS]",
+            "",
+            "Takes focus stacks of wafers, makes surfaces of them, shows and measures them.",
+            "Without a command it opens the viewer on the virtual rig.",
+            "",
+            *lines,
+            "",
+            f"{PROGRAM} COMMAND --help says more about one of them.",
+        ]
+    )
+
+
+def _refuse(sentence: str) -> int:
+    print(f"{PROGRAM}: {' '.join(sentence.split())}", file=sys.stderr)
+    return REFUSED
