@@ -26,6 +26,7 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
+from wafer_viewer.compute.task_runner import Crew, crew_for
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.stack import Frame, FrameStatus
@@ -33,7 +34,6 @@ from wafer_viewer.reconstruct.field import warm_up
 from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
-from wafer_viewer.session.crew import Crew, crew_for
 from wafer_viewer.session.tasks import reconstruct_field
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.writer import DatasetWriter

@@ -23,12 +23,12 @@ from tests.bench.tables import met, show
 from tests.truth.defects import DEPTH_UM, Plan
 from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
+from wafer_viewer.compute.dask_cluster import client_of
+from wafer_viewer.compute.task_runner import Cluster, Crew, Here
 from wafer_viewer.model.defects import Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.rigs.virtual.scene import Scene, Window
-from wafer_viewer.session.cluster import client_of
-from wafer_viewer.session.crew import Cluster, Crew, Here
 from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic
 

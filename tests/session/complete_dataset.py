@@ -13,13 +13,13 @@ from wafer_viewer.model.feature import Feature
 from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.notebook import Notebook, SavedView
 from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.progress import silent
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.offline import make_surface
 from wafer_viewer.session.subtraction import keep_difference
-from wafer_viewer.session.tasks import silent
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.defects import write_inspection
 from wafer_viewer.store.notebook import write_notebook

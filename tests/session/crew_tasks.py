@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.tasks import never, silent
+from wafer_viewer.model.progress import never, silent
 
 SIEVE = 200_000
 

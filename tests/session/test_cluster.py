@@ -17,8 +17,8 @@ import psutil
 import pytest
 
 from tests.session import crew_tasks
+from wafer_viewer.compute.task_runner import crew_for
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.session.crew import crew_for
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import import_dataset
 

@@ -9,10 +9,11 @@ import psutil
 import pytest
 
 from tests.session import crew_tasks
+from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.messages import Progressed
+from wafer_viewer.compute.task_runner import Here, crew_for
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.session.compute import Compute
-from wafer_viewer.session.crew import Here, crew_for
-from wafer_viewer.session.messages import Progressed
+from wafer_viewer.session.tasks import warm_up
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ def test_a_work_is_led_by_the_host_while_single_tasks_go_first(patience_s):
         if isinstance(event, Progressed) and event.work == "endless":
             moving.set()
 
-    compute = Compute(None, hear, lambda code: None)
+    compute = Compute(None, warm_up, hear, lambda code: None)
     try:
         assert compute.lead("squares", crew_tasks.lead_squares, 200).result(patience_s) == sum(
             i * i for i in range(200)

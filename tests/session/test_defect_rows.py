@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 from tests.session.patterned_dataset import PLANTED, patterned_dataset
+from wafer_viewer.compute.task_runner import Crew, Done, Here, crew_for
 from wafer_viewer.measure import die_cells
 from wafer_viewer.measure.defect_filters import BINS
 from wafer_viewer.measure.defect_noise import Noise
@@ -19,7 +20,6 @@ from wafer_viewer.measure.golden import Golden
 from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.session import defect_rows
-from wafer_viewer.session.crew import Crew, Done, Here, crew_for
 from wafer_viewer.session.defect_offline import inspected, wafer_of
 from wafer_viewer.session.defect_rows import in_order
 from wafer_viewer.session.defect_work import inspect_dataset

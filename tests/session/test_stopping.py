@@ -10,6 +10,7 @@ from multiprocessing import Pipe
 import numpy as np
 import pytest
 
+from wafer_viewer.compute.child_process import Answer, Ask, ChildEnd
 from wafer_viewer.model.devices import Position
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.config import RigConfig
@@ -18,7 +19,6 @@ from wafer_viewer.session import instrument as instrument_module
 from wafer_viewer.session.desk import Desk as SessionDesk
 from wafer_viewer.session.drafting import plan_of
 from wafer_viewer.session.instrument import Instrument, Reports
-from wafer_viewer.session.link import Answer, Ask, ChildEnd
 from wafer_viewer.session.messages import At, Move, Scan, ScanEnded, Stop
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.rig_process import Operator

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
 from wafer_viewer.model.devices import Position, Rig
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.model.plan import Axis
+from wafer_viewer.model.progress import ShouldStop
 
 SPARE_FRACTION = 0.5
 SPARE_S = 2.0
@@ -76,7 +77,7 @@ class Deadline:
         return max(away.items(), key=lambda item: item[1])
 
 
-def move(rig: Rig, goal_um: Mapping[Axis, float], should_stop: Callable[[], bool]) -> None:
+def move(rig: Rig, goal_um: Mapping[Axis, float], should_stop: ShouldStop) -> None:
     """Go to a place and settle there.
 
     Raises MotionStopped where `should_stop` says so, RigTimeout when it is not reached in time.
@@ -98,7 +99,7 @@ def move(rig: Rig, goal_um: Mapping[Axis, float], should_stop: Callable[[], bool
     await_arrival(rig, deadline, should_stop)
 
 
-def await_arrival(rig: Rig, deadline: Deadline, should_stop: Callable[[], bool]) -> None:
+def await_arrival(rig: Rig, deadline: Deadline, should_stop: ShouldStop) -> None:
     """Wait for a stage that reported the end of its motion before it stood at its goal."""
     while not deadline.arrived:
         if should_stop():

@@ -11,6 +11,7 @@ from wafer_viewer.acquire.reconcile import DeviceClock, Pairing, Reconciler, Tim
 from wafer_viewer.model.devices import CameraImage, PulseSummary, Rig
 from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
 from wafer_viewer.model.plan import Axis, Leg, PulseTrain
+from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.stack import Frame
 
 POLL_S = 0.05
@@ -91,7 +92,7 @@ def run_pass(
     exposure_us: float,
     clock: DeviceClock,
     take: Callable[[Frame], None],
-    should_stop: Callable[[], bool],
+    should_stop: ShouldStop,
 ) -> PassResult:
     """Carry out a leg; every frame goes to `take` while the pass runs, and counts only by the result of the pass.
 
@@ -116,7 +117,7 @@ class _Pass:
         exposure_us: float,
         clock: DeviceClock,
         take: Callable[[Frame], None],
-        should_stop: Callable[[], bool],
+        should_stop: ShouldStop,
     ) -> None:
         self._rig = rig
         self._leg = leg

@@ -72,8 +72,8 @@ def serve(
         open_browser: Also open the page in the browser of this machine.
         new_token: Replace the token of the folder's address: addresses printed earlier no longer open the page.
     """
+    from wafer_viewer.compute.malloc_trim import return_what_is_freed
     from wafer_viewer.gui.app import serve as serve_page
-    from wafer_viewer.session.memory import return_what_is_freed
     from wafer_viewer.session.page_token import page_token
     from wafer_viewer.session.session import Session
 
@@ -257,7 +257,7 @@ def cluster(folder: Folder, host: Text = None) -> None:
         folder: A new folder; whoever has a copy can run code on the machines of the cluster.
         host: Name or address of the machine that shares out the work; this one without it.
     """
-    from wafer_viewer.session.cluster_files import write_cluster_files
+    from wafer_viewer.compute.cluster_credentials import write_cluster_files
 
     write_cluster_files(folder)
     print_cluster(folder.absolute(), host or socket.gethostname())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from rich.table import Table
 
 from wafer_viewer.model.feature import limits_text
 from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.progress import Progress
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -191,7 +192,7 @@ secret: whoever has it can run code on them. On {host}, which shares out the wor
   {there} dask scheduler {closed}
 On every machine that works, with as many workers as it has processors and 3 GiB for each:
   {there} dask worker tls://{host}:8786 --nworkers 2 --nthreads 1 --memory-limit 3GiB \
-    --preload-nanny wafer_viewer.session.worker {closed}
+    --preload-nanny wafer_viewer.compute.dask_worker {closed}
 Where the viewer or the command line runs:
   {ours} serve --scheduler tls://{host}:8786
   {ours} stitch NAME.wafer --scheduler tls://{host}:8786
@@ -204,7 +205,7 @@ def warn(sentence: str) -> None:
 
 
 @contextmanager
-def progress(what: str) -> Generator[Callable[[float], None]]:
+def progress(what: str) -> Generator[Progress]:
     """A bar on standard error for work that takes long, where a person looks at it; yields what moves it, 0 to 1."""
     console = Console(stderr=True)
     if not console.is_terminal:

@@ -31,6 +31,7 @@ from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Referen
 from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.golden import GoldenDie
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
 
@@ -38,7 +39,6 @@ TILE_PX = 1024
 """Without a grid a surface is gone through in squares of so many pixels."""
 MOST_DEFECTS = 5000
 OTHER_PRODUCT = 0.1
-Progress = Callable[[float], None]
 Row = list[CellResult]
 RowsBy = Callable[[Work, Noise, Sequence[tuple[Place, ...]]], Generator[Row]]
 """Hands that do ``compared(work, row, noise)`` for each of the rows, and give what came of it in their order."""
@@ -52,7 +52,7 @@ def inspect(
     *,
     calibration_valid: bool = True,
     progress: Progress | None = None,
-    should_stop: Callable[[], bool] | None = None,
+    should_stop: ShouldStop | None = None,
     rows_by: RowsBy | None = None,
     no_dies: str = "No grid of dies",
 ) -> Inspection:
@@ -179,9 +179,7 @@ def _one_by_one(work: Work, noise: Noise, rows: Sequence[tuple[Place, ...]]) -> 
     return (compared(work, row, noise) for row in rows)
 
 
-def _watched(
-    rows: Iterable[Row], n: int, progress: Progress | None, should_stop: Callable[[], bool] | None
-) -> Iterator[Row]:
+def _watched(rows: Iterable[Row], n: int, progress: Progress | None, should_stop: ShouldStop | None) -> Iterator[Row]:
     for k, row in enumerate(rows, 1):
         if should_stop is not None and should_stop():
             raise MeasureError("The inspection was stopped: nothing of it is kept.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Axis, PulseTrain, ScanPlan
+from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.stack import FrameStatus, Image
 
@@ -107,7 +107,7 @@ class Stage(Protocol):
         x_um: float | None = None,
         y_um: float | None = None,
         z_um: float | None = None,
-        should_stop: Callable[[], bool] | None = None,
+        should_stop: ShouldStop | None = None,
     ) -> None:
         """Go there at full speed and wait until it has settled; None leaves an axis where it is.
 
@@ -261,7 +261,7 @@ class Rig(Protocol):
         """A picture of the sample, where there is one."""
         ...
 
-    def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
+    def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
         """Get ready for a plan where that takes time of its own, before the scan's time begins."""
         ...
 

@@ -7,13 +7,14 @@ heights are compared instead.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Doubt, SaidBy, Shifts
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.reconstruct.match import Match, match
 from wafer_viewer.reconstruct.parts import on_threads
@@ -45,7 +46,7 @@ def register(
     pairs: NDArray[np.int32],
     reach_um: float | None = None,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Shifts:
     """How each pair of fields (their places in the list, int32 [n, 2]) lies beside what the stage says.
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.poses import Seams
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.differences import differences
@@ -47,7 +48,7 @@ def compare(
     x_um: Numbers,
     y_um: Numbers,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Seams:
     """The planes by which the measured heights of pairs of fields differ, at the centres (x_um, y_um) of all fields.
 

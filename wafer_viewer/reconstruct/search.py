@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, USUAL_CAMERA, Focusing
@@ -22,8 +23,6 @@ from wafer_viewer.reconstruct.volume import Source, Volume
 
 STRIPE_ROWS = 32
 """A multiple of `COARSE_PX`; the focus volumes of two threads then fit the third cache of most processors."""
-
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.plan import Field
 from wafer_viewer.model.poses import Form, Poses, Seams, Shifts, no_seams, no_shifts
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import HeightMap, Outline
@@ -27,7 +28,6 @@ from wafer_viewer.reconstruct.seams import compare
 
 Pairs = NDArray[np.int32]
 Um = NDArray[np.float64]
-Progress = Callable[[float], None]
 REGISTER_SHARE = 0.8
 """Of the work in `stitch`, which leaves the blending to whoever asks for a window."""
 

@@ -16,8 +16,8 @@ from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.compared import Compared
 
 if TYPE_CHECKING:
+    from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.surface import Mosaic
-    from wafer_viewer.session.compute import Compute
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.library import Library
     from wafer_viewer.session.notices import Notices

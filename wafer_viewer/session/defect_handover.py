@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
     from wafer_viewer.model.defects import Inspection

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +12,7 @@ from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.golden import GoldenDie
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface import Mosaic
@@ -60,7 +61,7 @@ def inspected(
     given: GivenDies,
     golden: GoldenDie | None,
     against: str,
-    tell: Callable[[float], None],
+    tell: Progress,
     hire: Hire = Hire(),
 ) -> Inspection:
     """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.

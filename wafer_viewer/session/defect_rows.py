@@ -18,8 +18,8 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.session.crew import Crew, Done, Here
-from wafer_viewer.session.tasks import ShouldStop, never
+from wafer_viewer.compute.task_runner import Crew, Done, Here
+from wafer_viewer.model.progress import ShouldStop, never
 from wafer_viewer.store.files import remove
 from wafer_viewer.store.planes import read_planes, write_planes
 

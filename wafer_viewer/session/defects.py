@@ -17,8 +17,8 @@ from wafer_viewer.session.history import History
 from wafer_viewer.session.inspection_state import InspectionState
 
 if TYPE_CHECKING:
+    from wafer_viewer.compute.compute_client import Compute
     from wafer_viewer.model.defect_limits import DefectLimits
-    from wafer_viewer.session.compute import Compute
     from wafer_viewer.session.defect_files import DefectFiles
     from wafer_viewer.session.defect_views import DefectViews
     from wafer_viewer.session.desk import Desk

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.plan import Field, ScanPlan
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.session.placement import as_stitched
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset import Dataset

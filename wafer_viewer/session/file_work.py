@@ -6,17 +6,18 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.watched_tasks import Args, WatchedTask
 from wafer_viewer.model.comparison import comparison_of
 from wafer_viewer.model.formats import Reading
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
-from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.reporting import make_report
 from wafer_viewer.session.surface_import import import_surface
-from wafer_viewer.session.tasks import Args, WatchedTask, export_surface, import_images
+from wafer_viewer.session.tasks import export_surface, import_images
 
 
 class FileWork:

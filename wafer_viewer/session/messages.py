@@ -1,10 +1,9 @@
-"""What the viewer asks of the rig's process and of the compute host, and what these report."""
+"""Commands to the rig process, and its reports."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview, Position
@@ -12,9 +11,6 @@ from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.session.state import LatestFrame, ScanProgress
-
-if TYPE_CHECKING:
-    from wafer_viewer.session.tasks import LedTask, WatchedTask
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,58 +131,3 @@ class ScanEnded:
     stopped: bool
     n_missing: int
     error: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """Carry out ``task(*args, progress=…, should_stop=…)`` on a worker. Answered with what it returns."""
-
-    work: str
-    task: WatchedTask[*tuple[Any, ...], Any]
-    args: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Lead:
-    """Carry out ``task(*args, crew=…, progress=…, should_stop=…)`` in the host, where it hands the crew many tasks.
-
-    Answered with what it returns.
-    """
-
-    work: str
-    task: LedTask[*tuple[Any, ...], Any]
-    args: tuple[Any, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Cancel:
-    """Tell the tasks of a work to stop. Answered at once."""
-
-    work: str
-
-
-@dataclass(frozen=True, slots=True)
-class ComputeUp:
-    """The workers take tasks."""
-
-    n_workers: int
-
-
-@dataclass(frozen=True, slots=True)
-class ComputeWarm:
-    """Every kernel is compiled: fields can be reconstructed without waiting for that."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComputeAbsent:
-    """There is no cluster, and why."""
-
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Progressed:
-    """How far a work is, 0 to 1."""
-
-    work: str
-    fraction: float

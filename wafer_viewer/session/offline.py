@@ -8,27 +8,27 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from wafer_viewer.compute.dask_worker import attempt
+from wafer_viewer.compute.task_runner import Crew, Here, crew_for, n_local_workers, require_tls
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.evidence import FocusCurve
 from wafer_viewer.model.formats import Reading
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.session.crew import Crew, Here, crew_for, n_local_workers, require_tls
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.session.summary import summarise
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.session.worker import attempt
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.importers import open_stack
 from wafer_viewer.store.lock import Lock
 from wafer_viewer.store.poses import write_poses_csv
 from wafer_viewer.store.readers import is_surface_file, read_surface
 
-Tell = Callable[[float], None]
 Warn = Callable[[str], None]
 READ_SHARE = 0.3
 """Of a reconstruction of image files, how much of the progress bar reading them takes."""
@@ -63,7 +63,7 @@ def surface_of(
     z_step_um: float | None,
     pixel_um: float | None,
     result: str,
-    tell: Tell,
+    tell: Progress,
     warn: Warn,
     hire: Hire,
     *,
@@ -90,7 +90,7 @@ def surface_of(
 
 
 def make_surface(
-    path: Path, recipe: Recipe, result: str, *, again: bool, tell: Tell, warn: Warn, hire: Hire = Hire()
+    path: Path, recipe: Recipe, result: str, *, again: bool, tell: Progress, warn: Warn, hire: Hire = Hire()
 ) -> SurfaceInfo:
     """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile.
 
@@ -134,7 +134,7 @@ def job_of(src: Path) -> Job | None:
     return Dataset.open(src).scan.job if is_dataset(src) else None
 
 
-def file_or_mosaic(src: Path, result: str, says: Reading, tell: Tell) -> Mosaic:
+def file_or_mosaic(src: Path, result: str, says: Reading, tell: Progress) -> Mosaic:
     """The surface of a file, or the stitched one of a dataset, which says everything itself."""
     if is_dataset(src):
         if says != Reading():
@@ -151,7 +151,7 @@ def evidence_of(
     recipe: Recipe,
     z_step_um: float | None,
     pixel_um: float | None,
-    tell: Tell,
+    tell: Progress,
 ) -> FocusCurve:
     """Why a pixel of images or of a dataset has its height. The default recipe gives way to that of a surface.
 
@@ -185,7 +185,7 @@ def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> li
 
 
 def _reconstruct(
-    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Tell, warn: Warn
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress, warn: Warn
 ) -> None:
     """Heights of fields; those that get none are named. Raises ComputeError where no field has any."""
     faults: list[str] = []
@@ -199,7 +199,7 @@ def _reconstruct(
 
 
 def _outcomes(
-    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Tell
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress
 ) -> Iterator[tuple[int, WaferViewerError | None]]:
     """Fields in order of completion, and the fault of those that have no heights.
 
@@ -217,5 +217,5 @@ def _outcomes(
             yield todo[n + done.index], done.fault
 
 
-def _part(tell: Tell, begin: float, length: float, share: float) -> None:
+def _part(tell: Progress, begin: float, length: float, share: float) -> None:
     tell(begin + length * share)

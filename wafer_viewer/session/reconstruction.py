@@ -9,18 +9,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.compute.child_process import ChildGone
+from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.session.compute import Compute
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library
-from wafer_viewer.session.link import ChildGone
-from wafer_viewer.session.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.run import Run
 from wafer_viewer.session.state import FieldState, SurfaceInfo
 from wafer_viewer.session.stitching import bring_up_to_date, describe_mosaic
-from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
+from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live, warm_up
 
 GROWING_PAUSES = 3.0
 """A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""
@@ -33,7 +33,7 @@ class Reconstruction:
 
     def __init__(self, desk: Desk, notices: Notices, library: Library, scheduler: str | None) -> None:
         self._desk, self._notices, self._library = desk, notices, library
-        self.compute = Compute(scheduler, self._heard, self._gone)
+        self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
         self._n_workers, self._warm, self._restarts = 1, False, 0
         self._told_why = False
         self._run: Run | None = None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.trial import Trial
 from wafer_viewer.model.verdict import WaferVerdict
@@ -33,7 +34,7 @@ def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, 
     return ready
 
 
-def tried(job: Job, against: Sequence[Path], result: str, tell: Callable[[float], None]) -> Trial:
+def tried(job: Job, against: Sequence[Path], result: str, tell: Progress) -> Trial:
     """What a job comes to on stored datasets, and in folders of them."""
     return try_job(job, datasets_of(against), result, progress=tell)
 

@@ -12,6 +12,7 @@ from wafer_viewer._version import __version__
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.notebook import keys_of_features, keys_under_review
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
 from wafer_viewer.session.finding_numbers import not_evaluated
 from wafer_viewer.session.report_defects import defects, defects_held
@@ -24,7 +25,6 @@ from wafer_viewer.session.report_words import (
     surface_pairs,
     verdict_text,
 )
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
 """What a surface from a file has not."""

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError
 from wafer_viewer.model.feature import Die, Feature
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface import Mosaic
 from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.verdict import Judged
@@ -25,12 +26,11 @@ from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.library import DEFAULT_RESULT, ENDING, today
 from wafer_viewer.session.offline import Hire, make_surface
 from wafer_viewer.session.revision_words import added, feature_changes, recipe_changes, taken_off
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.result import Result
 
 if TYPE_CHECKING:
-    from wafer_viewer.session.crew import Crew
+    from wafer_viewer.compute.task_runner import Crew
 
 Key = tuple[str, str]
 """A feature and the die that it is on."""

@@ -12,6 +12,7 @@ from typing import Any
 from wafer_viewer.model.devices import Rig, SampleChanger
 from wafer_viewer.model.errors import DatasetError, PlanError
 from wafer_viewer.model.plan import Job
+from wafer_viewer.model.progress import Progress
 from wafer_viewer.session.drafting import free_bytes, plan_of
 from wafer_viewer.session.library import today
 from wafer_viewer.session.messages import Scan, ScanFault, Taken
@@ -35,7 +36,7 @@ def scan_to(
     path: Path,
     job: Job,
     rig: Rig,
-    tell: Callable[[float], None],
+    tell: Progress,
     ready: Callable[[tuple[Check, ...]], None],
     warn: Callable[[str], None],
 ) -> Ended:

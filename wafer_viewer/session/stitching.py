@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.compute.task_runner import Crew, Here
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.recipe import Recipe, Stitching
-from wafer_viewer.session.crew import Crew, Here
 from wafer_viewer.session.state import Box, SurfaceInfo
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
     from wafer_viewer.model.poses import Poses, Seams, Shifts

@@ -10,10 +10,10 @@ from wafer_viewer.model.calibration import OpticalSetup
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import Reading
 from wafer_viewer.model.plan import MIN_FRAMES, FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.summary import save_summary, summarise
-from wafer_viewer.session.tasks import Progress, ShouldStop, never, silent
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import replacing
 from wafer_viewer.store.journal import Finished, JournalWriter

@@ -13,11 +13,12 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.stack import Bracket, FieldStack, Image
 from wafer_viewer.store.checksums import KnownGood, file_mark, mend_of
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
 from wafer_viewer.store.pages import map_pages, tags_crc32c
-from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.progress import watched
 from wafer_viewer.store.record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
 from wafer_viewer.store.result import Result
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import FORMATS, MESH_POINTS, every_for
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing
 from wafer_viewer.store.formats.about import caveats
@@ -23,7 +24,6 @@ from wafer_viewer.store.formats.table import write_csv, write_xyz
 from wafer_viewer.store.formats.tiff import write_tiff
 from wafer_viewer.store.formats.x3p import write_x3p
 from wafer_viewer.store.npz import write_npz_strips
-from wafer_viewer.store.progress import Progress, ShouldStop
 
 __all__ = ["EXPORTERS", "caveats", "export", "losses", "require_known", "write_surface"]
 

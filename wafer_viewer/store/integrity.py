@@ -15,13 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.checksums import Checksum, archive_state, damaged, line_state, mend_of, require_json, text_state
 from wafer_viewer.store.files import natural
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.mosaic_facts import facts_state
 from wafer_viewer.store.mosaic_missing import missing, missing_files
-from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.progress import watched
 from wafer_viewer.store.record import FRAMES, JOURNAL
 from wafer_viewer.store.result import DRAWING
 from wafer_viewer.store.shard import Shards

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.pictured import Pictured, picture_of
 from wafer_viewer.model.poses import Poses
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
 from wafer_viewer.model.surface import HeightLayer, HeightMap, Heights, Mosaic, Origin, Provenance, pixel_window
@@ -43,7 +44,7 @@ from wafer_viewer.store.mosaic_layout import (
 )
 from wafer_viewer.store.patches import Patch, patches
 from wafer_viewer.store.poses import POSES, read_poses
-from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.progress import watched
 from wafer_viewer.store.shard import ShardedArray, codecs
 
 if TYPE_CHECKING:

@@ -1,14 +1,13 @@
-"""How long work on files tells how far it is, and is told to stop."""
+"""Iteration that reports its progress and can be stopped."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
 
-Progress = Callable[[float], None]
-ShouldStop = Callable[[], bool]
 T = TypeVar("T")
 
 

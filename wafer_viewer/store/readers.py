@@ -11,6 +11,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.formats import FORMATS, READ, Reading
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.surface import HeightMap
 from wafer_viewer.store.formats.gsf import read_gsf
 from wafer_viewer.store.formats.gwy import read_gwy
@@ -21,7 +22,6 @@ from wafer_viewer.store.formats.table import read_table
 from wafer_viewer.store.formats.tiff import is_heights, read_tiff
 from wafer_viewer.store.formats.x3p import read_x3p
 from wafer_viewer.store.npz import read_npz
-from wafer_viewer.store.progress import Progress, ShouldStop
 
 __all__ = ["READERS", "is_surface_file", "read_surface"]
 

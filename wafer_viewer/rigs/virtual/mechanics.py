@@ -11,6 +11,7 @@ from wafer_viewer.model.devices import Position
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.model.limits import AxisLimits, RigLimits
 from wafer_viewer.model.plan import Axis
+from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.motion import halt, standing, trapezoid
@@ -139,7 +140,7 @@ class VirtualStage:
         x_um: float | None = None,
         y_um: float | None = None,
         z_um: float | None = None,
-        should_stop: Callable[[], bool] | None = None,
+        should_stop: ShouldStop | None = None,
     ) -> None:
         """Go there at full speed and wait until it has settled; None leaves an axis where it is.
 
@@ -193,7 +194,7 @@ class VirtualStage:
                 axis.stop(now_s)
                 self._tell(axis, now_s)
 
-    def _arrive(self, should_stop: Callable[[], bool] | None) -> None:
+    def _arrive(self, should_stop: ShouldStop | None) -> None:
         """Wait for the end of a motion, or break it off; what has arrived and only settles is not broken off."""
         while should_stop is not None and self.moving():
             if should_stop():

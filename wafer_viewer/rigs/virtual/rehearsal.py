@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -22,6 +22,7 @@ from wafer_viewer.model.devices import Position
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.limits import RigLimits
 from wafer_viewer.model.plan import Leg, ScanPlan
+from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.model.stack import Image
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer
@@ -89,7 +90,7 @@ def scales_at_exposure(leg: Leg, limits: RigLimits, exposure_us: float) -> Itera
         yield Position(at["x"], at["y"], at["z"])
 
 
-def rehearse(order: Rehearsal, live: Renderer, should_stop: Callable[[], bool]) -> Replay | None:
+def rehearse(order: Rehearsal, live: Renderer, should_stop: ShouldStop) -> Replay | None:
     """Render all frames in a process of their own and wait for it; None when stopped meanwhile.
 
     Raises RigError when the disk is too small or the process fails.
@@ -133,7 +134,7 @@ def _started(folder: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def _wait_for(process: subprocess.Popen[bytes], should_stop: Callable[[], bool]) -> bool:
+def _wait_for(process: subprocess.Popen[bytes], should_stop: ShouldStop) -> bool:
     """Whether the process ended well; False when it was stopped."""
     with process:
         while True:

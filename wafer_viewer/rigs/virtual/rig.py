@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
@@ -12,6 +11,7 @@ from wafer_viewer.model.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.devices import Overview
 from wafer_viewer.model.limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.pulse_box import PulseBoxClient
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
@@ -181,7 +181,7 @@ class VirtualRig:
         self._camera.renderer = self._renderer
         return True
 
-    def prepare(self, plan: ScanPlan, should_stop: Callable[[], bool]) -> None:
+    def prepare(self, plan: ScanPlan, should_stop: ShouldStop) -> None:
         """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
         if not self._real_time:
             return

@@ -9,10 +9,11 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface import HeightMap, Mosaic
 from wafer_viewer.store.mosaic import ZarrMosaic
-from wafer_viewer.store.progress import Progress, ShouldStop, watched
+from wafer_viewer.store.progress import watched
 
 STRIP_ROWS = 256
 """Rows of full density that are in memory at a time: as many as a chunk of a mosaic has."""

@@ -17,8 +17,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from wafer_viewer.compute.dask_cluster import SETTINGS
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.cluster import SETTINGS
 from wafer_viewer.store.files import writing
 
 AUTHORITY, CERTIFICATE, KEY, CONFIGURATION = "authority.pem", "certificate.pem", "key.pem", "dask.yaml"

@@ -20,15 +20,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 from uuid import uuid4
 
 from wafer_viewer._version import __version__
+from wafer_viewer.compute.dask_worker import Sight, attempt, attempt_if_fit, source_mark, why_other, why_unfit, works_on
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.session.worker import Sight, attempt, attempt_if_fit, source_mark, why_other, why_unfit, works_on
+from wafer_viewer.model.progress import ShouldStop
 
 if TYPE_CHECKING:
     from distributed import Client
 
 Task = Callable[..., Any]
 Item = tuple[Any, ...]
-ShouldStop = Callable[[], bool]
 IN_FLIGHT = 3
 """Tasks a worker: one that it does, the others so that it need not wait, and few enough for the scheduler."""
 LOOK_EVERY_S = 0.1
@@ -202,7 +202,7 @@ def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[Crew]:
         yield Here()
         return
     require_tls(scheduler)
-    from wafer_viewer.session.cluster import client_of
+    from wafer_viewer.compute.dask_cluster import client_of
 
     with client_of(scheduler, workers) as client:
         yield Cluster(client)

@@ -17,8 +17,8 @@ from typing import Any
 import dask.config
 from distributed import Client, LocalCluster, Security
 
+from wafer_viewer.compute.task_runner import Cluster
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.session.crew import Cluster
 
 WORKER_MEMORY = "3GiB"
 PATIENCE_S = 20.0
@@ -36,8 +36,8 @@ SETTINGS: dict[str, Any] = {
         "MALLOC_TRIM_THRESHOLD_": 256 * 2**20,
         "MALLOC_MMAP_THRESHOLD_": 32 * 2**20,
     },
-    "distributed.nanny.preload": ["wafer_viewer.session.worker"],
-    "distributed.worker.preload": ["wafer_viewer.session.worker"],
+    "distributed.nanny.preload": ["wafer_viewer.compute.dask_worker"],
+    "distributed.worker.preload": ["wafer_viewer.compute.dask_worker"],
     "distributed.comm.timeouts.connect": PATIENCE_S,
     "distributed.scheduler.allowed-failures": 3,
     # dask closes a worker that was lost, 15 s later, also when it is back: it looks for it in a list that is empty now.

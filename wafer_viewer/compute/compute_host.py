@@ -7,6 +7,7 @@ thread of its own, because a worker may be killed.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future as LocalFuture
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -16,19 +17,19 @@ from typing import Any
 
 from distributed import CancelledError, Client, Event, Future
 
+from wafer_viewer.compute.child_process import Ask, ChildEnd, live_in_the_background
+from wafer_viewer.compute.dask_cluster import client_of
+from wafer_viewer.compute.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Lead, Progressed, Run
+from wafer_viewer.compute.task_runner import COUNT_EVERY_S, Cluster, n_local_workers
+from wafer_viewer.compute.watched_tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
-from wafer_viewer.session.cluster import client_of
-from wafer_viewer.session.crew import COUNT_EVERY_S, Cluster, n_local_workers
-from wafer_viewer.session.link import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.session.messages import Cancel, ComputeAbsent, ComputeUp, ComputeWarm, Lead, Progressed, Run
-from wafer_viewer.session.tasks import PROGRESS_TOPIC, run_watched, sparing, stop_sign, warm_up
 
 NICENESS = 5
 RUN_PRIORITY = 10
 """A single task, such as a field that is being taken, goes before the many of a work that is led."""
 
 
-def run_compute(pipe: Connection, scheduler: str | None) -> None:
+def run_compute(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
     """Live as the compute host until the pipe ends."""
     live_in_the_background(NICENESS)
     end = ChildEnd(pipe)
@@ -38,14 +39,14 @@ def run_compute(pipe: Connection, scheduler: str | None) -> None:
         except ComputeError as fault:
             end.tell(ComputeAbsent(str(fault)))
             return
-        Host(client, end).work()
+        Host(client, end, warm_up).work()
 
 
 class Host:
     """Between the pipe and the cluster."""
 
-    def __init__(self, client: Client, end: ChildEnd) -> None:
-        self._client, self._end = client, end
+    def __init__(self, client: Client, end: ChildEnd, warm_up: Callable[[], None]) -> None:
+        self._client, self._end, self._warm_up_worker = client, end, warm_up
         self._futures: dict[int, Future[Any]] = {}
         self._warming: list[Future[Any]] = []
         self._leader = ThreadPoolExecutor(1, "lead")  # one after the other: two could write to the same mosaic
@@ -132,7 +133,7 @@ class Host:
         self._warming[0].add_done_callback(warmed)
 
     def _warm_up_one(self, address: str) -> Future[Any]:
-        return self._client.submit(warm_up, workers=[address], pure=False)
+        return self._client.submit(self._warm_up_worker, workers=[address], pure=False)
 
 
 def _sentence(verb: Run | Lead, done: Future[Any] | LocalFuture[Any]) -> WaferViewerError:

@@ -7,29 +7,35 @@ from concurrent.futures import Future
 from multiprocessing.connection import Connection
 from typing import Any
 
-from wafer_viewer.session.crew import require_tls
-from wafer_viewer.session.link import Link
-from wafer_viewer.session.messages import Cancel, Lead, Run
-from wafer_viewer.session.tasks import Answer, Args, LedTask, WatchedTask
+from wafer_viewer.compute.child_process import Link
+from wafer_viewer.compute.messages import Cancel, Lead, Run
+from wafer_viewer.compute.task_runner import require_tls
+from wafer_viewer.compute.watched_tasks import Answer, Args, LedTask, WatchedTask
 
 
 class Compute:
     """Tasks run in worker processes elsewhere; nothing heavy is imported here. Use it from one thread.
 
     scheduler: the address of a cluster that runs already, tls://HOST:PORT. Raises ComputeError for another kind.
+    warm_up: what every worker does first, so that its first task does not wait for compilers.
     """
 
     def __init__(
-        self, scheduler: str | None, on_event: Callable[[Any], None], on_gone: Callable[[int | None], None]
+        self,
+        scheduler: str | None,
+        warm_up: Callable[[], None],
+        on_event: Callable[[Any], None],
+        on_gone: Callable[[int | None], None],
     ) -> None:
         require_tls(scheduler)
-        self._scheduler, self._on_event, self._on_gone = scheduler, on_event, on_gone
+        self._host_args = scheduler, warm_up
+        self._on_event, self._on_gone = on_event, on_gone
         self._link: Link | None = None
 
     def start(self) -> Link:
         """The link to a living host."""
         if self._link is None or not self._link.alive:
-            self._link = Link("wafer-viewer compute", _host, (self._scheduler,), self._on_event, self._on_gone)
+            self._link = Link("wafer-viewer compute", _host, self._host_args, self._on_event, self._on_gone)
         return self._link
 
     def run(self, work: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
@@ -50,7 +56,7 @@ class Compute:
             self._link.close()
 
 
-def _host(pipe: Connection, scheduler: str | None) -> None:
-    from wafer_viewer.session.compute_host import run_compute
+def _host(pipe: Connection, scheduler: str | None, warm_up: Callable[[], None]) -> None:
+    from wafer_viewer.compute.compute_host import run_compute
 
-    run_compute(pipe, scheduler)
+    run_compute(pipe, scheduler, warm_up)

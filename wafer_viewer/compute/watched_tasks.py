@@ -1,0 +1,80 @@
+"""Tasks that report their progress and stop when asked, and how both travel between a worker and the host."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Protocol, TypeVar, TypeVarTuple
+
+from wafer_viewer.model.progress import Progress, ShouldStop
+
+if TYPE_CHECKING:
+    from wafer_viewer.compute.task_runner import Crew
+
+Args = TypeVarTuple("Args")
+Answer = TypeVar("Answer", covariant=True)
+PROGRESS_TOPIC = "wafer-viewer-progress"
+ASK_EVERY_S = 0.25
+
+
+class WatchedTask(Protocol[*Args, Answer]):
+    """A function that a worker runs: it reports its progress, 0 to 1, and gives up when it is to stop."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Do it; the answer goes back to the session."""
+        ...
+
+
+class LedTask(Protocol[*Args, Answer]):
+    """A function that the compute host runs, which may hand the crew many tasks."""
+
+    __name__: str
+
+    def __call__(self, *args: *Args, crew: Crew, progress: Progress, should_stop: ShouldStop) -> Answer:
+        """Do it; the answer goes back to the session."""
+        ...
+
+
+def run_watched(work: str, task: WatchedTask[*Args, Answer], args: tuple[*Args]) -> Answer:
+    """Run a task on a worker: its progress goes to the host, and it hears when it is to stop."""
+    return task(*args, progress=_teller(work), should_stop=_listener(work))
+
+
+def stop_sign(work: str) -> str:
+    """The name of the event that tells a work's tasks to stop."""
+    return f"stop-{work}"
+
+
+def sparing(tell: Progress) -> Progress:
+    """Progress that is told a few times a second, and at the end."""
+    told_at = 0.0
+
+    def tell_sometimes(fraction: float) -> None:
+        nonlocal told_at
+        if fraction >= 1 or time.monotonic() - told_at >= ASK_EVERY_S:
+            told_at = time.monotonic()
+            tell(fraction)
+
+    return tell_sometimes
+
+
+def _teller(work: str) -> Progress:
+    from distributed import get_worker
+
+    return sparing(lambda done: get_worker().log_event(PROGRESS_TOPIC, {"work": work, "fraction": float(done)}))
+
+
+def _listener(work: str) -> ShouldStop:
+    from distributed import Event
+
+    asked_at, stop = 0.0, False
+
+    def should_stop() -> bool:
+        nonlocal asked_at, stop
+        if not stop and time.monotonic() - asked_at >= ASK_EVERY_S:
+            asked_at = time.monotonic()
+            stop = bool(Event(stop_sign(work)).is_set())
+        return stop
+
+    return should_stop
