@@ -12,11 +12,11 @@ import pytest
 
 from tests.measure.patterned import Wafer, made
 from wafer_viewer.cli.app import main
-from wafer_viewer.model.defects import DefectRecipe
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as spec_replace
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.defect_recipes import save_defect_recipe
 from wafer_viewer.store.golden import open_golden, save_golden
 from wafer_viewer.store.klarf_reading import read_klarf

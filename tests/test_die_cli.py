@@ -8,8 +8,8 @@ import pytest
 
 from tests.measure.patterned import Wafer, made
 from wafer_viewer.cli.app import main
-from wafer_viewer.model.feature import Dies
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.store.npz import write_npz
 

@@ -9,10 +9,10 @@ import pytest
 
 from tests.test_cli import viewer
 from tests.test_house import ROOT
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.record import read_record, write_record
 
 pytestmark = pytest.mark.slow

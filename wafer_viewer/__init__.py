@@ -39,15 +39,26 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.step_profile import step_profile
     from wafer_viewer.measure.texture import texture
     from wafer_viewer.measure.volume import area_volume
-    from wafer_viewer.model.calibration import Calibration
-    from wafer_viewer.model.conditions import Conditions
-    from wafer_viewer.model.defect_limits import DefectLimits
-    from wafer_viewer.model.defect_verdict import verdict_of
-    from wafer_viewer.model.defects import DefectRecipe
-    from wafer_viewer.model.die_grid import DieGrid
+    from wafer_viewer.model.acquisition.calibration import Calibration
+    from wafer_viewer.model.acquisition.focus_stack import FieldStack
+    from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+    from wafer_viewer.model.acquisition.sample import Sample
     from wafer_viewer.model.errors import WaferViewerError
-    from wafer_viewer.model.evidence import FocusCurve
-    from wafer_viewer.model.findings import (
+    from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeTerms
+    from wafer_viewer.model.gauge.gauge_rr import GaugeRR
+    from wafer_viewer.model.inspection.defect import DefectRecipe
+    from wafer_viewer.model.inspection.defect_limits import DefectLimits
+    from wafer_viewer.model.inspection.defect_verdict import verdict_of
+    from wafer_viewer.model.inspection.die_grid import DieGrid
+    from wafer_viewer.model.measurement.edge_and_bump_shapes import (
+        Chipping,
+        CircleSize,
+        Coplanarity,
+        DieSize,
+        KerfWidth,
+    )
+    from wafer_viewer.model.measurement.levelling import Levelling
+    from wafer_viewer.model.measurement.measurements import (
         AreaVolume,
         Distance,
         FaceAngle,
@@ -57,20 +68,15 @@ if TYPE_CHECKING:
         ProfileCurve,
         Radius,
     )
-    from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeTerms
-    from wafer_viewer.model.levelling import Levelling
-    from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
-    from wafer_viewer.model.poses import Poses
-    from wafer_viewer.model.quantities import Length, Quantity
-    from wafer_viewer.model.recipe import Recipe
+    from wafer_viewer.model.measurement.step import StepHeight, StepProfile
+    from wafer_viewer.model.measurement.texture import Roughness, Texture
+    from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+    from wafer_viewer.model.quantity import Length, Quantity
     from wafer_viewer.model.region import Region
-    from wafer_viewer.model.repeatability import GaugeRR
-    from wafer_viewer.model.sample import Sample
-    from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
-    from wafer_viewer.model.stack import FieldStack
-    from wafer_viewer.model.step import StepHeight, StepProfile
-    from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
-    from wafer_viewer.model.texture import Roughness, Texture
+    from wafer_viewer.model.surface.field_poses import Poses
+    from wafer_viewer.model.surface.focus_curve import FocusCurve
+    from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+    from wafer_viewer.model.surface.recipe import Recipe
     from wafer_viewer.reconstruct.compare import compare
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.stitch import stitch

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.acquire.planner import plan_scan
-from wafer_viewer.model.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 ROWS, COLS = 16, 24

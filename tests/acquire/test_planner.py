@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.acquire.planner import STRATEGIES, plan_scan, price_all
+from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Shot
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Shot
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 

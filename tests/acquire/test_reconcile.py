@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.acquire.reconcile import DeviceClock, Reconciler, Timing
-from wafer_viewer.model.devices import CameraImage, Pulse
-from wafer_viewer.model.plan import Leg, PulseTrain, Shot
-from wafer_viewer.model.stack import FrameStatus
+from wafer_viewer.model.acquisition.devices import CameraImage, Pulse
+from wafer_viewer.model.acquisition.focus_stack import FrameStatus
+from wafer_viewer.model.acquisition.plan import Leg, PulseTrain, Shot
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 
 LIMITS = virtual_limits(16, 24)

@@ -6,8 +6,8 @@ import pytest
 
 from wafer_viewer.acquire.planner import STRATEGIES, plan_scan
 from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Shot
 from wafer_viewer.model.errors import MissedPulse, RigError
-from wafer_viewer.model.plan import Field, FocusSweep, Shot
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.port import Interference
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits

@@ -23,9 +23,9 @@ import numpy as np
 
 from tests.bench.big_mosaic import RESULT, WAFER_PX, MadeWafer, big_dataset
 from tests.bench.tables import met, show
-from wafer_viewer.model.comparison import Comparison, SurfaceName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.comparison import Comparison, SurfaceName
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.mosaic import write_mosaic
 

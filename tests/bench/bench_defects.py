@@ -24,7 +24,7 @@ from tests.bench.defects_speed import show_speed
 from tests.bench.tables import Cell, met, percent, show
 from tests.measure.noisy_wafer import Planted, Wafer, scattered, wafer
 from wafer_viewer.measure.defects import inspect
-from wafer_viewer.model.defects import Inspection
+from wafer_viewer.model.inspection.defect import Inspection
 
 DIE_PX, STREET_PX = 360, 20
 FULL, QUICK = 8, 4

@@ -35,8 +35,8 @@ from tests.truth.matching import Rate, false_limit_per_mm2
 from tests.truth.planted import DIAMETERS_PX, GEOMETRIC, HEIGHTS_SIGMA
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 
 CAPTURE, FALSE_PER_MM2, CLASS_RIGHT = 0.95, 0.1, 0.9
 WAFER_MM2 = np.pi * 150.0**2

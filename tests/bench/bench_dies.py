@@ -22,10 +22,10 @@ from tests.bench.die_scenes import LATTICES, NO_LATTICES, Dice, Thrown
 from tests.bench.tables import show
 from tests.measure.patterned import Wafer
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 RIGHT_PX, SEEN_PX = 0.5, 1.5
 """How far dies may lie off at most; through the optics, where each lies 0.5 px (k = 1) off its lattice itself."""

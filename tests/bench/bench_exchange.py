@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from tests.bench.big_mosaic import BLOCKS_PX, RESULT, big_dataset  # noqa: E402
-from wafer_viewer.model.formats import FORMATS, READ  # noqa: E402
+from wafer_viewer.model.file_formats import FORMATS, READ  # noqa: E402
 from wafer_viewer.store.dataset import Dataset  # noqa: E402
 from wafer_viewer.store.exporters import export  # noqa: E402
 from wafer_viewer.store.readers import read_surface  # noqa: E402

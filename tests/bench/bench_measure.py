@@ -19,13 +19,13 @@ from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, WAFER_PX, big_dataset
 from tests.bench.tables import met, show
 from wafer_viewer.measure.levelled import Levelled, datum
 from wafer_viewer.measure.tools import measured
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic, Provenance
+from wafer_viewer.model.surface.height_map import Mosaic, Provenance
 from wafer_viewer.store.dataset import Dataset
 
 QUICK_PX = 2048

@@ -24,7 +24,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
-from wafer_viewer.model.poses import Doubt, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Doubt, Seams, Shifts
 from wafer_viewer.reconstruct.misfits import suspects
 from wafer_viewer.reconstruct.register import register
 from wafer_viewer.reconstruct.seams import compare

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import Bracket, FieldStack
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.drift import Drift
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.parts import source_of

@@ -22,9 +22,9 @@ from scipy import fft
 
 from tests.bench.tables import show
 from wafer_viewer.measure.step import step_height
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 
 STEP_UM, NOISE_UM, TILT = 399.88, 1.0, 0.5e-3
 SIDE_PX, GAP_PX, PIXEL_UM = 800, 50, 0.46729

@@ -38,8 +38,8 @@ from tests.bench.stitch_judge import (
 )
 from tests.bench.tables import Cell, met, show
 from tests.truth.field_grid import Grid, Made, make
-from wafer_viewer.model.poses import Doubt, Poses
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.height_map import HeightMap
 
 POSITION_GOAL_PX, WORST_GOAL_PX, SPOILT_GOAL_PX = 0.10, 0.5, 0.2
 RMSE_GOAL, STEP_GOAL_UM, WIDE_STEP_GOAL_UM = 1.05, 0.01, 0.06

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.bench.bench_workers import COLS, OVERLAP, PIXEL_UM, RECIPE, RESULT, ROWS, make_dataset
 from tests.bench.tables import show
 from wafer_viewer.acquire.planner import price_all
-from wafer_viewer.model.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.stitching import bring_up_to_date, compare_pairs, draw_patch, register_pairs

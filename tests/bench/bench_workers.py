@@ -27,9 +27,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
 from wafer_viewer.compute.task_runner import Crew, crew_for
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import Frame, FrameStatus
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import warm_up
 from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES

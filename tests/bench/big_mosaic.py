@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.journal import Finished, JournalWriter

@@ -28,9 +28,9 @@ sys.path.insert(0, str(ROOT))
 
 from tests.reconstruct.noisy_maps import noisy_step, rmse  # noqa: E402
 from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
-from wafer_viewer.model.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
 from wafer_viewer.model.spec import replace  # noqa: E402
-from wafer_viewer.model.surface import Origin  # noqa: E402
+from wafer_viewer.model.surface.height_map import Origin  # noqa: E402
+from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
 from wafer_viewer.reconstruct import outliers as rules  # noqa: E402
 from wafer_viewer.reconstruct.clean import clean, settle_cleaning, settle_levy  # noqa: E402
 from wafer_viewer.reconstruct.fill import fill  # noqa: E402

@@ -21,12 +21,12 @@ from tests.bench.tables import met, show
 from tests.truth.virtual_wafer import PIXEL_UM, ROOM_UM, Known, chipped_share, ground, known, own_to_the_die
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scene import SCENES

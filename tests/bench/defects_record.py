@@ -8,7 +8,7 @@ from typing import Any
 from tests.truth.defects import Made
 from tests.truth.matching import match
 from tests.truth.planted import Planted
-from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
 from wafer_viewer.compute.dask_cluster import client_of
 from wafer_viewer.compute.task_runner import Cluster, Crew, Here
-from wafer_viewer.model.defects import Inspection
+from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.rigs.virtual.scene import Scene, Window
 from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic

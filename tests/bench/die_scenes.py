@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tests.measure.patterned import Wafer, made, pattern
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 Dice = np.random.Generator
 Floats = NDArray[np.float64]

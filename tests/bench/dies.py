@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter
 from tests.bench.recipes import ABLATION, CLASSIC, DEFAULT, MEASURES, ungated
 from tests.bench.tables import met, percent, show
 from tests.truth.layouts import Taken
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 
 FALSE_UM = 4.0

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import uniform_filter
 
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 
 WINDOW = 9
 INSTALL_OPENCV = "pip install opencv-python-headless"

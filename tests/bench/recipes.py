@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Fill, Outliers, Recipe
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface.recipe import Fill, Outliers, Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, focus_image
 

@@ -7,8 +7,8 @@ import numpy as np
 from tests.bench.recipes import DEFAULT
 from tests.bench.tables import percent, show
 from wafer_viewer.measure.quality import quality
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES

@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from tests.bench import paper
 from tests.bench.peers import Sharpness, opencv_sharpness, skimage_sharpness
 from tests.bench.tables import met, show
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.field import reconstruct, warm_up
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES

@@ -26,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.stitch_judge import mosaic_of
 from tests.truth.field_grid import SMALL, Grid, Made, make
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Stitching
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window
 from wafer_viewer.reconstruct.parts import on_threads
 from wafer_viewer.reconstruct.poses import solve_heights

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.truth.field_grid import PIXEL_UM, Made
-from wafer_viewer.model.poses import Form, Poses
-from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.spec import replace as replaced
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Form, Poses
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
 from wafer_viewer.reconstruct.place import layout
 

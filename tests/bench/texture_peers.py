@@ -26,9 +26,9 @@ from wafer_viewer.measure.roughness import roughness
 from wafer_viewer.measure.scale_limited import scale_limited
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.measure.texture_slopes import developed_fraction
-from wafer_viewer.model.options import TextureOptions
+from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.gaussian import ALPHA
 
 PIXEL_UM = 0.5

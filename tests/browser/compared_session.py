@@ -10,8 +10,8 @@ import numpy as np
 from tests.browser.recording import Recording
 from tests.browser.seen_session import SeenSession
 from tests.gui.stand_in import height_map
-from wafer_viewer.model.comparison import Align, Change, Comparison, Face, Registration, SurfaceName
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.comparison import Align, Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.comparing import ComparingVerbs
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from tests.browser.recording import Recording
-from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_files import SAME_PLACE_UM, DefectFiles

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.browser.recording import Recording
-from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.notebook import NotebookVerbs

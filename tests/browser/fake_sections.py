@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.findings import Length, Profile, ProfileCurve
-from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.measurement.measurements import Length, Profile, ProfileCurve
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
 
 
 class FakeSections:

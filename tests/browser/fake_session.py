@@ -19,16 +19,16 @@ from tests.browser.fake_sections import FakeSections
 from tests.browser.recording import Recording
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
-from wafer_viewer.model.findings import Profile, ProfileCurve, StepHeight
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
-from wafer_viewer.model.poses import Doubt, Poses
-from wafer_viewer.model.quantities import Contribution, Length
-from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.browsing import Browsing

@@ -10,11 +10,11 @@ import numpy as np
 from scipy import ndimage
 
 from tests.gui.stand_in import height_map
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.gauge import Certificate, GaugeBlock
-from wafer_viewer.model.plan import Field, FocusSweep, Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe, Stitching
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeBlock
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.rigs.virtual.rig import SETUP
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.store.dataset import Dataset

@@ -17,14 +17,21 @@ from tests.browser.recording import Recording
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.gauge.gauge_check import (
+    Certificate,
+    GaugeCheck,
+    GaugeRecord,
+    GaugeRepeat,
+    GaugeTerms,
+    ScaleCorrection,
+)
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session import gauge_check as work
 from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.gauge_state import GaugeState, Tick

@@ -15,14 +15,14 @@ from tests.browser.fake_sections import FakeSections
 from tests.browser.recording import Recording
 from tests.browser.stitched_session import PITCH_UM, STREET_UM, StitchedSession
 from tests.store.inspections import defect, inspection
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import Defect, DefectClass, FalseCounts, Inspection
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, FalseCounts, Inspection
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.sections import Section, SectionAsked
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.cutting import cut
 from wafer_viewer.session.defect_views import DefectViews, Earlier
 from wafer_viewer.session.defects import DefectVerbs

@@ -9,8 +9,8 @@ import numpy as np
 
 from tests.browser.inspected_session import PLANTED, InspectedSession, inspected_session
 from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.inspection_state import InspectionState

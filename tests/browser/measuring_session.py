@@ -14,14 +14,14 @@ from tests.browser.fake_session import FakeSession
 from tests.browser.recording import Recording
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.measure.find_faces import find_faces
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.session.gauge import GaugeVerbs
 from wafer_viewer.session.history import History
 from wafer_viewer.session.measuring import Measuring

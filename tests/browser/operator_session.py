@@ -9,13 +9,13 @@ from typing import Any
 from tests.browser import fake_session as fake
 from tests.session.released import DIE, MARKS, release_of
 from wafer_viewer.measure.verdict import judge, judge_dies, overall, what_next
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.feature import Dies
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.quantities import Contribution, Length, Quantity
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.measurement.feature import Dies
+from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.operating import JobEntry, Operating
 from wafer_viewer.session.state import Snapshot
 

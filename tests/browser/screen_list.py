@@ -27,7 +27,7 @@ from tests.browser.reviewed_session import reviewed_session
 from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
 from tests.browser.shaped_session import ShapedSession
 from tests.browser.stitched_session import StitchedSession
-from wafer_viewer.model.notebook import Judgement, Notebook, SavedView
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.gauge_state import GaugeState
 from wafer_viewer.session.notebook_state import NotebookState

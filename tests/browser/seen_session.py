@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from tests.browser.fake_session import FakeSession
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
-from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
+from wafer_viewer.model.surface.height_map import HeightMap
 
 Z_UM = tuple(float(z) for z in np.arange(-6.0, 54.0))
 DIE_UM, TRENCH_UM = 30.0, 2.0

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from tests.browser.measuring_session import CALIBRATION, MeasuringSession
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, height_map
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 
 PITCH_X_UM, PITCH_Y_UM = 150.0, 120.0
 DIE_X_UM, DIE_Y_UM, DIE_UM = 112.0, 88.0, 20.0

@@ -9,8 +9,8 @@ import numpy as np
 from tests.browser.fake_session import FakeSession
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
-from wafer_viewer.model.poses import Doubt, Poses
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.field_poses import Doubt, Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.changes import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM

@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, notes, press, text_field, type_into
 from tests.measure.noisy_wafer import Planted, wafer
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.defect_recipes import defect_recipes
 from wafer_viewer.store.golden import open_golden

@@ -18,7 +18,7 @@ from tests.browser.fake_session import a_job
 from tests.browser.gauge_blocks import CERTIFICATE_TOML
 from tests.browser.steps import eventually, go_to, press, set_numbers, text_field, title_is
 from tests.browser.test_exchange import a_part
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.session import Session

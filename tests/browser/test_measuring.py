@@ -11,7 +11,7 @@ from tests.browser.measuring_session import MeasuringSession
 from tests.browser.steps import go_to, press, title_is, type_into
 from wafer_viewer.gui.tool_icons import ON_TOOLBAR, TOOL_KEYS
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 

@@ -27,7 +27,7 @@ from tests.browser.steps import (
 from wafer_viewer.draw.numbers import number, share
 from wafer_viewer.gui.points_section import amount
 from wafer_viewer.gui.surface_scene import source_of
-from wafer_viewer.model.surface import ORIGIN_TITLES, HeightMap, Origin
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, HeightMap, Origin
 from wafer_viewer.session.paint_request import Facts, PaintRequest
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset import Dataset

@@ -10,8 +10,8 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser import fake_session as fake
 from tests.browser.steps import eventually, go_to, press, title_is
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 pytestmark = [
     pytest.mark.browser,

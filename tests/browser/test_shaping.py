@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser.shaped_session import ShapedSession
 from tests.browser.steps import go_to, press, title_is
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.tools import TOOLS
 
 pytestmark = [
     pytest.mark.browser,

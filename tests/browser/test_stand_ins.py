@@ -20,7 +20,7 @@ from tests.browser.seen_session import SeenSession
 from tests.browser.shaped_session import ShapedSession
 from tests.browser.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.notebook import SavedView
+from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.api import SessionApi
 from wafer_viewer.session.papers import Papers as TruePapers
 from wafer_viewer.session.session import Session

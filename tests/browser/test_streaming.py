@@ -18,7 +18,7 @@ from wafer_viewer.gui import tiles
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.gate import MOST_BYTES
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic, Origin
+from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.session.painter import Painter, PaintRequest
 from wafer_viewer.session.questions import ReadOut
 from wafer_viewer.session.summary import load_summary

@@ -11,8 +11,8 @@ from playwright.sync_api import Locator, Page, expect
 from tests.browser.seen_session import SeenSession, a_focus_curve
 from tests.browser.steps import click_the_surface, eventually, go_to, title_is
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.questions import ReadOut
 
 pytestmark = [

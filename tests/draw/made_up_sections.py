@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.findings import Length, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Length, Profile, ProfileCurve
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import Section, SectionAsked
 
 
 def section_of(z_um, place: int = 0, step_um: float = 0.5, simulated: bool = True, **asked) -> Section:

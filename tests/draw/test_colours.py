@@ -9,7 +9,7 @@ import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
 from wafer_viewer.draw.colours import DIVERGING, ORIGIN_COLOURS, table
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 
 EYES = {
     "all colours": np.eye(3),

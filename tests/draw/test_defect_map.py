@@ -21,7 +21,7 @@ from wafer_viewer.draw.defect_map import (
 )
 from wafer_viewer.draw.pareto import pareto, pareto_svg
 from wafer_viewer.draw.wafer_map import MOST_SINGLE
-from wafer_viewer.model.die_grid import DieStatus
+from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.spec import replace
 
 STATES = {"0,0": "cut", "1,0": "partly scanned", "2,0": "not scanned", "0,1": "missing"}

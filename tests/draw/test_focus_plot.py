@@ -14,8 +14,8 @@ from PIL import Image
 
 from wafer_viewer.draw.focus_plot import focus_plot_html
 from wafer_viewer.draw.patch import greys, patch, patch_url
-from wafer_viewer.model.evidence import FocusCurve, Rival
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 
 CURVE = FocusCurve(
     field=1,

@@ -13,7 +13,7 @@ from wafer_viewer.draw.colour_bar import colour_bar_html, origin_legend_html
 from wafer_viewer.draw.ground import Figure, hatch, shadow
 from wafer_viewer.draw.text import LINE_PX, font, length_px, tag
 from wafer_viewer.draw.wafer_map import FIELD_INKS, field_map_svg
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.state import FieldState
 
 WIDTH, HEIGHT = COLS * PIXEL_UM, ROWS * PIXEL_UM

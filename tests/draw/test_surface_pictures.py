@@ -24,7 +24,7 @@ from wafer_viewer.draw.reduce import reduced
 from wafer_viewer.draw.shade import light_gain, shade, without_gaps
 from wafer_viewer.draw.text import sheet, tag
 from wafer_viewer.draw.tone import as_shown, to_texture
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 FLAT = Look(hillshade=0.0, low=0.0, high=10.0)
 

@@ -9,7 +9,7 @@ import pytest
 
 from wafer_viewer.draw.map_marks import Mark, map_marks_svg
 from wafer_viewer.draw.wafer_map import MOST_SINGLE, field_map_svg, map_frame
-from wafer_viewer.model.plan import FieldGrid
+from wafer_viewer.model.acquisition.plan import FieldGrid
 
 SIDE = 100
 SIZE_UM = (336.0, 252.0)

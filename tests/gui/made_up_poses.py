@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Form, Poses, Seams, Shifts
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Form, Poses, Seams, Shifts
 from wafer_viewer.session.state import StitchingInfo
 
 STAGE_ERROR_UM, Z_ERROR_UM = 2.8, 1.0

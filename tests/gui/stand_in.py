@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.session.paint_refused import PlacedField
 from wafer_viewer.session.paint_request import PaintRequest, Source
 from wafer_viewer.session.painting import paint

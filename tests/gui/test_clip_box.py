@@ -12,7 +12,7 @@ from wafer_viewer.gui.clip_box import Faces, along_axis, ball_mm, corners_mm, pu
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.points_section import counted, refused_legend
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.paint_request import Facts, Refused, Scale, Source, Statistics
 
 FACTS = Facts(101, 201, 1.0, 0.0, 100.0, 0, 101, 0, 201, -5.0, 20.0, -4.0, 18.0, 1.0, (0.0, 0.0, 0.0))

@@ -10,8 +10,8 @@ from tests.browser.compared_session import AFTER, ALIGNED, CHANGE, CLEANED, FIRS
 from wafer_viewer.gui import compare_words as words
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.comparison import Face, Registration, SurfaceName, comparison_of, show_of
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import Face, Registration, SurfaceName, comparison_of, show_of
 from wafer_viewer.session.paint_request import Source
 
 

@@ -22,10 +22,10 @@ from wafer_viewer.gui.defect_form_values import (
 )
 from wafer_viewer.gui.defect_form_words import expectation, golden_table, more, unreadable, which_recipe
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of, verdict
-from wafer_viewer.model.class_rules import ClassRules
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.class_rules import ClassRules
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
 
 INSPECTION = found(PLANTED)

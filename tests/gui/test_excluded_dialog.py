@@ -7,7 +7,7 @@ from wafer_viewer.draw.die_stack import die_stack_svg
 from wafer_viewer.gui.defect_form_values import DefectForm, form_of, recipe_of
 from wafer_viewer.gui.defect_form_words import areas, left_out, more
 from wafer_viewer.gui.excluded_dialog import area_table, place_of
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 

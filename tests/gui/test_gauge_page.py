@@ -23,9 +23,9 @@ from wafer_viewer.gui.site_words import sites
 from wafer_viewer.gui.study_words import study
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import SiteRangeOptions, ToolOptions
+from wafer_viewer.model.gauge.run_chart import RunChart
+from wafer_viewer.model.measurement.tool_options import SiteRangeOptions, ToolOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.run_chart import RunChart
 from wafer_viewer.session.gauge_state import GaugeState, Tick
 from wafer_viewer.session.state import Snapshot
 from wafer_viewer.session.studies import Studies

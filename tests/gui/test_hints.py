@@ -10,8 +10,8 @@ import pytest
 import wafer_viewer.gui
 from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.hints import BUTTONS, FIELDS, titles_of
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.spec import limit_of
 
 FOLDER = Path(wafer_viewer.gui.__file__).parent

@@ -25,8 +25,8 @@ from wafer_viewer.gui.review_panel import ReviewPanel
 from wafer_viewer.gui.saved_views import SavedViews
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.welcome import Welcome
-from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import Notebook, SavedView
+from wafer_viewer.model.job.review_notes import Notebook, SavedView
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.state import Snapshot

@@ -19,8 +19,8 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.overlays import ReadOutBox
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
 from wafer_viewer.session.painting import paint
 from wafer_viewer.session.questions import ReadOut

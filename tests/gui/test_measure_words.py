@@ -10,10 +10,10 @@ from wafer_viewer.gui import measure_words as words
 from wafer_viewer.gui.kept_places import bounds_of, drawn_of, places_of, tool_of
 from wafer_viewer.gui.measure_source import ZERO, source
 from wafer_viewer.gui.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import PLACES, Levelling
-from wafer_viewer.model.measuring import TOOLS, ToolName
-from wafer_viewer.model.quantities import BudgetLine, Quantity
+from wafer_viewer.model.measurement.levelling import PLACES, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.quantity import BudgetLine, Quantity
 from wafer_viewer.model.region import Region
 
 PLACES_OF: dict[ToolName, tuple[Region, ...]] = {

@@ -13,7 +13,7 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.near_land import land_nearby
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
 from wafer_viewer.session.painting import paint
 

@@ -13,7 +13,7 @@ from wafer_viewer.gui.corner_picture import clicked, corner_picture, expected_um
 from wafer_viewer.gui.job_dialogs import suggested_marks
 from wafer_viewer.gui.preflight_words import section
 from wafer_viewer.gui.verdict_words import card, features
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.preflight import look_round
 

@@ -17,8 +17,8 @@ from wafer_viewer.gui.first_places import FIRST, first_levelling
 from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.place_shapes import SHAPES, WHOLE, outline_of
 from wafer_viewer.gui.place_tools import fits
-from wafer_viewer.model.levelling import PLACES
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.levelling import PLACES
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session import paint_whole
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source

@@ -14,7 +14,7 @@ from tests.gui.made_up_poses import made_up_poses
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, grid
 from wafer_viewer.gui.drape import Drape
 from wafer_viewer.gui.pose_lines import Fields, in_dashes, round_below, sides
-from wafer_viewer.model.poses import Doubt
+from wafer_viewer.model.surface.field_poses import Doubt
 from wafer_viewer.session.paint_request import Relief
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM

@@ -15,10 +15,10 @@ from wafer_viewer.gui.plot_pointer import CursorMove, told_cursor, told_shares
 from wafer_viewer.gui.plot_view import PlotView, with_cursor
 from wafer_viewer.gui.profile_words import head
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.cuts import Gap, column_line, row_line
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.section_lines import Gap, column_line, row_line
+from wafer_viewer.model.measurement.sections import OtherSurface, Section
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import OtherSurface, Section
 
 LATTICE = SimpleNamespace(pixel_um=0.5, x0_um=-100.0, y0_um=50.0, shape=(200, 400))
 LINES = (Region.line(-50, 0, 50, 0, 2.0), Region.line(0, -20, 0, 20))

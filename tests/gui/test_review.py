@@ -15,7 +15,7 @@ from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers, review_list
 from wafer_viewer.gui.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.notebook import Judgement, Notebook, keys_of_features
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.operating import Operating

@@ -27,11 +27,11 @@ from wafer_viewer.gui.stage import Item, Stage
 from wafer_viewer.gui.tiles import VERTICES, cut, look_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import PointHeight
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.measurements import PointHeight
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
 from wafer_viewer.session.state import Snapshot
 

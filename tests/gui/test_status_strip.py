@@ -13,10 +13,10 @@ from tests.gui.stand_in import grid
 from wafer_viewer.gui.hands import HANDS_ON
 from wafer_viewer.gui.status_strip import calibration, due, job_shown, motion, placement, sample, surface
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.recipe import Levy, Recipe
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.session.state import RigStatus
 
 TODAY = datetime.date(2026, 3, 14)

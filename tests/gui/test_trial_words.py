@@ -14,14 +14,14 @@ from wafer_viewer.gui.job_dialogs import trial_is_old
 from wafer_viewer.gui.kept_features import kept_features
 from wafer_viewer.gui.trial_words import MOST_CHANGES, before_release, trial
 from wafer_viewer.gui.verdict_words import dies, features
+from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Dies
-from wafer_viewer.model.plan import FieldGrid
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.job.verdict import JudgedDie
+from wafer_viewer.model.measurement.feature import Dies
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.verdict import JudgedDie
 from wafer_viewer.session.operating import Operating
 from wafer_viewer.session.state import Snapshot
 

@@ -21,8 +21,8 @@ from wafer_viewer.gui.header import STEPS, done, possible
 from wafer_viewer.gui.style import DARK, LIGHT, sheet
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Length
-from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
+from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.reconstruct.gate import POWERS

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 PITCH_UM, FOOT_UM, HEIGHT_UM, SPREAD_UM = 40.0, 12.0, 15.0, 0.2
 

@@ -6,8 +6,8 @@ import datetime
 
 from tests.measure.surfaces import calibration
 from wafer_viewer.measure.gauge import gauge_check
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
-from wafer_viewer.model.quantities import Contribution, Length
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 

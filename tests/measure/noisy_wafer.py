@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 PIXEL_UM = 0.5
 SIGMA_UM = 0.05

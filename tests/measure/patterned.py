@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.strip import Strip
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 DARK, BRIGHT, BLUR_PX, NOISE = 60.0, 180.0, 1.2, 3.0
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.recipe import Recipe
 
 PIXEL_UM = 0.5
 STEP_UM = 399.88

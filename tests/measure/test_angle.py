@@ -9,10 +9,10 @@ from tests.measure.surfaces import calibration, coordinates, noise_of, surface_o
 from wafer_viewer.measure.angle import face_angle
 from wafer_viewer.measure.levelled import levelled
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 LEFT, RIGHT = Region.rectangle(-70, -45, -5, 45), Region.rectangle(5, -45, 70, 45)
 

@@ -12,10 +12,10 @@ from wafer_viewer.measure.levelled import levelled
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.measure.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 FACE = Region.rectangle(-40, -30, 40, 30)
 SHAPE = 160, 200

@@ -13,9 +13,9 @@ from wafer_viewer.measure.defect_features import shape_of
 from wafer_viewer.measure.defect_outline import Gathered, height_of, outline_of
 from wafer_viewer.measure.defect_pieces import Piece
 from wafer_viewer.measure.die_cells import CellGrid
-from wafer_viewer.model.class_rules import DefectShape
-from wafer_viewer.model.defects import DefectRecipe
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.inspection.class_rules import DefectShape
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.die_grid import DieGrid
 
 Floats = NDArray[np.float64]
 GRID = DieGrid(

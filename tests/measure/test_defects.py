@@ -11,13 +11,13 @@ import pytest
 from tests.measure.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
 from tests.measure.surfaces import calibration
 from wafer_viewer.measure.defects import golden_of_surface, inspect
-from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.golden import GoldenDie
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 
 BUMP = Planted("bump", 250.0, 392.0, 30, 6)
 PIT = Planted("pit", 110.0, 110.0, 8, 8)

@@ -9,12 +9,12 @@ import pytest
 
 from tests.measure.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
 from wafer_viewer.measure.step import step_height
-from wafer_viewer.model.conditions import Conditions
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.poses import Form, Poses, no_seams, no_shifts
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import ReadThrough
+from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts
+from wafer_viewer.model.surface.height_map import ReadThrough
 
 UPPER, LOWER = Region.rectangle(-150, -50, -40, 50), Region.rectangle(40, -50, 150, 50)
 TILT, LEVER_UM = 2e-3, 95.0

@@ -8,7 +8,7 @@ import pytest
 from tests.measure.noisy_wafer import wafer
 from wafer_viewer.measure import die_cells
 from wafer_viewer.measure.die_cells import CellGrid, source_of
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_grid import DieGrid
 
 
 def lattice(angle_rad: float = 0.0) -> DieGrid:

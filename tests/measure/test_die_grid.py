@@ -16,10 +16,10 @@ from tests.measure.surfaces import calibration
 from wafer_viewer.measure import die_registration
 from wafer_viewer.measure.die_grid import find_dies, on_surface, pitches
 from wafer_viewer.measure.die_status import statuses, without_bare_rim
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError, PlanError
-from wafer_viewer.model.feature import Die, Dies
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace
 

@@ -19,8 +19,8 @@ from wafer_viewer.measure.die_patches import (
     levelled_on,
     usual,
 )
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
+from wafer_viewer.model.surface.height_map import HeightMap
 
 WAFER = Wafer(rows=310, cols=420, noise_um=0.05, noise_grey=2.0)
 HERE, OTHERS = (1, 1), ((2, 1), (0, 2), (2, 2), (0, 1), (1, 2))

@@ -7,9 +7,9 @@ import pytest
 
 from tests.store.inspections import GRID, defect, inspection
 from wafer_viewer.measure.die_stack import repeated_places
-from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
 
 DIES = [GRID.name(*place) for place in GRID.places]

@@ -10,8 +10,8 @@ from tests.measure.test_defects import BUMP, DULL, PLANTED, at, inspected, made
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_cells import CellGrid
 from wafer_viewer.measure.excluded import excluded_of
-from wafer_viewer.model.defects import Defect, DefectRecipe
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 

@@ -12,8 +12,8 @@ from tests.measure.surfaces import gauge_blocks, surface_of
 from wafer_viewer.measure.gauge import en, gauge_check, gauge_repeat, judged, refusal
 from wafer_viewer.measure.gauge_budget import Known
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import GaugeTerms
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.gauge.gauge_check import GaugeTerms
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
 
 DAY = "2026-06-01"
@@ -108,7 +108,7 @@ def test_two_blocks_make_a_step_of_their_difference():
         {"serial_number": "B", "nominal_um": 1400.0, "value_um": 1399.9, "expanded_um": 0.03},
         {"serial_number": "A", "nominal_um": 1000.0, "value_um": 1000.02, "expanded_um": 0.04},
     )
-    from wafer_viewer.model.gauge import GaugeBlock
+    from wafer_viewer.model.gauge.gauge_check import GaugeBlock
 
     of_blocks = certificate(
         blocks=tuple(GaugeBlock(**block) for block in blocks),

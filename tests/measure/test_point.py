@@ -11,10 +11,10 @@ from tests.measure.surfaces import calibration, coordinates, gauge_blocks, noise
 from wafer_viewer.measure.levelled import levelled
 from wafer_viewer.measure.point import distance, point_height
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 TILT = 0.05
 SWEEP = {"recipe": Recipe(window=9), "z_step_um": 4.0}

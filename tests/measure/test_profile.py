@@ -9,9 +9,9 @@ from tests.measure.surfaces import calibration, coordinates, surface_of
 from wafer_viewer.measure import profile as module
 from wafer_viewer.measure.profile import profile
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 
 
 def slope(rows=80, cols=120, a=0.3, b=-0.2):
@@ -106,7 +106,7 @@ class Pyramid:
         return getattr(self.fine, name)
 
     def window(self, region=None, level=0):
-        from wafer_viewer.model.surface import HeightMap
+        from wafer_viewer.model.surface.height_map import HeightMap
 
         n = 2**level
         z = self.fine.z_um.reshape(800 // n, n, 800 // n, n).mean(axis=(1, 3))

@@ -8,9 +8,9 @@ import pytest
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.radius import bump_radius
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 AROUND = Region.circle(0, 0, 27)
 FOOT_UM = 20.0

@@ -13,10 +13,10 @@ from wafer_viewer.measure.die_size import die_size
 from wafer_viewer.measure.heights import MAX_PIXELS
 from wafer_viewer.measure.kerf import kerf_width
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.store.findings_csv import findings_csv
 
 WHOLE = Region.rectangle(-20, -60, 20, 60)

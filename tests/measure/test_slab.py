@@ -13,9 +13,9 @@ from wafer_viewer.draw.profile_plot import profile_plot_html
 from wafer_viewer.measure import slab as slabs
 from wafer_viewer.measure.slab import running_median, slab_profile
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import Section, SectionAsked
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 PIXEL, ROWS, COLS = 0.5, 200, 300
 

@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from tests.measure.surfaces import STEP_UM, calibration, gauge_blocks, surface_of
 from wafer_viewer.measure import heights
 from wafer_viewer.measure.step import step_height
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitch import stitch
 
 UPPER = Region.rectangle(-150, -50, -40, 50)

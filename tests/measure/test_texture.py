@@ -8,11 +8,11 @@ from scipy.ndimage import gaussian_filter
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.texture import texture
-from wafer_viewer.model.calibration import OpticalSetup
+from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Recipe
 
 SHAPE = 240, 300
 FACE = Region.rectangle(-74.9, -59.9, 74.9, 59.9)

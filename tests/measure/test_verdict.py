@@ -18,13 +18,13 @@ from wafer_viewer.measure.verdict import (
     scans_needed,
     what_next,
 )
-from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Die, Dies, Feature
-from wafer_viewer.model.quantities import Contribution, Length, Quantity
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.measurement.feature import Die, Dies, Feature
+from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace
-from wafer_viewer.model.verdict import Judged, WaferVerdict
 
 DIE = Feature(name="die", nominal_um=30.0, lower_limit_um=29.0, upper_limit_um=31.0)
 SIMPLE = replace(DIE, decision_rule="simple_acceptance")

@@ -16,7 +16,7 @@ from wafer_viewer.measure.die_grid import find_dies
 from wafer_viewer.measure.golden import Golden
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.whole_dies import whole_die_defects
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
 
 LEVEL, TILTED = (1e-4, -1e-4), (0.05, 0.0)
 

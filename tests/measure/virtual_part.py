@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.rigs.virtual.scene import SCENES, Window
 
 WALL_UM, DARK_GREY = 4.0, 18

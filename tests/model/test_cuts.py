@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from wafer_viewer.model.cuts import across, beside, column_line, gap, nearest, numbered, row_line
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import ProfileCurve
+from wafer_viewer.model.measurement.measurements import ProfileCurve
+from wafer_viewer.model.measurement.section_lines import across, beside, column_line, gap, nearest, numbered, row_line
 from wafer_viewer.model.region import Region
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tests.store.inspections import defect, inspection
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defect_verdict import verdict_of
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect_verdict import verdict_of
 
 
 def test_dies_with_too_many_are_named():

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, Leg, PulseTrain, Shot
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, Leg, PulseTrain, Shot
 
 
 def test_fields_are_numbered_row_by_row_from_the_top_left():

@@ -9,8 +9,8 @@ import pytest
 import wafer_viewer as wv
 from wafer_viewer.cli.parser import recipe_file
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 from wafer_viewer.model.spec import decode
+from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 PAPER = Path(__file__).parents[2] / "assets" / "recipes" / "paper.toml"
 

@@ -7,7 +7,7 @@ import pytest
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 
 def flat(rows=40, cols=60, pixel=0.5) -> HeightMap:

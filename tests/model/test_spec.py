@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError, PlanError
-from wafer_viewer.model.feature import Feature
-from wafer_viewer.model.findings import Findings, Length, Profile
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
-from wafer_viewer.model.recipe import Levy, Recipe
+from wafer_viewer.model.measurement.feature import Feature
+from wafer_viewer.model.measurement.measurements import Findings, Length, Profile
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Levy, Recipe
 
 GRID = FieldGrid(rows=3, cols=4, field_width_um=336.0, field_height_um=252.0)
 JOB = Job(grid=GRID, sweep=FocusSweep(z_step_um=1.0, n_frames=60), sample=Sample(lot="L7", wafer_id="03"))
@@ -108,7 +108,7 @@ def test_findings_of_several_kinds_share_one_file():
 
 
 def test_the_largest_uncertainty_is_doubled_once():
-    from wafer_viewer.model.quantities import Contribution
+    from wafer_viewer.model.quantity import Contribution
 
     length = Length.evaluated(400.0, (Contribution(name="noise", u_um=0.3), Contribution(name="z scale", u_um=0.4)))
     assert length.expanded_um == pytest.approx(1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.lay import Layers, lay
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from tests.truth.endless_wafer import Lattice, Wafer, look
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 X0_UM, Y0_UM, SHAPE = 100.0, 700.0, (480, 640)
 

@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 PIXEL_UM = 0.5
 _SHARPEST_PX, _PX_PER_UM = 0.8, 0.3

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 import wafer_viewer as wv
 from wafer_viewer.cli.app import main
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 MakeStack = Callable[..., FieldStack]
 

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError, MeasureError
-from wafer_viewer.model.poses import Form, Poses, no_seams, no_shifts
-from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
 from wafer_viewer.reconstruct.overlay import BLENDS
 from wafer_viewer.reconstruct.place import MARGIN_PX, layout, planned_lattice

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.model.recipe import Noise, Recipe
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.recipe import Noise, Recipe
 from wafer_viewer.reconstruct.camera_noise import QUANTISATION_COUNTS2, CameraNoise, estimate_camera_noise
 from wafer_viewer.reconstruct.field import settled_recipe
 from wafer_viewer.reconstruct.prepare import prepare

@@ -10,9 +10,9 @@ import pytest
 
 from tests.reconstruct.compared import X0_UM, Y0_UM, a_texture, taken, tilted, with_bump, with_heights
 from tests.truth.endless_wafer import Wafer
-from wafer_viewer.model.comparison import Registration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.surface import Origin, Provenance
+from wafer_viewer.model.surface.comparison import Registration
+from wafer_viewer.model.surface.height_map import Origin, Provenance
 from wafer_viewer.reconstruct.compare import compare
 from wafer_viewer.reconstruct.laid import LaidOver
 from wafer_viewer.reconstruct.read_as import read_as

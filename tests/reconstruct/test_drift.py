@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform
 
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.prepare import prepare, read_block
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from tests.truth.layouts import Layout, Taken, take
 from tests.truth.views import Optics
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace as changed
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.edges import noise_fall
 from wafer_viewer.reconstruct.field import reconstruct

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 import wafer_viewer as wv
+from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.model.stack import Bracket, FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
 

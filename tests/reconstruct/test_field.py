@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from wafer_viewer import __version__
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.recipe import Levy, Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.reconstruct.field import reconstruct, settled_recipe, warm_up
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
 from wafer_viewer.reconstruct.log_laplacian import log_laplacian_block
@@ -35,7 +35,7 @@ def test_a_plane_comes_out_as_it_is(plane_map: HeightMap, plane_um: NDArray) -> 
 
 
 def test_it_lies_where_the_field_was(make_stack: MakeStack, plane_um: NDArray) -> None:
-    from wafer_viewer.model.plan import Field
+    from wafer_viewer.model.acquisition.plan import Field
 
     field = Field(number=3, row=0, col=2, x_um=1000.0, y_um=-500.0, z_start_um=0.0)
     height = reconstruct(make_stack(plane_um, np.arange(20.0, 104.0, 4.0), field=field))

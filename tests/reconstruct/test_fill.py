@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Fill
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Fill
 from wafer_viewer.reconstruct.fill import fill, mark_filled
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.parts import read_part, source_of
 from wafer_viewer.reconstruct.prepare import prepare, read_block

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import convolve, uniform_filter
 
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct import search as search_module
 from wafer_viewer.reconstruct.focus import PAPER_MEASURES, focus_image
 from wafer_viewer.reconstruct.prepare import prepare

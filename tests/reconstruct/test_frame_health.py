@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tests.reconstruct.conftest import MakeStack
 from tests.truth.bleeding import drawn, seen
-from wafer_viewer.model.stack import Bracket, FieldStack
+from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.prepare import prepare
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.model.poses import Doubt, Poses, Shifts, no_seams
+from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts, no_seams
 from wafer_viewer.reconstruct.growing import Known, held_still
 
 

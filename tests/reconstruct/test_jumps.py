@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from tests.truth.layouts import Layout, Taken, take
 from tests.truth.views import Optics
-from wafer_viewer.model.recipe import Outliers, Recipe
 from wafer_viewer.model.spec import replace as changed
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Outliers, Recipe
 from wafer_viewer.reconstruct.clean import Cleaned, clean, settle_cleaning
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.jumps import apart_um

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.reconstruct.noisy_maps import noisy_step, rmse
-from wafer_viewer.model.recipe import Levy
+from wafer_viewer.model.surface.recipe import Levy
 from wafer_viewer.reconstruct.clean import MOST_ROUNDS, settle_levy
 from wafer_viewer.reconstruct.levy import NOISE_LAG_PX, SMOOTHERS, flight_lengths, height_noise_um, smooth
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct, settled_recipe
 from wafer_viewer.reconstruct.live import LiveField
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.reconstruct.tiles import Sample, a_field, a_sample, with_heights
-from wafer_viewer.model.poses import Doubt, Shifts
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Doubt, Shifts
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.misfits import TURNS, has_no_heights, judge_misfit, loose, suspects, turned
 from wafer_viewer.reconstruct.neighbours import neighbours
 from wafer_viewer.reconstruct.register import register

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Outliers, Recipe
+from wafer_viewer.model.surface.recipe import Outliers, Recipe
 from wafer_viewer.reconstruct.clean import clean, settle_cleaning
 from wafer_viewer.reconstruct.outliers import far_in_cloud, far_on_lattice, find_outliers
 

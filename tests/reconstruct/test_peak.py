@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.peak import confidence_of, lead_of
 from wafer_viewer.reconstruct.placing import PEAKS, Placing, place
 from wafer_viewer.reconstruct.prepare import prepare

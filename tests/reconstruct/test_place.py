@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.blend import blend_window
 from wafer_viewer.reconstruct.pieces import pieces
 from wafer_viewer.reconstruct.place import Layout, layout

@@ -12,10 +12,10 @@ from scipy.ndimage import gaussian_filter
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample
 from wafer_viewer.cli.app import main
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Recipe, Stitching
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.remarks import BY_STAGE_ALONE
 from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.session.placement import stitching_info

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.truth.overlaps import FIELD_UM, TILT, Z_UM, Fields, grid, seams_of, wafer
-from wafer_viewer.model.poses import Form, Numbers, Seams, selected
+from wafer_viewer.model.surface.field_poses import Form, Numbers, Seams, selected
 from wafer_viewer.reconstruct import multigrid
 from wafer_viewer.reconstruct.poses import Levels, solve_heights
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wafer
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Doubt, Form, Numbers, Shifts, selected
+from wafer_viewer.model.surface.field_poses import Doubt, Form, Numbers, Shifts, selected
 from wafer_viewer.reconstruct import multigrid
 from wafer_viewer.reconstruct.poses import Camera, Positions, solve_positions
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
-from wafer_viewer.model.poses import Doubt, SaidBy
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.field_poses import Doubt, SaidBy
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.reconstruct.register import PairShift, register, register_pair
 
 SHAPE = (200, 240)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.seams import compare, compare_pair
 
 SHAPE = (160, 200)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.slices import picture_at, stitched_picture
 
 MakeStack = Callable[..., FieldStack]

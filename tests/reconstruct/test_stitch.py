@@ -10,9 +10,9 @@ import pytest
 import wafer_viewer as wv
 from tests.truth.field_grid import PIXEL_UM, SMALL, make
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Doubt
-from wafer_viewer.model.recipe import Recipe, Stitching
-from wafer_viewer.model.surface import Provenance
+from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.height_map import Provenance
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ SCRIPT = """
 import dataclasses, sys
 import numpy as np
 from numba.core.dispatcher import Dispatcher
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.field import reconstruct, warm_up
 from wafer_viewer.reconstruct.why import focus_curve
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.stack import FieldStack
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.why import focus_curve, rivals_of
 

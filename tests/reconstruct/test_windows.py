@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.reconstruct.peak import Peaks
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part

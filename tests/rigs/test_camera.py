@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from wafer_viewer.model.acquisition.focus_stack import FrameStatus
+from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.model.plan import PulseTrain
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.stack import FrameStatus
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 

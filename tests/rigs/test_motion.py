@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.model.devices import Position
+from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.mechanics import AXIAL_ERROR_UM, LATERAL_ERROR_UM, VirtualStage
 from wafer_viewer.rigs.virtual.motion import halt, standing, trapezoid

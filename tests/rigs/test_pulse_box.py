@@ -11,8 +11,8 @@ from itertools import pairwise
 import pytest
 import serial
 
+from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.model.plan import PulseTrain
 from wafer_viewer.rigs.pulse_box import PulseBoxClient
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults

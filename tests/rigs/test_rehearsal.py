@@ -7,8 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.model.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.rigs.virtual.rehearsal import Rehearsal, rehearse
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 

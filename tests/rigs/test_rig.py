@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.model.plan import PulseTrain
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.plan import PulseTrain
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT, VirtualRig, virtual_limits
 
 ON_COMMAND = PulseTrain(axis="z", first_count=0, counts_per_frame=100, n_frames=100, direction=1)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tests.reconstruct.compared import taken, tilted, with_bump
-from wafer_viewer.model.plan import Field, FocusSweep, Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe, Stitching
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record

@@ -8,15 +8,15 @@ import numpy as np
 
 from tests.store.inspections import defect, inspection
 from tests.store.samples import CALIBRATION, SUMMARY, make_frame
-from wafer_viewer.model.comparison import SurfaceName
-from wafer_viewer.model.feature import Feature
-from wafer_viewer.model.findings import Findings
-from wafer_viewer.model.notebook import Notebook, SavedView
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.job.review_notes import Notebook, SavedView
+from wafer_viewer.model.measurement.feature import Feature
+from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.progress import silent
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import SurfaceName
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.offline import make_surface
 from wafer_viewer.session.subtraction import keep_difference

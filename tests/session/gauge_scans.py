@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.measure.surfaces import PIXEL_UM, STEP_UM, gauge_blocks
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.plan import Field, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.truth.field_grid import Made
-from wafer_viewer.model.plan import FocusSweep, Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe, Stitching
+from wafer_viewer.model.acquisition.plan import FocusSweep, Job, ScanPlan
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.result import Result

@@ -8,14 +8,14 @@ import numpy as np
 
 from tests.session.released import MARKS, SETTLED
 from tests.store.samples import CALIBRATION, make_job, make_plan
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.feature import Dies, Feature
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.recipe import Stitching
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.alignment import Mark, Marks
-from wafer_viewer.model.feature import Feature
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.recipe import Levy, Noise, Outliers, Recipe
+from wafer_viewer.model.acquisition.alignment import Mark, Marks
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.drafting import plan_of
 from wafer_viewer.session.releases import released

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.session.compared_datasets import BUMP_UM, SHIFT_UM, two_datasets
-from wafer_viewer.model.comparison import Face, SurfaceName, show_of
 from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.comparison import Face, SurfaceName, show_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.subtraction import face_of, opened, subtract
 from wafer_viewer.store.dataset import Dataset

@@ -11,11 +11,11 @@ import pytest
 
 from tests.session.compared_datasets import two_datasets
 from tests.store.inspections import GRID, defect, inspection
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, HeldByAnother, MeasureError
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_files import DefectFiles, DefectFilesKeeper
 from wafer_viewer.session.defect_handover import hand_over, keep_golden

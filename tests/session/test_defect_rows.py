@@ -17,8 +17,8 @@ from wafer_viewer.measure.defect_filters import BINS
 from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.golden import Golden
-from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import ComputeError, DatasetError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.session import defect_rows
 from wafer_viewer.session.defect_offline import inspected, wafer_of
 from wafer_viewer.session.defect_rows import in_order

@@ -18,16 +18,16 @@ from tests.measure.patterned import Wafer, made
 from tests.session.released import MARKS
 from tests.store.inspections import defect, inspection
 from tests.store.samples import make_job, make_plan
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.comparison import Change, Comparison, Face, Registration, SurfaceName
-from wafer_viewer.model.defects import DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieStatus
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieStatus
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.comparison import Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.defect_views import DefectViews, earlier_scan
 from wafer_viewer.session.inspection_state import InspectionState

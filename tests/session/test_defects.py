@@ -8,8 +8,8 @@ import pytest
 
 from tests.session.compared_datasets import two_datasets
 from tests.store.inspections import defect, inspection
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
+from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_work import inspect_dataset, mosaic_mark
 from wafer_viewer.session.defects import DefectKeeper

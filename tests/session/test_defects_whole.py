@@ -9,9 +9,9 @@ import pytest
 
 from tests.measure.noisy_wafer import Planted, wafer
 from tests.session.conftest import PATIENCE_S
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.golden import open_golden
 from wafer_viewer.store.klarf_reading import read_klarf

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import FocusSweep
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.plan import FocusSweep
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.desk import Desk

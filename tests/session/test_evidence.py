@@ -7,7 +7,7 @@ import pytest
 import tifffile
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.tasks import reconstruct_field

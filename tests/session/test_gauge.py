@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.session.gauge_scans import CALIBRATION, LOWER, RESULT, RIG, UPPER, scan_of_blocks
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.gauge import GaugeCheck, GaugeTerms
-from wafer_viewer.model.plan import Field, FocusSweep, Job
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig

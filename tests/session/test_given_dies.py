@@ -7,10 +7,10 @@ import math
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.model.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.acquisition.alignment import Alignment, Mark, Marks
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.feature import Die, Dies
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.spec import encode, replace
 from wafer_viewer.session.given_dies import GivenDies, dies_of_job
 

@@ -6,11 +6,11 @@ import pytest
 
 from tests.session.conftest import small_job
 from tests.session.released import DIE, SETTLED, engineered, release_of
-from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting

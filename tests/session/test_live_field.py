@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.store.samples import make_frame, make_job, make_plan
-from wafer_viewer.model.plan import Shot
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.plan import Shot
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
 from wafer_viewer.store.dataset import Dataset

@@ -11,8 +11,8 @@ import pytest
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
 from wafer_viewer.measure.tools import MEASUREMENTS
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.measuring import Measuring
 

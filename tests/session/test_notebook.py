@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.notebook import SavedView
+from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.notebook import NotebookKeeper, NotebookVerbs
 from wafer_viewer.session.papers import Papers

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import pytest
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import PointHeight, Profile
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.measurement.measurements import PointHeight, Profile
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.state import Snapshot

@@ -14,13 +14,13 @@ from tests.session.grid_dataset import REGISTERED, add_surfaces, make_dataset
 from tests.truth.field_grid import SMALL, make
 from wafer_viewer.draw.clipping import CODES
 from wafer_viewer.draw.colours import ORIGIN_COLOURS
-from wafer_viewer.model.clipping import Clip, Slab
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.refused import RefusedHeights
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.clipping import Clip, Slab
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.refused_points import RefusedHeights
 from wafer_viewer.session.paint_refused import PlacedField, placed_fields, points_of
 from wafer_viewer.session.paint_request import PaintRequest, Refused, Source, Statistics, unpack_points
 from wafer_viewer.session.painting import paint

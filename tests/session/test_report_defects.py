@@ -8,8 +8,8 @@ import pytest
 
 from tests.session.judged_datasets import RESULT, judged_dataset, released_job
 from tests.store.inspections import defect, inspection
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.report import ReportOrder, Section
 from wafer_viewer.session.reporting import contents, report_of
 from wafer_viewer.store.dataset import Dataset

@@ -14,17 +14,17 @@ from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.step import step_height
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.feature import Feature
-from wafer_viewer.model.findings import Findings
-from wafer_viewer.model.notebook import Judgement, Notebook
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.job.review_notes import Judgement, Notebook
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.measurement.feature import Feature
+from wafer_viewer.model.measurement.measurements import Findings
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap
-from wafer_viewer.model.verdict import Judged, WaferVerdict
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session import report_results, reporting
 from wafer_viewer.session.reporting import contents, gather, make_report, report_of
 from wafer_viewer.session.summary import save_summary, summarise

@@ -9,11 +9,11 @@ import pytest
 
 from tests.measure.surfaces import coordinates, surface_of
 from tests.session.grid_dataset import RESULT, make_dataset
+from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.plan import FieldGrid
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.sections import OtherSurface, SectionAsked
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import OtherSurface, SectionAsked
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.sections import Sections
 from wafer_viewer.store.dataset import Dataset

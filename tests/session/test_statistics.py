@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.gui.stand_in import MemoryShelf, height_map
-from wafer_viewer.model.clipping import Clip, Slab
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, PartOfMosaic
+from wafer_viewer.model.surface.clipping import Clip, Slab
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
 from wafer_viewer.session import paint_statistics
 from wafer_viewer.session.paint_request import PaintRequest, Source, Statistics
 from wafer_viewer.session.painting import paint

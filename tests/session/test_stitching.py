@@ -11,7 +11,7 @@ from tests.session.grid_dataset import REGISTERED, RESULT, add_surfaces, make_da
 from tests.truth.field_grid import SMALL, make
 from wafer_viewer.compute.task_runner import Here
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.model.recipe import Recipe, Stitching
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.store.dataset import Dataset
 

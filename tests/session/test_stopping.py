@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.compute.child_process import Answer, Ask, ChildEnd
-from wafer_viewer.model.devices import Position
+from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.rigs.virtual.rig import VirtualRig

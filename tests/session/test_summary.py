@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import load_summary, save_summary, summarise

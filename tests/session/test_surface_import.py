@@ -7,9 +7,9 @@ import pytest
 
 from tests.store.samples import CALIBRATION, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import Reading
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.report import ReportOrder
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.offline import file_or_mosaic, measured_surface
 from wafer_viewer.session.offline import make_surface as make_again

@@ -10,8 +10,8 @@ from tests.session.conftest import small_job
 from tests.session.judged_datasets import STEP, judged_dataset, released_job
 from tests.session.released import SETTLED, engineered
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
-from wafer_viewer.model.recipe import Stitching
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 
 GRID = DieGrid(

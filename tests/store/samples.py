@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.devices import PulseSummary
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, Leg, PulseTrain, ScanPlan, Shot
-from wafer_viewer.model.stack import Frame, FrameStatus
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, Leg, PulseTrain, ScanPlan, Shot
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 ROWS, COLS = 6, 8
 CALIBRATION = Calibration(

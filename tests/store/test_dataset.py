@@ -12,9 +12,9 @@ import tifffile
 from PIL import Image as PillowImage
 
 from tests.store.samples import CALIBRATION, COLS, ROWS, SUMMARY, all_shots, make_frame, make_image, make_job, make_plan
+from wafer_viewer.model.acquisition.focus_stack import FrameStatus
+from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import Shot
-from wafer_viewer.model.stack import FrameStatus
 from wafer_viewer.store import pages
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.lock import holder_of

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.model.class_rules import ClassRules
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.inspection.class_rules import ClassRules
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.defect_recipes import (

@@ -5,9 +5,9 @@ from __future__ import annotations
 import csv
 import io
 
-from wafer_viewer.model.findings import AreaVolume, Distance, Findings, StepHeight, Texture
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.quantities import BudgetLine, Contribution, Length, Quantity
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurements import AreaVolume, Distance, Findings, StepHeight, Texture
+from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.store.findings_csv import findings_csv
 

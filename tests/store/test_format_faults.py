@@ -15,7 +15,7 @@ from PIL import Image
 
 from tests.store.samples import make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import READ
+from wafer_viewer.model.file_formats import READ
 from wafer_viewer.store.exporters import export
 from wafer_viewer.store.readers import read_surface
 

@@ -14,8 +14,8 @@ import trimesh
 from tests.bench.big_mosaic import MadeWafer
 from tests.store.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import FORMATS, MESHES, READ, every_for
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.file_formats import FORMATS, MESHES, READ, every_for
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.store.exporters import EXPORTERS, density, export, losses
 from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.readers import READERS, is_surface_file, read_surface

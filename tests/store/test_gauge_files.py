@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.measure.gauge_repeats import CALIBRATION, record
-from wafer_viewer.model.calibration import OpticalSetup
+from wafer_viewer.model.acquisition.calibration import OpticalSetup
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.calibrations import CalibrationChange, calibration_in_force, record_change

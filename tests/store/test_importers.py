@@ -8,9 +8,9 @@ import pytest
 import tifffile
 from PIL import Image as PillowImage
 
+from wafer_viewer.model.acquisition.optics import depth_of_field_um
+from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.optics import depth_of_field_um
-from wafer_viewer.model.plan import Shot
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.store.images import REC_709, pictures
 from wafer_viewer.store.importers import import_dataset, open_stack

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import Shot
 from wafer_viewer.store.files import natural
 from wafer_viewer.store.journal import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from tests.store.inspections import GRID, defect, inspection
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.klarf import CLASS_NUMBERS
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.inspection.klarf import CLASS_NUMBERS
 from wafer_viewer.store.klarf import write_klarf
 from wafer_viewer.store.klarf_reading import read_klarf
 

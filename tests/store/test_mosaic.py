@@ -17,7 +17,7 @@ from tests.store.samples import assert_same_surface, make_surface
 from wafer_viewer.measure.heights import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.pyramid import halve
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.mosaic import (

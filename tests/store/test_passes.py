@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 
 from tests.store.samples import make_frame, make_job, make_plan
-from wafer_viewer.model.devices import PulseSummary
-from wafer_viewer.model.plan import Shot
+from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.store import journal
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.passes import check_passes

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
 from wafer_viewer.store.poses import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)

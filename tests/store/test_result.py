@@ -4,9 +4,9 @@ import pytest
 
 from tests.store.samples import assert_same_surface, make_job, make_plan, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Findings, Length, Profile
-from wafer_viewer.model.recipe import Levy, Recipe
+from wafer_viewer.model.measurement.measurements import Findings, Length, Profile
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.mosaic import write_mosaic
 from wafer_viewer.store.writer import DatasetWriter

@@ -15,8 +15,8 @@ from scipy.fft import irfft2, rfft2
 from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
 
 WAVELENGTH_UM = 0.55
 PIXEL_UM = 0.46729

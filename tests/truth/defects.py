@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from tests.truth.patterned import scene_of
 from tests.truth.planted import DEPTH_UM, PITCH_PX, PIXEL_UM, STREET_PX, Plan, Planted, planted
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scene import Scene

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from tests.truth.endless_wafer import Floats, Lattice, knots, look, stain
 from tests.truth.grid_truth import PIXEL_UM, Grid, Truth
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 
 Z_STEP_UM, FALSE_UM, WRONG_PX = 4.0, 15.0, 15.0
 FOREIGN_UM = 1234.5

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.truth.endless_wafer import Wafer
-from wafer_viewer.model.plan import Field, FieldGrid
+from wafer_viewer.model.acquisition.plan import Field, FieldGrid
 
 PIXEL_UM = 0.46729
 VERSION = 5

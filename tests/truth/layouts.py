@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tests.truth.scene import TruthScene
 from tests.truth.scenes import SCENES, SWEEP_UM
 from tests.truth.views import Camera, Optics, light_of, sharp_of, stack_from, white_light_of
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 
 GENERATOR = 3
 """Counts the changes of the generator that change pixels: kept light of another generator is not used."""

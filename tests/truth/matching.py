@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import beta, chi2
 
 from tests.truth.planted import PIXEL_UM, Planted
-from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.inspection.defect import Defect
 
 ROOM_UM = 4 * PIXEL_UM
 """A centroid this far outside of a planted outline still belongs to it; a false one is twice as far from all."""

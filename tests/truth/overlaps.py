@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Numbers, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Doubt, Numbers, Seams, Shifts
 
 PIXEL_UM = 0.46729
 FIELD_UM = (1440 * PIXEL_UM, 1080 * PIXEL_UM)

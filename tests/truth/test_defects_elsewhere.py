@@ -13,9 +13,9 @@ from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.stitch import stitch
 

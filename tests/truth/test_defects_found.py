@@ -12,8 +12,8 @@ from tests.truth.matching import Matched, capture, match
 from tests.truth.planted import GEOMETRIC, PITCH_UM, Planted
 from wafer_viewer.measure.defects import inspect
 from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.model.defects import Inspection
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
 
 pytestmark = pytest.mark.slow
 SIGMA_UM = 0.186

@@ -10,7 +10,7 @@ from scipy.ndimage import shift
 
 from tests.truth.endless_wafer import Lattice, Wafer, look
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, make, simulated, truth_of
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 ONE = replace(SMALL, rows=1, cols=2, noise_um=0.0, false_fraction=0.0, gap_fraction=0.0, shiver_px=0.0)
 

@@ -8,8 +8,8 @@ import pytest
 from tests.truth.matching import Rate, capture, false_limit_per_mm2, match, plain
 from tests.truth.patterned import scene_of
 from tests.truth.planted import DIE_UM, GEOMETRIC, PITCH_UM, Plan, Planted, die_errors, planted
-from wafer_viewer.model.defects import Defect
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 
 PARTICLE = Planted("particle", 50.0, 40.0, (0, 0), 20, 6, 10.0, 10.0, 1.0)

@@ -18,8 +18,8 @@ from scipy.ndimage import gaussian_filter
 
 from tests.truth.rays import add_view, trace_view
 from tests.truth.scene import TruthScene
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
 
 TILE_PX = 320
 TRUNCATE = 3.5

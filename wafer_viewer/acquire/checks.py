@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Field, FocusSweep
 from wafer_viewer.model.spec import replace
 
 STEP_TOLERANCE = 0.01

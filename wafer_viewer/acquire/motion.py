@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
-from wafer_viewer.model.devices import Position, Rig
+from wafer_viewer.model.acquisition.devices import Position, Rig
+from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
-from wafer_viewer.model.plan import Axis
 from wafer_viewer.model.progress import ShouldStop
 
 SPARE_FRACTION = 0.5

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from wafer_viewer.acquire.motion import Deadline, at_um, await_arrival, come_to_rest, device_errors, move
 from wafer_viewer.acquire.reconcile import DeviceClock, Pairing, Reconciler, Timing
-from wafer_viewer.model.devices import CameraImage, PulseSummary, Rig
+from wafer_viewer.model.acquisition.devices import CameraImage, PulseSummary, Rig
+from wafer_viewer.model.acquisition.focus_stack import Frame
+from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain
 from wafer_viewer.model.errors import MissedPulse, MotionStopped, RigError
-from wafer_viewer.model.plan import Axis, Leg, PulseTrain
 from wafer_viewer.model.progress import ShouldStop
-from wafer_viewer.model.stack import Frame
 
 POLL_S = 0.05
 """How long a look for the next image may take before the box's heart is beaten again."""

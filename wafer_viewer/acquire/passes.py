@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Axis, Field, FocusSweep, Leg, PulseTrain, Shot
+from wafer_viewer.model.acquisition.plan import Axis, Field, FocusSweep, Leg, PulseTrain, Shot
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 
 SMEAR_PX = 0.5
 """The most that a line pass may move during an exposure."""

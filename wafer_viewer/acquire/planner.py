@@ -11,9 +11,9 @@ import numpy as np
 from wafer_viewer.acquire.checks import check_exposures, check_fields, check_sweep, whole_counts
 from wafer_viewer.acquire.passes import AXES, Pass, Task, line_obstacle, line_passes, shoot_passes, z_passes
 from wafer_viewer.acquire.pricing import Travel, motions, predicted_s, travel_of
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Price, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Field, FocusSweep, Price, ScanPlan
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.acquire.passes import AXES, Pass, Task
-from wafer_viewer.model.limits import AxisLimits, RigLimits
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits, RigLimits
 
 PASS_OVERHEAD_S = 0.02
 """Arming the box, starting the camera and fetching the last image of a pass."""

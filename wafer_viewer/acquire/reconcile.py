@@ -17,10 +17,10 @@ from statistics import median
 
 import numpy as np
 
-from wafer_viewer.model.devices import CameraImage, Pulse
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Leg, Shot
-from wafer_viewer.model.stack import Frame, FrameStatus
+from wafer_viewer.model.acquisition.devices import CameraImage, Pulse
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
+from wafer_viewer.model.acquisition.plan import Leg, Shot
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 
 TRACKED = 9
 """Images whose median says how camera and box differ just now."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from wafer_viewer.acquire.one_pass import PassResult, device_clock, rest_afterwards, run_pass
 from wafer_viewer.acquire.reconcile import DeviceClock, Hole
-from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.acquisition.devices import Rig
+from wafer_viewer.model.acquisition.focus_stack import Frame
+from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.acquisition.scan_roles import ScanControl, ScanSink
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Axis, Leg, ScanPlan, Shot
-from wafer_viewer.model.scanning import ScanControl, ScanSink
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.stack import Frame
 
 REPAIRS = 2
 """How often an empty slot is tried again."""

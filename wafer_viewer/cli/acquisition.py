@@ -42,8 +42,8 @@ from wafer_viewer.cli.output import (
 from wafer_viewer.model.errors import PlanError, RigError
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.devices import Rig
-    from wafer_viewer.model.plan import Job
+    from wafer_viewer.model.acquisition.devices import Rig
+    from wafer_viewer.model.acquisition.plan import Job
     from wafer_viewer.rigs.config import RigConfig
     from wafer_viewer.session.preflight import Check
 
@@ -186,7 +186,7 @@ def import_(
         na: Numerical aperture of the objective, in air: bounds the width of focus curves.
         wavelength_um: Of the light; 0.55 um where it is not given.
     """
-    from wafer_viewer.model.formats import Reading
+    from wafer_viewer.model.file_formats import Reading
     from wafer_viewer.session.surface_import import import_surface
     from wafer_viewer.store.importers import import_dataset
     from wafer_viewer.store.readers import is_surface_file

@@ -8,7 +8,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 
 Word = Annotated[Positional[str], arg(metavar="WORD")]

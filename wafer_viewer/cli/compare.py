@@ -9,8 +9,8 @@ import msgspec
 from tyro.conf import Positional, arg
 
 from wafer_viewer.cli.output import print_json, progress, warn
-from wafer_viewer.model.comparison import Align, Comparison, Heights, SurfaceName
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.comparison import Align, Comparison, Heights, SurfaceName
 
 First = Annotated[Positional[Path], arg(metavar="FIRST")]
 Second = Annotated[Positional[Path], arg(metavar="SECOND")]

@@ -13,10 +13,10 @@ from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import Count, File, Source, Text, Um
 from wafer_viewer.cli.output import print_json, progress, warn
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defect_verdict import verdict_of
-from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_handover import WRITERS, Handover
 from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer_of
@@ -26,7 +26,7 @@ from wafer_viewer.session.offline import Hire
 from wafer_viewer.session.other_tool import compared, laid_over
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.golden import GoldenDie
+    from wafer_viewer.model.inspection.golden_die import GoldenDie
 
 BEYOND = 1
 Pair = Annotated[tuple[float, float] | None, arg(metavar="X Y")]

@@ -11,9 +11,9 @@ from tyro.conf import Positional, arg
 from wafer_viewer.cli.arguments import File, Rectangle, Sources, Text
 from wafer_viewer.cli.output import print_json
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import GaugeTerms
+from wafer_viewer.model.gauge.gauge_check import GaugeTerms
+from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.repeatability import GaugeRR, Method
 from wafer_viewer.model.spec import replace
 
 Studies = Annotated[Positional[tuple[Path, ...]], arg(metavar="STUDY.csv|DATASET ...")]

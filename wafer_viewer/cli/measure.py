@@ -15,7 +15,7 @@ from wafer_viewer.cli.measure_common import measure as _measure
 from wafer_viewer.cli.measure_common import print_finding as _print
 from wafer_viewer.cli.measure_common import surface_over as _surface
 from wafer_viewer.cli.output import print_json
-from wafer_viewer.model.options import RoughnessOptions, TextureOptions, ToolOptions
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions, TextureOptions, ToolOptions
 from wafer_viewer.model.region import Region
 
 

@@ -11,12 +11,12 @@ import msgspec
 
 from wafer_viewer.cli.arguments import File, Integers, Level, Numbers, OutFile, Source, levelling_from
 from wafer_viewer.cli.output import print_json
-from wafer_viewer.model.cuts import MOST_LINES, column_line, row_line
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.section_lines import MOST_LINES, column_line, row_line
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
 from wafer_viewer.model.spec import replace as finding_replace
-from wafer_viewer.model.surface import Mosaic, Outline
+from wafer_viewer.model.surface.height_map import Mosaic, Outline
 
 
 def measure_profile(

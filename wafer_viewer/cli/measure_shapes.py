@@ -9,7 +9,7 @@ from typing import Literal
 
 from wafer_viewer.cli.arguments import Circle, Level, Rectangle, Source
 from wafer_viewer.cli.measure_common import measure
-from wafer_viewer.model.options import (
+from wafer_viewer.model.measurement.tool_options import (
     ChippingOptions,
     CircleOptions,
     CoplanarityOptions,

@@ -12,12 +12,12 @@ from tyro.conf import OmitArgPrefixes, arg
 
 from wafer_viewer.cli.arguments import Level, Line, Source
 from wafer_viewer.cli.measure_common import measure, print_finding, surface_over
-from wafer_viewer.model.conditions import STEEL_PER_K, Conditions
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import GrooveOptions, StepDefinition, ToolOptions
+from wafer_viewer.model.measurement.tool_options import GrooveOptions, StepDefinition, ToolOptions
+from wafer_viewer.model.measurement.uncertainty_conditions import STEEL_PER_K, Conditions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 Rectangles = Annotated[tuple[tuple[float, float, float, float], ...], arg(metavar="X0 Y0 X1 Y1 ...")]
 Known = Annotated[float | None, arg(metavar="UM")]

@@ -12,16 +12,16 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
-from wafer_viewer.model.feature import limits_text
-from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.measurement.feature import limits_text
 from wafer_viewer.model.progress import Progress
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from wafer_viewer.model.quantities import Quantity
-    from wafer_viewer.model.trial import Trial
-    from wafer_viewer.model.verdict import WaferVerdict
+    from wafer_viewer.model.job.revision_trial import Trial
+    from wafer_viewer.model.job.verdict import WaferVerdict
+    from wafer_viewer.model.quantity import Quantity
     from wafer_viewer.session.doctor import Check
     from wafer_viewer.session.preflight import Check as LookedAt
     from wafer_viewer.session.state import SurfaceInfo

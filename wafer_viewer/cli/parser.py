@@ -12,8 +12,8 @@ from typing import NoReturn
 from tyro import _errors as parse_errors
 
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.recipe import READY_RECIPES, Recipe
 from wafer_viewer.model.spec import decode
+from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 _NAMES = ", ".join(READY_RECIPES)
 _SAYS_NOTHING = re.compile(r"\s*\(default: (None|False|)\)")

@@ -22,9 +22,9 @@ from wafer_viewer.cli.arguments import (
 )
 from wafer_viewer.cli.output import print_json, print_surface, progress, warn
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.report import PARTS, Part, ReportOrder
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
 
 OF_THE_PAGE = ("stamp", "changed")
 """What a browser needs to know of a surface, and nobody else."""
@@ -161,7 +161,7 @@ def convert(
         invert_z: The numbers of SRC are depths: invert them.
         result: Name of the reconstruction of a NAME.wafer.
     """
-    from wafer_viewer.model.formats import Reading
+    from wafer_viewer.model.file_formats import Reading
     from wafer_viewer.session.offline import file_or_mosaic
     from wafer_viewer.store.exporters import density, require_known
 

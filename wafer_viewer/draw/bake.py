@@ -11,7 +11,7 @@ from wafer_viewer.draw.clipping import depth_shade
 from wafer_viewer.draw.colours import BRUSH, ELSEWHERE, origin_table, rgb, table
 from wafer_viewer.draw.look import Form, Light, Look, Plane, Quantity
 from wafer_viewer.draw.shade import Shading, shade, without_gaps
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 Picture = NDArray[np.uint8]
 _BRUSH_SHARE = 0.86

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.clipping import LEFT_OUT, Clip, LeftOut
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.clipping import LEFT_OUT, Clip, LeftOut
+from wafer_viewer.model.surface.height_map import HeightMap
 
 Floats = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 from wafer_viewer.draw.colours import ELSEWHERE, ORIGIN_COLOURS, css_gradient
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.ticks import tick_digits, ticks
-from wafer_viewer.model.surface import ORIGIN_TITLES
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES
 
 _HISTOGRAM_PX = 44
 _LONG_TITLE = 12

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
 
 Rgb = tuple[int, int, int]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.model.defects import DefectClass
+from wafer_viewer.model.inspection.defect import DefectClass
 
 
 @dataclass(frozen=True, slots=True)

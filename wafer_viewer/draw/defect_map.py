@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.draw.wafer_map import MOST_SINGLE, Frame, Outline
-from wafer_viewer.model.defects import Inspection
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 """From one place on a die to another, in shares of its width and height from the lower left corner."""

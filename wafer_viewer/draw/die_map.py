@@ -9,8 +9,8 @@ import html
 from collections.abc import Sequence
 
 from wafer_viewer.draw.wafer_map import Box, Frame
-from wafer_viewer.model.decision import Word
-from wafer_viewer.model.verdict import JudgedDie
+from wafer_viewer.model.decision_rule import Word
+from wafer_viewer.model.job.verdict import JudgedDie
 
 INKS: dict[Word, tuple[str, str]] = {
     "pass": ("good", ""),

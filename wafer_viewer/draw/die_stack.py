@@ -10,9 +10,9 @@ from collections.abc import Callable, Collection, Sequence
 
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.symbols import symbol
-from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.repeated_place import RepeatedPlace
 
 Attributes = Callable[[str, object], str]
 """What makes a part of the drawing a button: from what is picked, and its key."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.draw.ticks import tick_digits, ticks
-from wafer_viewer.model.evidence import FocusCurve, Rival
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 50, 14, 6, 40
 _HEADROOM = 1.17

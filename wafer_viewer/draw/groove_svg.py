@@ -6,7 +6,7 @@ import numpy as np
 
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number
-from wafer_viewer.model.step import StepProfile
+from wafer_viewer.model.measurement.step import StepProfile
 
 WIDTH, HEIGHT = 372, 118
 _TOP, _FOOT, _SIDE = 16, 16, 2

@@ -9,7 +9,7 @@ import numpy as np
 from wafer_viewer.draw.colours import table
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.ticks import tick_digits, ticks
-from wafer_viewer.model.clipping import Span
+from wafer_viewer.model.surface.clipping import Span
 
 HEIGHT_PX, TICKS_PX = 92, 20
 _SIDE = 1000

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.symbols import symbol
-from wafer_viewer.model.defects import DefectClass
+from wafer_viewer.model.inspection.defect import DefectClass
 
 _ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36
 

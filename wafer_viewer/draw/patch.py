@@ -8,7 +8,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.focus_stack import Image
 
 LEAST_SPAN = 1 / 8
 """Of the range of greys: less contrast is not spread further, so that noise does not look like texture."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.ticks import round_step, tick_digits, ticks
-from wafer_viewer.model.sections import Section, SlabPoints
+from wafer_viewer.model.measurement.sections import Section, SlabPoints
 
 Floats = NDArray[np.float64]
 Ends = tuple[float, float]

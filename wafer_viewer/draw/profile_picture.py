@@ -13,8 +13,8 @@ from wafer_viewer.draw.colours import PROFILE_COLOURS, Rgb, rgb
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.profile_frame import Ends, ProfileFrame, digits, frame_of, runs
 from wafer_viewer.draw.text import font, length_px, write
-from wafer_viewer.model.sections import Section
-from wafer_viewer.model.surface import LAYER_TITLES
+from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 DOTS_PER_INCH = 300
 WIDTH_PX, HEIGHT_PX = 2008, 1063

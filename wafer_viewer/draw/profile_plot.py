@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wafer_viewer.draw.colours import BRUSH, PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.profile_frame import ProfileFrame, digits, dots, runs
-from wafer_viewer.model.sections import Section, SlabPoints
+from wafer_viewer.model.measurement.sections import Section, SlabPoints
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 58, 14, 8, 40
 _SIDE = 8000

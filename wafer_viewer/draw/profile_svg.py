@@ -7,7 +7,7 @@ import numpy as np
 from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.profile_frame import ProfileFrame, digits, frame_of, runs
-from wafer_viewer.model.sections import Section
+from wafer_viewer.model.measurement.sections import Section
 
 WIDTH, HEIGHT = 680, 210
 _LEFT, _RIGHT, _TOP, _FOOT = 58, 16, 8, 36

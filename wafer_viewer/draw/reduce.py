@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 Layer = NDArray[np.float32] | NDArray[np.uint8] | NDArray[np.uint16]
 

@@ -14,7 +14,7 @@ from datetime import datetime
 from wafer_viewer.draw.numbers import number, value_and_u
 from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.run_chart import ChartPoint, RunChart
+from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 64, 70, 8, 22
 MOST_POINTS = 30

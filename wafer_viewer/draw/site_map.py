@@ -9,7 +9,7 @@ import html
 
 from wafer_viewer.draw.colours import table
 from wafer_viewer.draw.numbers import THIN, number
-from wafer_viewer.model.site_range import Site, SiteRanges
+from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 
 _WIDTH, _GAP = 360.0, 0.04
 """Width of the drawing in its own units; between cells, of a cell's side."""

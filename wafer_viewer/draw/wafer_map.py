@@ -9,7 +9,7 @@ import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from wafer_viewer.model.plan import Field
+from wafer_viewer.model.acquisition.plan import Field
 
 Outline = Sequence[tuple[float, float]]
 Box = tuple[float, float, float, float]

@@ -23,8 +23,8 @@ from wafer_viewer.gui.stage import Item
 from wafer_viewer.gui.surface_scene import result_of
 from wafer_viewer.gui.tiles import Shown, surface_items
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.session.paint_request import Facts, Source
 from wafer_viewer.session.state import FieldState, LatestFrame, OpenDataset, Snapshot
 

@@ -10,8 +10,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state import Snapshot
 
 

@@ -12,7 +12,7 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.datums import Datums, FindDatum
 from wafer_viewer.gui.stage import NotYet, Orders, Paint
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
 
 Answer = TypeVar("Answer", Facts, Scale, Relief)

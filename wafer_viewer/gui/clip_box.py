@@ -17,7 +17,7 @@ from wafer_viewer.gui.handles import Dragged, Knob
 from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.shapes import dashed, lines
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box, Span
+from wafer_viewer.model.surface.clipping import Box, Span
 
 NAME = "clip"
 AXES = "xyz"

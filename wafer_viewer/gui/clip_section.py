@@ -15,8 +15,8 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box, Span
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.surface.clipping import Box, Span
 
 FAILED = "The clip box was not changed"
 DECIMALS = 2

@@ -18,8 +18,8 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.obstacles import no_comparison, no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.state import Snapshot
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wafer_viewer.draw.numbers import digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.comparison import FOUND_BY, Change, Comparison, Face, Registration, SurfaceName
+from wafer_viewer.model.surface.comparison import FOUND_BY, Change, Comparison, Face, Registration, SurfaceName
 
 FACES: tuple[tuple[Face, str], ...] = (
     (Face.DIFFERENCE, "Difference"),

@@ -11,7 +11,7 @@ from wafer_viewer.gui.camera import Clear, Vector
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.sight import Sight
 from wafer_viewer.gui.stage import Item
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.paint_request import Facts, Scale, Source
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from wafer_viewer.draw.patch import greys, patch_url
 from wafer_viewer.gui import html
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.devices import Overview
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import Job
 
 SIDE_UM = 300.0
 """How much of the sample the picture shows: a corner, the streets at it, and how far a wafer may lie off its place."""

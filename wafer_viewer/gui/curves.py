@@ -10,10 +10,10 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.cuts import Gap, gap
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.findings import Profile
-from wafer_viewer.model.sections import Section, SectionAsked
+from wafer_viewer.model.measurement.measurements import Profile
+from wafer_viewer.model.measurement.section_lines import Gap, gap
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.session.state import Snapshot
 
 _NOT_FELT_S = 0.03

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from wafer_viewer.gui.stage import NotYet
-from wafer_viewer.model.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.session.paint_request import Source
 
 FindDatum = Callable[[Levelling, int], Datum]

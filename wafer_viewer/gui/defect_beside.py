@@ -17,8 +17,8 @@ from wafer_viewer.gui.over_scene import OverScene
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.review_items import neighbour
 from wafer_viewer.gui.view import OF_DEFECT, View
-from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.session.like_place import SideBySide
 from wafer_viewer.session.state import Snapshot
 

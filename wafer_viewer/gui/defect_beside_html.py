@@ -16,7 +16,7 @@ from wafer_viewer.draw.ticks import length_text, round_length, tick_digits, tick
 from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.gui.place_shapes import outline_of
-from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.session.like_place import Like, Seen, SideBySide
 
 TITLES: dict[Like, str] = {"here": "", "dies": "Other dies", "golden": "Golden die", "before": "Last scan"}

@@ -15,9 +15,9 @@ from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.file_dialog import FileList
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.defects import DefectRecipe, Inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_handover import Handover
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM

@@ -17,9 +17,9 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.measure_words import whole
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.sections import Section, SectionAsked
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.session.state import Snapshot
 
 CUTTING = "Measuring the profile …"

@@ -29,10 +29,10 @@ from wafer_viewer.gui.guard import guarded, tell_failure
 from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.number_field import PLACE, OptionalPair
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_shelf import product_of

@@ -8,9 +8,9 @@ from typing import Any
 
 from wafer_viewer.gui.defect_limits_text import limits_of, text_of
 from wafer_viewer.gui.number_field import PLACE, Pair, pair_of, pair_text
-from wafer_viewer.model.defects import DefectRecipe, Evidence, Inspection
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.session.defect_work import Against, Dies

@@ -11,8 +11,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_form_values import DefectForm
 from wafer_viewer.gui.defect_words import per_mm2
 from wafer_viewer.gui.dialogs import when
-from wafer_viewer.model.defects import DefectRecipe, Inspection, threshold_of
-from wafer_viewer.model.golden import GoldenHeader
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection, threshold_of
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.session.defect_shelf import DefectShelf
 
 WAFER_MM2 = math.pi * 150.0**2

@@ -12,9 +12,9 @@ from wafer_viewer.gui.kept_places import bounds_of
 from wafer_viewer.gui.measure_words import value_texts
 from wafer_viewer.gui.review_item import ReviewItem, Row
 from wafer_viewer.gui.view import OF_DEFECT, ReviewFilter
-from wafer_viewer.model.defects import Defect, Judgement
-from wafer_viewer.model.notebook import Judgement as Noted
-from wafer_viewer.model.notebook import Verdict
+from wafer_viewer.model.inspection.defect import Defect, Judgement
+from wafer_viewer.model.job.review_notes import Judgement as Noted
+from wafer_viewer.model.job.review_notes import Verdict
 from wafer_viewer.session.inspection_state import InspectionState
 from wafer_viewer.session.state import Snapshot
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
-from wafer_viewer.model.defect_limits import DefectLimits
-from wafer_viewer.model.defect_verdict import verdict_of
-from wafer_viewer.model.defects import Inspection
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.defect_verdict import verdict_of
 
 
 def text_of(limits: DefectLimits) -> tuple[str, str]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.die_grid import DieStatus
-from wafer_viewer.model.levelling import Levelling
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.die_grid import DieStatus
+from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 
 TIMES, LEAST_PX = 4.0, 160

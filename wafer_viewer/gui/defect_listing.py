@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.inspection.defect import Defect
 
 DefectSort = Literal["size", "height", "score", "die", "class"]
 MapBy = Literal["class", "count"]

@@ -25,7 +25,7 @@ from wafer_viewer.gui.kit import Cell, set_prop
 from wafer_viewer.gui.obstacles import elsewhere
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.session.state import Snapshot
 
 TO_DIES = (("Next die with open defects", "pagedown", 1), ("Previous die with open defects", "pageup", -1))

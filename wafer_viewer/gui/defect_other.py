@@ -10,8 +10,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.kept_places import Box
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.defects import Defect
-from wafer_viewer.model.klarf import KlarfDefect
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.klarf import KlarfDefect
 from wafer_viewer.session.defect_shelf import OtherTool
 from wafer_viewer.session.state import Snapshot
 

@@ -10,7 +10,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing
 from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_looks import VERDICT_LOOKS
-from wafer_viewer.model.defects import Inspection
+from wafer_viewer.model.inspection.defect import Inspection
 
 MOST_ROWS, ROWS_BEFORE = 40, 2
 """So many are in the list at once: a page with thousands of pictures would be slow."""

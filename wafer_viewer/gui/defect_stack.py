@@ -19,8 +19,8 @@ from wafer_viewer.gui.obstacles import nothing_inspected
 from wafer_viewer.gui.over_scene import OverScene
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.repeated_place import RepeatedPlace
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
 from wafer_viewer.session.like_place import DiePicture
 from wafer_viewer.session.state import Snapshot
 

@@ -11,8 +11,8 @@ from wafer_viewer.draw.numbers import number
 from wafer_viewer.draw.symbols import symbol_svg
 from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room
-from wafer_viewer.model.defects import Inspection
-from wafer_viewer.model.repeated_place import LEAST_DIES, RepeatedPlace
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedPlace
 from wafer_viewer.session.like_place import DiePicture
 
 HEAD_PX, FOOT_PX, PAD_PX, LIST_PX = 30, 26, 12, 250

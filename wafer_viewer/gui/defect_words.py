@@ -8,7 +8,7 @@ from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.draw.symbols import symbol_svg
 from wafer_viewer.gui import html
-from wafer_viewer.model.defects import Defect, DefectClass, Inspection
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
 from wafer_viewer.session.inspection_state import InspectionState
 
 TINY_PER_MM2 = 1e-3

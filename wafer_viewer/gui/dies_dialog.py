@@ -10,10 +10,10 @@ from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.job_dialogs import edit, required_job
 from wafer_viewer.gui.number_field import OptionalPair, Pair
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Die, Dies, on_die
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.measurement.feature import Die, Dies, on_die
 from wafer_viewer.model.region import Region
 
 HOW = "A lattice in wafer µm, by the lower left corner of its first die. Those that lie within the fields are kept."

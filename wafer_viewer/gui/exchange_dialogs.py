@@ -18,7 +18,7 @@ from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.shown_statistics import name_of
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import FORMATS, MESH_POINTS, READ, Reading, every_for
+from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, READ, Reading, every_for
 from wafer_viewer.model.region import Region
 
 _TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != ".tiff"}

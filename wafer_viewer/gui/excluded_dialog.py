@@ -12,8 +12,8 @@ from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.number_field import PLACE, OptionalPair
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.region import Region
 
 Areas = tuple[Region, ...]

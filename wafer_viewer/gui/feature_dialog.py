@@ -17,10 +17,10 @@ from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import RULES
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.feature import Feature, on_die
-from wafer_viewer.model.measuring import TOOLS, ToolName
-from wafer_viewer.model.options import ToolOptions
-from wafer_viewer.model.quantities import Unit
+from wafer_viewer.model.measurement.feature import Feature, on_die
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.quantity import Unit
 from wafer_viewer.model.region import Region
 
 AS_BEFORE, BY_HAND = "as before", "as typed below"

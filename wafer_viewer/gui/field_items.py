@@ -13,7 +13,7 @@ from wafer_viewer.draw.numbers import with_unit
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, Group, cased, dashed, lines, lying, rectangle, way, word
 from wafer_viewer.gui.stage import Handle, Item
-from wafer_viewer.model.plan import Field, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 
 _WHITE = (255, 255, 255)
 _DARK_PLATE = (21, 32, 43)

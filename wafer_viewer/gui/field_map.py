@@ -17,7 +17,7 @@ from wafer_viewer.gui.kit import Cell, Gui
 from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_items import review_items
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.plan import Field
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.session.paint_request import Brushed
 from wafer_viewer.session.state import Snapshot
 

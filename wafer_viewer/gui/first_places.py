@@ -20,8 +20,8 @@ from wafer_viewer.gui.landmarks import (
     two_faces,
 )
 from wafer_viewer.gui.lie_of_land import Land, Place
-from wafer_viewer.model.levelling import LevelBy, Levelling
-from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 
 _BORDER = 0.06

@@ -18,7 +18,7 @@ from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import LOOKS
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, ScaleCorrection
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, ScaleCorrection
 
 WAIT_S = 20.0
 """A verb of the session is waited for, so that what it says can be mended in the dialog."""

@@ -11,7 +11,7 @@ from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.step import StepHeight
+from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.session.state import Snapshot
 
 

@@ -23,8 +23,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.study_section import StudySection
 from wafer_viewer.gui.style import by_id
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.step import StepHeight
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.session.state import Snapshot
 
 ICON = viser.Icon

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import SurfaceInfo
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.gauge import GaugeCheck, GaugeLine, Role, ScaleCorrection
-from wafer_viewer.model.run_chart import Capability
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeLine, Role, ScaleCorrection
+from wafer_viewer.model.gauge.run_chart import Capability
 
 _OF: dict[Role, str] = {
     "scale": "Of the measured step alone",

@@ -9,10 +9,10 @@ import viser
 from wafer_viewer.draw.numbers import THIN, digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.verdict_words import LOOKS
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRepeat
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRepeat
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.step import StepHeight
 
 SOON_DAYS = 30
 """A certificate that runs out within so many days is drawn attention to."""

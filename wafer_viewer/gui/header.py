@@ -15,8 +15,8 @@ from wafer_viewer.gui.status_strip import where
 from wafer_viewer.gui.stopping import can_stop
 from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, by_id
 from wafer_viewer.gui.view import Step, View
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.notebook import keys_under_review
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.review_notes import keys_under_review
 from wafer_viewer.session.state import RigStatus, Snapshot
 
 STEPS: tuple[Step, ...] = get_args(Step)

@@ -16,8 +16,8 @@ from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box, Span
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import Box, Span
 from wafer_viewer.session.paint_request import Brushed, Statistics
 
 FAILED = "The heights were not clipped"

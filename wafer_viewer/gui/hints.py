@@ -14,8 +14,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.kit import Gui, set_prop
 from wafer_viewer.gui.page import Page
-from wafer_viewer.model.plan import FieldGrid, FocusSweep
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import Spec, limit_of
 
 

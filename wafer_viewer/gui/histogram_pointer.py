@@ -10,7 +10,7 @@ from typing import Literal
 
 from wafer_viewer.draw.histogram_html import HEIGHT_PX, place_of
 from wafer_viewer.gui import html
-from wafer_viewer.model.clipping import Span
+from wafer_viewer.model.surface.clipping import Span
 
 HISTOGRAM = "histogram"
 Act = Literal["brush", "low", "high"]

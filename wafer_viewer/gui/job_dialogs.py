@@ -14,10 +14,10 @@ from wafer_viewer.gui.file_dialog import FileList
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.trial_words import before_release
-from wafer_viewer.model.alignment import Mark, Marks
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.alignment import Mark, Marks
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.plan import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.library import DEFAULT_RESULT

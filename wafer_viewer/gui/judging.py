@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from wafer_viewer.gui.defect_items import JUDGEMENT_OF, number_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.notebook import Verdict
+from wafer_viewer.model.job.review_notes import Verdict
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi

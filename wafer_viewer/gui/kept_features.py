@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from wafer_viewer.draw.numbers import number
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.measuring import TOOLS, ToolName
-from wafer_viewer.model.options import ToolOptions
-from wafer_viewer.model.quantities import Length, Quantity, Unit
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.quantity import Length, Quantity, Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot

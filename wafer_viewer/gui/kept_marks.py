@@ -19,7 +19,7 @@ from wafer_viewer.gui.place_shapes import outline_of
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.signs import Sign, corner_on_screen
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 
 MOST_SIGNS = 60

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.defects import Defect
-from wafer_viewer.model.findings import (
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.measurement.measurements import (
     AnyFinding,
     AreaVolume,
     Distance,
@@ -16,11 +17,10 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
-from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.texture import Roughness, Texture
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
-from wafer_viewer.model.site_range import SiteRanges
-from wafer_viewer.model.texture import Roughness, Texture
 
 MOST_SITES = 400
 """Of more sites the region alone is drawn."""

@@ -37,7 +37,7 @@ from wafer_viewer.gui.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
 from wafer_viewer.gui.tool_icons import ICONS, TOOL_KEYS
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.why_panel import WhyPanel
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state import Snapshot
 
 ICON = viser.Icon

@@ -10,8 +10,8 @@ from wafer_viewer.gui.measure_source import ZERO
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import LevelBy, Levelling
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.tools import TOOLS
 
 NAMES: dict[str, LevelBy] = {
     "Stage": "stage",

@@ -16,7 +16,7 @@ from wafer_viewer.gui.landmarks import first_line
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.signs import Sign
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.cuts import LETTERS
+from wafer_viewer.model.measurement.section_lines import LETTERS
 from wafer_viewer.model.region import Region
 
 _CURSOR = rgb("15202B")

@@ -6,11 +6,11 @@ import math
 
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model import cuts
-from wafer_viewer.model.cuts import MOST_LINES, Along
+from wafer_viewer.model.measurement import section_lines
+from wafer_viewer.model.measurement.section_lines import MOST_LINES, Along
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 _SAME_PLACE_UM = 1.0
 
@@ -27,12 +27,12 @@ class LineVerbs:
             return
         surface = self._surface()
         x_um, y_um = self._looked_at(surface)
-        self.cut_at(along, cuts.nearest(surface, along, x_um, y_um))
+        self.cut_at(along, section_lines.nearest(surface, along, x_um, y_um))
 
     def cut_at(self, along: Along, number: int) -> None:
         """Lay the active line along the row or the column of a number."""
         line = self._page.view.active_line
-        cut = cuts.numbered(self._surface(), along, number, line.width_um if line is not None else 0.0)
+        cut = section_lines.numbered(self._surface(), along, number, line.width_um if line is not None else 0.0)
         lines, place = _with(self._page.view, cut)
         self._page.change(step="measure", tool="profile", why=None, lines=lines, line=place, selected=None)
 
@@ -41,8 +41,14 @@ class LineVerbs:
         view = self._page.view
         line = view.active_line if view.tool == "profile" else None
         if line is not None and len(view.lines) < MOST_LINES:
-            crossed = sum(math.dist(cuts.middle(other), cuts.middle(line)) < _SAME_PLACE_UM for other in view.lines) > 1
-            lines = (*view.lines, (cuts.beside if crossed else cuts.across)(line, self._surface()))
+            crossed = (
+                sum(
+                    math.dist(section_lines.middle(other), section_lines.middle(line)) < _SAME_PLACE_UM
+                    for other in view.lines
+                )
+                > 1
+            )
+            lines = (*view.lines, (section_lines.beside if crossed else section_lines.across)(line, self._surface()))
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
 
     def remove(self) -> None:
@@ -74,7 +80,7 @@ class LineVerbs:
         rows, cols = surface.shape
         right, down = (x_um - surface.x0_um) / surface.pixel_um, (surface.y0_um - y_um) / surface.pixel_um
         line = self._page.view.active_line
-        return (x_um, y_um) if line is None or (0 <= right < cols and 0 <= down < rows) else cuts.middle(line)
+        return (x_um, y_um) if line is None or (0 <= right < cols and 0 <= down < rows) else section_lines.middle(line)
 
 
 def _with(view: View, line: Region) -> tuple[tuple[Region, ...], int]:

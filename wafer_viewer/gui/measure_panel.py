@@ -25,8 +25,8 @@ from wafer_viewer.gui.step_words import not_evaluated
 from wafer_viewer.gui.thumbnails import painted
 from wafer_viewer.gui.tool_icons import tool_cards
 from wafer_viewer.gui.view import Tool, View
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.measuring import TOOLS
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state import Snapshot
 

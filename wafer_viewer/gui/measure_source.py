@@ -11,7 +11,10 @@ from wafer_viewer.gui.gauge_words import told as gauge_told
 from wafer_viewer.gui.measure_words import averaging, whole
 from wafer_viewer.gui.site_words import sites
 from wafer_viewer.gui.texture_words import roughness, texture
-from wafer_viewer.model.findings import (
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.measurement.levelling import LevelBy
+from wafer_viewer.model.measurement.measurements import (
     AnyFinding,
     AreaVolume,
     Distance,
@@ -23,13 +26,10 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.levelling import LevelBy
+from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
-from wafer_viewer.model.site_range import SiteRanges
-from wafer_viewer.model.surface import LAYER_TITLES
-from wafer_viewer.model.texture import Roughness, Texture
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 ZERO: dict[LevelBy, str] = {
     "stage": "the stage's zero",

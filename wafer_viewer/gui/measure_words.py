@@ -9,9 +9,9 @@ from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.defects import Defect
-from wafer_viewer.model.findings import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.measurement.measurements import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
+from wafer_viewer.model.quantity import Quantity
 
 REGION_COLOUR = "#15202B"
 OTHER_COLOUR = "#5B6B7A"

@@ -13,7 +13,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, Field, duo, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.preflight import Check
 from wafer_viewer.session.state import Snapshot

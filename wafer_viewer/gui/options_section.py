@@ -13,7 +13,7 @@ from wafer_viewer.gui.kit import Field, set_prop
 from wafer_viewer.gui.number_field import OptionalNumber, number_of, text_of
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import Tool, View
-from wafer_viewer.model.measuring import ToolName
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.spec import replace
 
 FAILED = "The setting was not changed"

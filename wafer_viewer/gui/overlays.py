@@ -15,8 +15,8 @@ from wafer_viewer.gui.gauge_places import in_scene
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import LevelBy
-from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.model.measurement.levelling import LevelBy
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.questions import ReadOut
 from wafer_viewer.session.state import ScanProgress, Snapshot
 

@@ -14,8 +14,8 @@ from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.place_handles import Places
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import Tool, View
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.measuring import TOOLS, MeasuringTool
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tools import TOOLS, MeasuringTool
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 

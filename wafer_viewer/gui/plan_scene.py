@@ -8,7 +8,7 @@ from wafer_viewer.gui.field_items import fields_box, planned_items
 from wafer_viewer.gui.sample_scene import reach_box, sample_box, sample_items
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.session.state import Snapshot
 
 _WHOLE_OVER = 0.3

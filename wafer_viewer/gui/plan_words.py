@@ -8,7 +8,7 @@ import viser
 
 from wafer_viewer.draw.numbers import THIN, duration, number, size, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.plan import Price
+from wafer_viewer.model.acquisition.plan import Price
 from wafer_viewer.session.state import Draft, Snapshot
 
 _GAP = '<div style="height:8px"></div>'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from wafer_viewer.model.sections import OtherSurface
+from wafer_viewer.model.measurement.sections import OtherSurface
 
 
 @dataclass(frozen=True, slots=True)

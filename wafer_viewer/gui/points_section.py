@@ -11,8 +11,8 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell, Choice, Field, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import LeftOut
-from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.model.surface.clipping import LeftOut
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.paint_request import Refused, Statistics
 
 FAILED = "The points were not changed"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.poses import Poses
+from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.session.paint_request import Source
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Poses
+from wafer_viewer.model.surface.field_poses import Doubt, Poses
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -17,8 +17,8 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plot_view import with_cursor
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.cuts import Gap, gap, next_measured
-from wafer_viewer.model.sections import Section
+from wafer_viewer.model.measurement.section_lines import Gap, gap, next_measured
+from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.session.state import Snapshot
 
 STILL_S = 0.6

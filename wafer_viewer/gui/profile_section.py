@@ -17,10 +17,10 @@ from wafer_viewer.gui.line_verbs import LineVerbs
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.plot_view import PlotView, with_cursor
 from wafer_viewer.gui.view import View
-from wafer_viewer.model import cuts
-from wafer_viewer.model.clipping import BeforeSlab
-from wafer_viewer.model.cuts import MOST_LINES
-from wafer_viewer.model.sections import OtherSurface
+from wafer_viewer.model.measurement import section_lines
+from wafer_viewer.model.measurement.section_lines import MOST_LINES
+from wafer_viewer.model.measurement.sections import OtherSurface
+from wafer_viewer.model.surface.clipping import BeforeSlab
 from wafer_viewer.session.state import Snapshot
 
 ALONE, CLEANED = "nothing", "measured and filtered heights"
@@ -108,9 +108,9 @@ class ProfileSection:
         if line is None or snapshot.surface is None:
             return
         surface = self._page.session.surface_source(view.show)
-        place = cuts.middle(line)
-        self._row.show(cuts.nearest(surface, "row", *place))
-        self._column.show(cuts.nearest(surface, "column", *place))
+        place = section_lines.middle(line)
+        self._row.show(section_lines.nearest(surface, "row", *place))
+        self._column.show(section_lines.nearest(surface, "column", *place))
         rows, cols = surface.shape
         where = f"field {view.show}" if view.show > 0 else "the stitched surface"
         text = f"Rows 0 to {rows - 1}, columns 0 to {cols - 1} of {where}."

@@ -8,9 +8,9 @@ from wafer_viewer.draw.colours import PROFILE_COLOURS
 from wafer_viewer.draw.numbers import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging
-from wafer_viewer.model.cuts import LETTERS, Gap
-from wafer_viewer.model.sections import Section
-from wafer_viewer.model.surface import LAYER_TITLES
+from wafer_viewer.model.measurement.section_lines import LETTERS, Gap
+from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 _CROWDED = ("", "", " wv-two", " wv-many")
 """Where there are many lines, only the figures that matter most have room."""

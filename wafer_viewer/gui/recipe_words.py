@@ -10,7 +10,7 @@ import viser
 
 from wafer_viewer.draw.numbers import digits_of_u, number, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.recipe import READY_RECIPES, Recipe
+from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 
 READY = {"Default": "default", "The paper's method": "paper"}
 OWN = "Custom"

@@ -23,10 +23,10 @@ from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.trial_words import trial
 from wafer_viewer.gui.verdict_words import RULES, limits
-from wafer_viewer.model.alignment import Marks
-from wafer_viewer.model.feature import Dies, Feature
-from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.alignment import Marks
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.measurement.feature import Dies, Feature
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.finding_numbers import title_of
 from wafer_viewer.session.state import Snapshot
 

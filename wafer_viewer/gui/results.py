@@ -18,7 +18,7 @@ from wafer_viewer.gui.measure_words import REGION_COLOUR, letter, list_text, sig
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.thumbnails import Thumbnails
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.session.state import Snapshot
 
 ROUND_PLACES = 2.4

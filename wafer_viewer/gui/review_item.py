@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from wafer_viewer.gui.kept_places import Box
 from wafer_viewer.gui.verdict_words import LOOKS
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.notebook import Judgement
-from wafer_viewer.model.verdict import Word
+from wafer_viewer.model.job.review_notes import Judgement
+from wafer_viewer.model.job.verdict import Word
+from wafer_viewer.model.measurement.levelling import Levelling
 
 Row = tuple[str, str, str, str]
 """Name, value, U, unit."""

@@ -14,17 +14,17 @@ from wafer_viewer.gui.measure_words import letter, list_text, of_what, sign_colo
 from wafer_viewer.gui.review_item import ReviewItem, Row
 from wafer_viewer.gui.verdict_words import in_short
 from wafer_viewer.gui.view import ReviewFilter
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.feature import on_die
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import key_of_result, keys_of_features
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
+from wafer_viewer.model.job.verdict import Judged, Word
+from wafer_viewer.model.measurement.feature import on_die
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import LAYER_TITLES
-from wafer_viewer.model.verdict import Judged, Word
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.finding_numbers import title_of
 from wafer_viewer.session.state import Snapshot
 

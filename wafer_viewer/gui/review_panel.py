@@ -27,8 +27,8 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.verdict_section import awaited
 from wafer_viewer.gui.verdict_words import waiting
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.defects import DefectClass
-from wafer_viewer.model.notebook import Verdict
+from wafer_viewer.model.inspection.defect import DefectClass
+from wafer_viewer.model.job.review_notes import Verdict
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.state import Snapshot
 

@@ -15,8 +15,8 @@ from wafer_viewer.draw.colours import Rgb
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, Group, closed, dashed, lines, lying, rectangle
 from wafer_viewer.gui.stage import Handle, Item
-from wafer_viewer.model.devices import Overview
-from wafer_viewer.model.limits import RigLimits
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.session.state import Snapshot
 
 _PICTURE_SIDE_PX = 1400

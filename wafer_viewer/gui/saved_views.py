@@ -16,7 +16,7 @@ from wafer_viewer.gui.obstacles import off_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.notebook import SavedView
+from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from wafer_viewer.gui.tiles import PointTile
 from wafer_viewer.gui.tools import Tools
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.viewport import Viewport
-from wafer_viewer.model.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state import Snapshot
 

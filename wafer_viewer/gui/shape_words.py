@@ -5,8 +5,8 @@ from __future__ import annotations
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import whole
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.region import Point
-from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 
 LISTED = 8
 """So many chips or bumps are listed, the worst first."""

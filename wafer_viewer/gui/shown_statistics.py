@@ -15,9 +15,9 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.stage import NotYet, Orders
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box
-from wafer_viewer.model.comparison import Face, comparison_of
 from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.surface.clipping import Box
+from wafer_viewer.model.surface.comparison import Face, comparison_of
 from wafer_viewer.session.paint_request import PaintRequest, Statistics
 from wafer_viewer.session.state import Snapshot, SurfaceInfo
 

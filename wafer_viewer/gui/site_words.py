@@ -6,7 +6,7 @@ from wafer_viewer.draw.colours import css_gradient
 from wafer_viewer.draw.numbers import THIN, number, share
 from wafer_viewer.draw.site_map import site_map_svg, spread_um
 from wafer_viewer.gui import html
-from wafer_viewer.model.site_range import Site, SiteRanges
+from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 
 MOST_ROWS = 12
 """The largest ranges are listed, the others are in the map."""

@@ -11,8 +11,8 @@ from wafer_viewer.gui import html, stitching_words
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.session.hands import Hands
 from wafer_viewer.session.paint_request import Statistics
 from wafer_viewer.session.state import RigStatus, Snapshot, SurfaceInfo

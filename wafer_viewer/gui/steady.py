@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.session.paint_request import Facts, Scale, Source
 
 _HEIGHTS, _RANGE, _DEEPER = 0.12, 0.04, 0.02

@@ -6,8 +6,8 @@ from wafer_viewer.draw.groove_svg import groove_svg
 from wafer_viewer.draw.numbers import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging, whole
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.step import StepHeight, StepProfile
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 
 
 def step(finding: StepHeight) -> str:

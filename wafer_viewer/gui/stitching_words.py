@@ -8,7 +8,7 @@ import viser
 from wafer_viewer.draw.numbers import THIN, digits_of_u, number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.recipe_words import notes
-from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
 from wafer_viewer.session.state import StitchingInfo
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."

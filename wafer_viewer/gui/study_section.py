@@ -14,7 +14,7 @@ from wafer_viewer.gui.kit import Cell, button, in_a_row
 from wafer_viewer.gui.number_field import OptionalNumber
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.study_words import METHODS, study
-from wafer_viewer.model.repeatability import Method
+from wafer_viewer.model.gauge.gauge_rr import Method
 
 FAILED = "The study was not read"
 METHOD_OF: dict[str, Method] = {word.capitalize(): method for method, word in METHODS.items()}

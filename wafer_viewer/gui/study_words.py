@@ -7,8 +7,8 @@ import math
 from wafer_viewer.draw.numbers import NOTHING, number, share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import UNIT_SIGNS
-from wafer_viewer.model.quantities import Unit
-from wafer_viewer.model.repeatability import GaugeRR, Method
+from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method
+from wafer_viewer.model.quantity import Unit
 from wafer_viewer.session.studies import Studied
 
 GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5

@@ -21,9 +21,9 @@ from wafer_viewer.gui.steady import Steady, as_planned
 from wafer_viewer.gui.terrain import heights_of
 from wafer_viewer.gui.tiles import Shown, TiledSurface, add_glb, bounds_mm, look_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.comparison import Face, comparison_of
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.surface.comparison import Face, comparison_of
 from wafer_viewer.session.changes import stamp_of
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
 from wafer_viewer.session.state import OpenDataset, Snapshot

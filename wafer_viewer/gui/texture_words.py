@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from wafer_viewer.draw.numbers import NOTHING, number, share, with_unit
 from wafer_viewer.gui import html
-from wafer_viewer.model.quantities import Length
-from wafer_viewer.model.texture import Roughness, Texture
+from wafer_viewer.model.measurement.texture import Roughness, Texture
+from wafer_viewer.model.quantity import Length
 
 Cells = Sequence[tuple[str, str]]
 COLUMNS = 3

@@ -15,7 +15,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.place_shapes import outline_of
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.state import Snapshot

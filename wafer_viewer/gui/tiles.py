@@ -17,7 +17,7 @@ from wafer_viewer.gui.sight import Sight
 from wafer_viewer.gui.stage import Cover, Handle, Item
 from wafer_viewer.gui.view import Look as Way
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.paint_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
 
 Box = tuple[float, float, float, float]

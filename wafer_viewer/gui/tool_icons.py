@@ -8,7 +8,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.view import Tool
-from wafer_viewer.model.measuring import TOOLS, ToolName
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 
 GROUPS: dict[str, tuple[ToolName, ...]] = {
     "Sections and steps": ("profile", "step", "groove", "angle"),

@@ -25,11 +25,11 @@ from wafer_viewer.gui.near_land import Read, land_nearby
 from wafer_viewer.gui.place_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.view import View
-from wafer_viewer.model.clipping import Box
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import Box
 
 _ON_LINE_PX = 9.0
 """A click so near to the active line puts a cursor there."""

@@ -23,7 +23,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.report_panel import report_address
 from wafer_viewer.gui.review_panel import JUDGEMENTS
 from wafer_viewer.gui.view import Tour, View
-from wafer_viewer.model.step import StepHeight
+from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.session.papers import newest_report
 from wafer_viewer.session.state import Snapshot
 from wafer_viewer.session.tour import is_tour

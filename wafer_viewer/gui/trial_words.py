@@ -5,8 +5,8 @@ from __future__ import annotations
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import whole
 from wafer_viewer.gui.verdict_words import LOOKS, state
-from wafer_viewer.model.decision import Word
-from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.decision_rule import Word
+from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.session.operating import Operating
 
 MOST_CHANGES = 40

@@ -11,9 +11,9 @@ from wafer_viewer.draw.die_map import die_map_svg
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import reading, value_texts, with_unit_sign
-from wafer_viewer.model.feature import DecisionRule, Feature
-from wafer_viewer.model.quantities import Quantity
-from wafer_viewer.model.verdict import Judged, WaferVerdict, Word
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict, Word
+from wafer_viewer.model.measurement.feature import DecisionRule, Feature
+from wafer_viewer.model.quantity import Quantity
 
 LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
     "pass": ("PASS", viser.Icon.CIRCLE_CHECK, "good"),

@@ -7,12 +7,12 @@ from typing import Literal
 
 from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.plot_view import PlotView
-from wafer_viewer.model.clipping import BeforeSlab, Box, Clip, Slab, Span
-from wafer_viewer.model.comparison import Face, comparison_of
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import BeforeSlab, Box, Clip, Slab, Span
+from wafer_viewer.model.surface.comparison import Face, comparison_of
 
 Step = Literal["plan", "acquire", "surface", "measure", "gauge", "review", "report"]
 Look = Literal["surface", "points", "plan"]

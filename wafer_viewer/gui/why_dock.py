@@ -15,7 +15,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import PROFILE_PX
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.why_panel import FAILED, WhyPanel
-from wafer_viewer.model.evidence import FocusCurve
+from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.session.state import Snapshot
 
 READING = "Reading the frames …"

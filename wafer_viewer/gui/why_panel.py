@@ -14,7 +14,7 @@ from wafer_viewer.gui.lie_of_land import Place
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.evidence import FocusCurve
+from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.session.state import Snapshot
 
 TITLE = "Why this height?"

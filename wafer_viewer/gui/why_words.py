@@ -9,7 +9,7 @@ import viser
 from wafer_viewer.draw.numbers import NOTHING, number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.recipe_words import FOCUS
-from wafer_viewer.model.evidence import FocusCurve, Verdict
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Verdict
 
 MEASURES = {key: name for name, key in FOCUS.items()}
 """Focus measures as they are written; others by their own name with spaces."""

@@ -11,9 +11,9 @@ from wafer_viewer.measure.heights import Floats, Layer, level_for, require_area
 from wafer_viewer.measure.level import plane_design
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.tiles import parameter_u
-from wafer_viewer.model.findings import FaceAngle
+from wafer_viewer.model.measurement.measurements import FaceAngle
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 ALONG_X, ALONG_Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 

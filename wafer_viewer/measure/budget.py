@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from wafer_viewer.model.conditions import Conditions
-from wafer_viewer.model.surface import Provenance
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.surface.height_map import Provenance
 
 ARGMAX_INTERPOLATION = 1 / math.sqrt(6)
 """Standard uncertainty of a step in steps of the sweep when both faces are rounded to whole frames: two uniform

@@ -14,7 +14,7 @@ from wafer_viewer.measure.level import Plane, plane_design, robust_fit
 from wafer_viewer.measure.sphere import fit_cap
 from wafer_viewer.measure.tiles import parameter_u
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.surface import Heights
+from wafer_viewer.model.surface.height_map import Heights
 
 STANDS_OUT = 6.0
 """Deviations of the ground by which a bump stands out of it."""

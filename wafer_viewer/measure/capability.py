@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import fmean, stdev
 
-from wafer_viewer.model.run_chart import Capability
+from wafer_viewer.model.gauge.run_chart import Capability
 
 LEAST_REPEATS = 25
 """Fewer give no verdict; each is a new scan."""

@@ -19,11 +19,11 @@ from wafer_viewer.measure.line_fit import EdgeLine
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import Strip, read_strip, require_rectangle
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import ChippingOptions
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chip, Chipping, Side
+from wafer_viewer.model.measurement.tool_options import ChippingOptions
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.shape import Chip, Chipping, Side
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 NEIGHBOURS = 3
 """Depths are medians of so many neighbouring search lines."""

@@ -11,10 +11,10 @@ from wafer_viewer.measure.lateral import between_edges, notes
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import read_strip
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import CircleOptions
+from wafer_viewer.model.measurement.edge_and_bump_shapes import CircleSize
+from wafer_viewer.model.measurement.tool_options import CircleOptions
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.shape import CircleSize
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 Inside = Literal["either", "bright", "dark"]
 SIGNS: dict[Inside, tuple[Sign, ...]] = {"either": (1, -1), "bright": (-1,), "dark": (1,)}

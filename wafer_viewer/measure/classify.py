@@ -11,8 +11,8 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from wafer_viewer.model.class_rules import ClassRules, DefectShape
-from wafer_viewer.model.defects import DefectClass
+from wafer_viewer.model.inspection.class_rules import ClassRules, DefectShape
+from wafer_viewer.model.inspection.defect import DefectClass
 
 _LEAST_PX = 6.0
 """What is smaller shows too few pixels of its shape for a sure word."""

@@ -15,11 +15,11 @@ from wafer_viewer.measure.heights import Floats, Layer, height_window, level_for
 from wafer_viewer.measure.lateral import together
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import CoplanarityOptions
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Coplanarity
+from wafer_viewer.model.measurement.tool_options import CoplanarityOptions
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.shape import Bump, Coplanarity
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 LEAST_BUMPS = 4
 """Three tops always lie in one plane."""

@@ -27,7 +27,7 @@ from wafer_viewer.measure.golden import LEAST_CONTRAST, Golden, registered, robu
 from wafer_viewer.measure.plain_picture import against_around, contrast_of, is_plain
 from wafer_viewer.measure.terraces import over_levels
 from wafer_viewer.measure.unevenness import kinds_of
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
 
 NOISE_CELLS = 24
 NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5

@@ -7,8 +7,8 @@ import numpy as np
 from wafer_viewer.measure.defect_outline import Gathered, Mask, Outline, ellipse_of
 from wafer_viewer.measure.defect_pieces import evidence_of
 from wafer_viewer.measure.die_cells import CellGrid
-from wafer_viewer.model.class_rules import DefectShape
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.class_rules import DefectShape
+from wafer_viewer.model.inspection.defect import DefectRecipe
 
 EDGE_PX, CROSSING = 2.0, 0.1
 

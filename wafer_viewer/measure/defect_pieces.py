@@ -24,7 +24,7 @@ from wafer_viewer.measure.defect_scores import (
     low_of,
 )
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
-from wafer_viewer.model.defects import DefectRecipe, Evidence
+from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.places import hanging_together, widened
 from wafer_viewer.numerics.smoothing import coarseness, smooth

@@ -20,7 +20,7 @@ from wafer_viewer.measure.defect_noise import Noise, Planes
 from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.measure.golden import Cell, Golden
-from wafer_viewer.model.defects import DefectRecipe, Evidence, FalseCounts
+from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
 from wafer_viewer.numerics.places import tops_over
 from wafer_viewer.numerics.smoothing import gaussian_sums
 

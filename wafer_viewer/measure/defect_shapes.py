@@ -18,7 +18,7 @@ from wafer_viewer.measure.defect_outline import Gathered, Mask, Outline, height_
 from wafer_viewer.measure.defect_pieces import Piece, evidence_of
 from wafer_viewer.measure.die_cells import CellGrid
 from wafer_viewer.measure.reading import Lines, Reading
-from wafer_viewer.model.defects import RESOLVED_FROM_PX, Defect, DefectRecipe
+from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe
 from wafer_viewer.model.region import Point, Region
 
 NOT_RESOLVED = "Detected, size not resolved: under 20 px."

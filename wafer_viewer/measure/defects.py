@@ -27,13 +27,13 @@ from wafer_viewer.measure.plain_picture import LEFT_OUT, LOOKED_AT
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.terraces import SEVERAL_LEVELS, WALL_PX, terraced
 from wafer_viewer.measure.whole_dies import marked_repeats, whole_die_defects
-from wafer_viewer.model.defects import Defect, DefectRecipe, Inspection, Reference
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.golden import GoldenDie
+from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection, Reference
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 TILE_PX = 1024
 """Without a grid a surface is gone through in squares of so many pixels."""

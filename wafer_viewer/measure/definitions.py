@@ -15,7 +15,7 @@ import numpy as np
 from wafer_viewer.measure.faces import Face
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.tiles import Scatter
-from wafer_viewer.model.options import StepDefinition
+from wafer_viewer.model.measurement.tool_options import StepDefinition
 
 TILTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 

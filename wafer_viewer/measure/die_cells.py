@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.heights import Layer, Points, heights, pictured_window
 from wafer_viewer.measure.level import robust_fit
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import Heights, Mosaic
+from wafer_viewer.model.surface.height_map import Heights, Mosaic
 from wafer_viewer.numerics.cells import bridged, less_products, read_affine
 
 Plane = NDArray[np.float32]

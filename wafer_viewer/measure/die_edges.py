@@ -13,7 +13,7 @@ from wafer_viewer.measure.lateral import together
 from wafer_viewer.measure.line_fit import EdgeLine, crossing
 from wafer_viewer.measure.strip import Strip
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.shape import Side
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Side
 
 SEARCHED = 0.45
 """Of the way through the region: so far in each edge is looked for."""

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from wafer_viewer.measure.heights import Floats, heights, layer_of, pictured_window
-from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.pictured import picture_of
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.textured_surface import picture_of
 from wafer_viewer.numerics.arrays import Float32s
 from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.filters import blurred

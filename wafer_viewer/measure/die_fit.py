@@ -14,11 +14,11 @@ import numpy as np
 from wafer_viewer.measure.die_evidence import Evidence
 from wafer_viewer.measure.die_grid import touching, with_streets
 from wafer_viewer.measure.die_registration import Registered, refined
-from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.die_offset import DieOffset
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_offset import DieOffset
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 FARTHEST = 0.25
 """Of the shorter pitch: a lattice further off might as well belong to the next dies."""

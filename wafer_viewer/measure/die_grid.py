@@ -12,11 +12,11 @@ from wafer_viewer.measure.die_registration import Registered, cells_over, not_al
 from wafer_viewer.measure.die_streets import Street, street_of
 from wafer_viewer.measure.periodicity import Periods, periods_of
 from wafer_viewer.measure.reading import Reading
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 SURE_DIES = 9
 """Fewer that no street parts may be any few places that are alike."""

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.level import robust_fit
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.golden import GoldenDie
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.numerics.align import Picture, align
 from wafer_viewer.numerics.cells import bridged, read_affine, typical
 from wafer_viewer.numerics.likeness import contrast, likeness

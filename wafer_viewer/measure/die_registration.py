@@ -11,10 +11,10 @@ import numpy as np
 from wafer_viewer.measure.die_evidence import CellLattice, Cells, Evidence, bounds_of, median_cell
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.level import robust_fit
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import DiesNotFound
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.arrays import Bools, Float32s
 from wafer_viewer.numerics.likeness import contrast, likeness
 

@@ -10,10 +10,10 @@ from wafer_viewer.measure.heights import Layer
 from wafer_viewer.measure.lateral import angle, between_edges, notes
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import read_strip, require_rectangle
-from wafer_viewer.model.options import DieOptions
+from wafer_viewer.model.measurement.edge_and_bump_shapes import DieSize
+from wafer_viewer.model.measurement.tool_options import DieOptions
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.shape import DieSize
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 Die = Literal["either", "bright", "dark"]
 SIGNS: dict[Die, tuple[Sign, ...]] = {"either": (1, -1), "bright": (1,), "dark": (-1,)}

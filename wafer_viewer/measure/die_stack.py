@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.defects import Defect, DefectClass, Inspection
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
+from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedPlace
 from wafer_viewer.model.region import Point
-from wafer_viewer.model.repeated_place import LEAST_DIES, RepeatedPlace
 
 LEAST_WITHIN_UM = 5.0
 """Places on dies are not known better than by a few pixels."""

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.die_evidence import CellLattice, bounds_of, coarse_level, median_of
 from wafer_viewer.measure.heights import Floats, layer_of, pictured_window
 from wafer_viewer.measure.level import least_squares
-from wafer_viewer.model.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic, Origin
+from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.numerics.arrays import Float32s
 
 DIE_PX = 200

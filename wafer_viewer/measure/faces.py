@@ -13,7 +13,7 @@ from wafer_viewer.measure.level import Plane, fit_plane, plane_design
 from wafer_viewer.measure.tiles import Labels, Scatter, Spread, scatter_of, spreads
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 MIN_POINTS = 200
 """Fewer say too little of their own scatter."""

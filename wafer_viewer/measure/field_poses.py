@@ -16,8 +16,8 @@ from wafer_viewer.measure.definitions import Faces, Gradients
 from wafer_viewer.measure.faces import Face
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.tiles import SIDES, Tiles
-from wafer_viewer.model.poses import HasPoses, Poses
-from wafer_viewer.model.surface import HeightMap, Mosaic, ReadThrough
+from wafer_viewer.model.surface.field_poses import HasPoses, Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, ReadThrough
 
 MOST_FIELDS = 300
 """Fields further away say next to nothing of two regions; regions that reach beyond them have no such line."""

@@ -18,7 +18,7 @@ from wafer_viewer.measure.level import SIGMA_OF_MAD, fit_plane
 from wafer_viewer.measure.level import Plane as Fitted
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Heights, Mosaic
+from wafer_viewer.model.surface.height_map import Heights, Mosaic
 
 SIZE_PX = 800
 """Side of the areas that the paper measures its blocks on."""

@@ -9,9 +9,9 @@ from scipy.spatial import ConvexHull
 from wafer_viewer.measure.areas import area_of, least_squares_plane
 from wafer_viewer.measure.heights import Floats, Layer, Points
 from wafer_viewer.measure.reading import Reading
-from wafer_viewer.model.findings import Flatness
+from wafer_viewer.model.measurement.measurements import Flatness
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 BAND = (0.135, 99.865)
 """Per cent: between them lie 99.73 % of the heights, as within three deviations of normal ones."""

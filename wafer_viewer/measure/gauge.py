@@ -16,14 +16,14 @@ from statistics import fmean, stdev
 
 from wafer_viewer.measure.gauge_budget import Known, budget_of, length_of, not_evaluated, reference_at
 from wafer_viewer.measure.step import step_height
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.decision import Word
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRepeat, GaugeTerms
-from wafer_viewer.model.quantities import Length
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 FAR_FRACTION, FAR_UM = 0.02, 1.0
 """From the nominal step by more than both: other blocks."""

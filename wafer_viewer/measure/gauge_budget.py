@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from statistics import fmean, stdev
 
 from wafer_viewer.measure.budget import ABBE, LINEARITY, REPEATABILITY, TEMPERATURE, Z_SCALE
-from wafer_viewer.model.gauge import Certificate, GaugeLine, GaugeRepeat, GaugeTerms, Role
-from wafer_viewer.model.quantities import Contribution, Length
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeLine, GaugeRepeat, GaugeTerms, Role
+from wafer_viewer.model.quantity import Contribution, Length
 
 OF_THE_SCALE = (Z_SCALE, LINEARITY, ABBE)
 """Lines of a step's budget that are errors of the instrument's scale."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place, Plane, Read, Shift, Source
 from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.model.errors import DiesNotFound
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
 from wafer_viewer.numerics.filters import relief
 

@@ -18,10 +18,10 @@ from wafer_viewer.measure.line_fit import lines_between
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.strip import Strip, read_strip, require_rectangle
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import KerfOptions
+from wafer_viewer.model.measurement.edge_and_bump_shapes import KerfWidth
+from wafer_viewer.model.measurement.tool_options import KerfOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.shape import KerfWidth
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 NEIGHBOURS = 5
 """The narrowest and the widest place are those of medians of so many neighbouring search lines."""

@@ -6,7 +6,7 @@ import math
 
 from wafer_viewer.measure.edges import U_SUBPIXEL_PX
 from wafer_viewer.measure.reading import Reading
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.quantity import Length, Quantity
 
 NOT_IN_BUDGET = (
     "Not in the budget: where light and focus put an edge on the picture, distortion and shear of the picture, "

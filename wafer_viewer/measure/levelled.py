@@ -21,9 +21,9 @@ from wafer_viewer.measure.heights import (
 )
 from wafer_viewer.measure.level import Fit, robust_fit
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum, LevelBy, Levelling
+from wafer_viewer.model.measurement.levelling import Datum, LevelBy, Levelling
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import HeightMap, Heights, Mosaic, ReadThrough
+from wafer_viewer.model.surface.height_map import HeightMap, Heights, Mosaic, ReadThrough
 
 FITTED_PIXELS = 1_000_000
 """A plane or form of the whole surface is fitted to about as many pixels at most."""

@@ -9,9 +9,9 @@ from wafer_viewer.measure.heights import Layer
 from wafer_viewer.measure.levelled import levelling_of
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.site_range import Site, SiteRanges
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 INSTEAD = "What one side shows is the front-surface site range, as mounted: measure site-range."
 THICKNESS = "of the thickness, and this map has the front side only"

@@ -11,10 +11,10 @@ from wafer_viewer.measure.heights import Layer, Points, points_in
 from wafer_viewer.measure.level import fit_plane
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Distance, PointHeight
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.measurement.measurements import Distance, PointHeight
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 NEXT_PX = 1.5
 """A height is the median of the measured pixels up to so far away: of nine where none is missing."""

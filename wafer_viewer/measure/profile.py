@@ -10,9 +10,9 @@ import numpy as np
 
 from wafer_viewer.measure.heights import Floats, Layer, height_window, layer_of, level_note, reported
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Heights, Mosaic, pixel_window
+from wafer_viewer.model.surface.height_map import Heights, Mosaic, pixel_window
 
 MAX_SAMPLES = 8192
 """A line with more pixels is read at a coarser level of the pyramid."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 
 DISTANCES_PX = (0.0, 2.0, 5.0, 10.0, 20.0, np.inf)
 """Bands of distance from an edge."""

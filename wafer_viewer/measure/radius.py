@@ -18,9 +18,9 @@ from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.sphere import Cap, fit_cap, no_sphere
 from wafer_viewer.measure.tiles import parameter_u
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Radius
+from wafer_viewer.model.measurement.measurements import Radius
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 CAP_FROM = 0.3
 """The sphere is fitted to what rises over the surroundings by more than this share of the top: below it bumps have

@@ -8,8 +8,8 @@ from typing import Any, Self
 from wafer_viewer.measure.budget import NOT_IN_BUDGET, interpolation_um
 from wafer_viewer.measure.heights import Layer, layer_of, level_note
 from wafer_viewer.measure.levelled import levelling_of
-from wafer_viewer.model.quantities import BudgetLine, Contribution, Length, Quantity, Unit, UStatus
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity, Unit, UStatus
+from wafer_viewer.model.surface.height_map import Mosaic
 
 Lines = dict[str, float]
 """A budget: standard uncertainties (k = 1) by what they come from."""

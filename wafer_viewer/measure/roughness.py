@@ -14,11 +14,11 @@ from wafer_viewer.measure.profile import profile
 from wafer_viewer.measure.reading import Reading
 from wafer_viewer.measure.seen_scales import near_noise, unseen_waves
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import ProfileCurve
-from wafer_viewer.model.options import RoughnessOptions
+from wafer_viewer.model.measurement.measurements import ProfileCurve
+from wafer_viewer.model.measurement.texture import Roughness
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.texture import Roughness
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.numerics.gaussian import gaussian_mean
 
 SECTIONS = 5

@@ -11,9 +11,9 @@ from statistics import fmean, variance
 import numpy as np
 
 from wafer_viewer.measure.gauge_budget import Known, student
-from wafer_viewer.model.gauge import GaugeCheck, GaugeRecord
-from wafer_viewer.model.quantities import Contribution, Length
-from wafer_viewer.model.run_chart import ChartPoint, RunChart
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeRecord
+from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart
+from wafer_viewer.model.quantity import Contribution, Length
 
 D2 = 1.128
 """Mean range of two normal values, in standard deviations."""

@@ -7,7 +7,7 @@ import numpy as np
 from wafer_viewer.measure.areas import Area
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import TextureOptions
+from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.numerics.gaussian import gaussian_mean
 from wafer_viewer.numerics.polynomials import polynomial
 

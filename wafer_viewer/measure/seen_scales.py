@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.model.optics import WAVELENGTH_UM, engraved_aperture
-from wafer_viewer.model.surface import Provenance
+from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, engraved_aperture
+from wafer_viewer.model.surface.height_map import Provenance
 
 PIXELS_A_WAVE = 3
 """ISO 25178-3 asks of optical instruments that the shortest wave is sampled so often."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.heights import Floats, Layer, height_window, layer_of
 from wafer_viewer.measure.profile import length_um_of, numbers_of, samples_along
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
+from wafer_viewer.model.measurement.sections import SlabPoints
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import SlabPoints
-from wafer_viewer.model.surface import Heights, Mosaic, pixel_window
+from wafer_viewer.model.surface.height_map import Heights, Mosaic, pixel_window
 
 MAX_POINTS = 1_000_000
 """A slab with more pixels is read at a coarser level of the pyramid, whose pixels are means."""

@@ -18,13 +18,13 @@ from wafer_viewer.measure.field_poses import poses_u_um, pulls_of
 from wafer_viewer.measure.heights import Layer, Points, level_for, require_area
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.regions import Regions, each_of, require_measured
-from wafer_viewer.model.conditions import Conditions
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.options import StepDefinition, StepOptions
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.measurement.tool_options import StepDefinition, StepOptions
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.step import StepHeight
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 WHAT = "a step height"
 

@@ -22,13 +22,13 @@ from wafer_viewer.measure.profile import profile
 from wafer_viewer.measure.profile_edges import groove_edges, smooth, step_edge
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.tiles import Scatter, scatter_of, spread_of
-from wafer_viewer.model.conditions import Conditions
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import ProfileCurve
-from wafer_viewer.model.options import GrooveOptions
+from wafer_viewer.model.measurement.measurements import ProfileCurve
+from wafer_viewer.model.measurement.step import StepProfile
+from wafer_viewer.model.measurement.tool_options import GrooveOptions
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.step import StepProfile
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 Shape = Literal["groove", "step"]
 PIECES = (8, 4, 2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wafer_viewer.measure.heights import Floats, level_for, require_area
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 
 LEAST_PX = 16
 """A region needs so many pixels each way: what finds an edge looks six pixels round it."""

@@ -17,7 +17,7 @@ from wafer_viewer.measure.die_cells import Plane, Source, form_powers, sample_of
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.level import SIGMA_OF_MAD, robust_fit
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point
 
 BINS = 200

@@ -14,10 +14,10 @@ from wafer_viewer.measure.scale_limited import filter_words, form_notes, lattice
 from wafer_viewer.measure.seen_scales import near_noise, unseen_waves
 from wafer_viewer.measure.spatial import spatial
 from wafer_viewer.measure.texture_slopes import developed_fraction, root_mean_square_gradient
-from wafer_viewer.model.options import TextureOptions
+from wafer_viewer.model.measurement.texture import Texture
+from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.texture import Texture
+from wafer_viewer.model.surface.height_map import Mosaic
 
 ROUNDING = 1e-6
 """Of the largest height: a surface whose Sq is less is flat, and has neither skewness nor kurtosis nor waves."""

@@ -21,11 +21,11 @@ from wafer_viewer.measure.step_profile import step_profile
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.measure.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding, Profile
-from wafer_viewer.model.measuring import TOOLS, ToolName
-from wafer_viewer.model.options import ToolOptions, keywords
+from wafer_viewer.model.measurement.measurements import AnyFinding, Profile
+from wafer_viewer.model.measurement.tool_options import ToolOptions, keywords
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 
 def _section(surface: Mosaic, line: Region, *, calibration_valid: bool) -> Profile:

@@ -8,15 +8,15 @@ from collections.abc import Iterator, Sequence
 
 from wafer_viewer.measure.budget import LESS_WITH_REPEATS
 from wafer_viewer.measure.tools import measured
-from wafer_viewer.model.alignment import Alignment
+from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.feature import Die, Dies, Feature, on_die
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.job.verdict import GRAVEST, Judged, JudgedDie, Word
+from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.verdict import GRAVEST, Judged, JudgedDie, Word
+from wafer_viewer.model.surface.height_map import Mosaic
 
 COVERAGE = 2.0
 """The factor k of every expanded uncertainty."""

@@ -22,10 +22,10 @@ from wafer_viewer.measure.levelled import levelling_of
 from wafer_viewer.measure.reading import Lines, Reading
 from wafer_viewer.measure.tiles import parameter_u
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AreaVolume
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.measurement.measurements import AreaVolume
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 
 BORDER = 0.08
 """Width of the border, in sides of a square as large as the region."""

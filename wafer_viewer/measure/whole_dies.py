@@ -11,8 +11,8 @@ from wafer_viewer.measure.classify import classify
 from wafer_viewer.measure.defect_cells import CellResult, Work
 from wafer_viewer.measure.defect_noise import Noise
 from wafer_viewer.measure.reading import Reading
-from wafer_viewer.model.class_rules import DefectShape
-from wafer_viewer.model.defects import Defect
+from wafer_viewer.model.inspection.class_rules import DefectShape
+from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
 

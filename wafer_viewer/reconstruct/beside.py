@@ -9,7 +9,7 @@ import numpy as np
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice
 
 GAP = 0.06

@@ -13,14 +13,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from wafer_viewer._version import __version__
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError, MeasureError
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.overlay import BLENDS, lay_over, lay_pictures
 from wafer_viewer.reconstruct.place import Layout, layout
 from wafer_viewer.reconstruct.pyramid import halved, joined

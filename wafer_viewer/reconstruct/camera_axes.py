@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Form, Numbers
+from wafer_viewer.model.surface.field_poses import Form, Numbers
 
 SIGMA = 0.05
 """Of turn (rad) and scale (fraction) before anything is measured: what is not certain is not applied, however small."""

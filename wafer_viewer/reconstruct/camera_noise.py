@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Noise
+from wafer_viewer.model.surface.recipe import Noise
 from wafer_viewer.numerics.arrays import Greys
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 

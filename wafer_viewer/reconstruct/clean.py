@@ -10,8 +10,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Levy, Recipe
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.numerics.islands import small_islands
 from wafer_viewer.reconstruct.fill import fill
 from wafer_viewer.reconstruct.jumps import JUMP_STEPS, apart_um

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.comparison import ALIGN_TITLES, FOUND_BY, Align, Registration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.poses import DOUBT_TITLES, Doubt
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic, Outline
+from wafer_viewer.model.surface.comparison import ALIGN_TITLES, FOUND_BY, Align, Registration
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt
+from wafer_viewer.model.surface.height_map import Mosaic, Outline
 from wafer_viewer.reconstruct.difference import Difference, noise_of, provenance_of
 from wafer_viewer.reconstruct.in_plane import in_plane
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.graph import Whole32s, bridges, count_up, groups
 from wafer_viewer.reconstruct.network import Flags, Network
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.comparison import Change, Registration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import UNMEASURED_FROM, HeightMap, Provenance
+from wafer_viewer.model.surface.comparison import Change, Registration
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Provenance
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice
 
 CHANGED_SIGMAS = 3.0

@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Greys, Real, UInt16s
 from wafer_viewer.numerics.jit import kernel
 

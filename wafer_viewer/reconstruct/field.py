@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.refused import RefusedHeights
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface.refused_points import RefusedHeights
 from wafer_viewer.reconstruct import edges
 from wafer_viewer.reconstruct.clean import clean
 from wafer_viewer.reconstruct.fill import mark_filled

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Fill
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Fill
 from wafer_viewer.numerics.spline import fill_gaps, fill_rows
 
 MAX_STEP_FRAMES = 1.5

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.surface.field_poses import Numbers
 
 FORM_TERMS = ("height", "tilt along x", "tilt along y", "bow", "twist", "saddle")
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Bracket, Image
+from wafer_viewer.model.acquisition.focus_stack import Bracket, Image
 
 LEAST_FRAMES = 6
 """Fewer say nothing of how much light changes between frames."""

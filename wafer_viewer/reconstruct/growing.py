@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Poses, Seams, Shifts, joined, selected
+from wafer_viewer.model.surface.field_poses import Doubt, Poses, Seams, Shifts, joined, selected
 
 Pairs = NDArray[np.int32]
 T = TypeVar("T", Shifts, Seams)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.comparison import FoundBy, Registration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.poses import Doubt
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.comparison import FoundBy, Registration
+from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice
 from wafer_viewer.reconstruct.match import match
 from wafer_viewer.reconstruct.strips import Read, height_of, picture_of

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.evidence import Verdict
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.focus_curve import Verdict
+from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.reconstruct.edges import Edges, EdgeSearch, find_edges, judge_edges
 from wafer_viewer.reconstruct.gate import LEAST_FRAMES, POWERS, Check, Gate, checks, first_failed, gate_of
 from wafer_viewer.reconstruct.noise import noise_scores

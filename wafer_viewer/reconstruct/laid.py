@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.comparison import Registration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
+from wafer_viewer.model.surface.comparison import Registration
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Outline, Provenance, pixel_window
 
 if TYPE_CHECKING:
     pass

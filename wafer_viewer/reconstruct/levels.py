@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from wafer_viewer.model.poses import Form, Numbers, Seams
+from wafer_viewer.model.surface.field_poses import Form, Numbers, Seams
 from wafer_viewer.reconstruct.form import FORM_TERMS, sag_between, uncertainty_of_form
 from wafer_viewer.reconstruct.multigrid import rigid
 from wafer_viewer.reconstruct.network import Flags, Network, Ties

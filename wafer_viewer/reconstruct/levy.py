@@ -17,7 +17,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Levy
+from wafer_viewer.model.surface.recipe import Levy
 from wafer_viewer.numerics.lines import REACH_PX, far_along_lines, line_medians_at
 from wafer_viewer.numerics.median import far_from_median, medians_at, pad_with_nan
 from wafer_viewer.numerics.pairs import pair_mean

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack, Image
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import surface_of
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
 from wafer_viewer.reconstruct.peak import Curves, Peaks

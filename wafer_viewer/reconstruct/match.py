@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.model.poses import Doubt
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.align import Alignment, Lag, Picture, align
 from wafer_viewer.numerics.likeness import Likeness, contrast, likeness
 from wafer_viewer.reconstruct.strips import Read, Window, shrunk

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Poses, Shifts
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.register import REACH_PX, register_pair
 
 LEAST_NEIGHBOURS = 2

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.focus_stack import Image
 
 TILES = (3, 4)
 TILE_PX = (64, 192)

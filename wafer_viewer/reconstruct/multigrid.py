@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.surface.field_poses import Numbers
 
 DIRECT_FIELDS = 2000
 """So many fields are solved by factorising."""

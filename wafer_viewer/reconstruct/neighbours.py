@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import Outline
+from wafer_viewer.model.surface.height_map import Outline
 
 LEAST_SIDE_FRACTION = 0.5
 """Neighbours share half of a side at least: corners that meet have little to compare, and others tell it better."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.multigrid import Sparse, System
 
 Whole32s = NDArray[np.int32]

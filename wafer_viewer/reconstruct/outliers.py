@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.recipe import Outliers, Recipe
+from wafer_viewer.model.surface.recipe import Outliers, Recipe
 from wafer_viewer.numerics.islands import narrow_parts, small_islands
 from wafer_viewer.numerics.neighbours import REACH_PX, mean_distances, near_counts
 from wafer_viewer.numerics.spline import fill_gaps

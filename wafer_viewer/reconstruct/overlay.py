@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.numerics import overlay, placed
 from wafer_viewer.numerics.overlay import Blended, Piece, Tally
 from wafer_viewer.numerics.placed import Leaning, Shift

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.reconstruct.prepare import Frames, read_block
 from wafer_viewer.reconstruct.volume import Source
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.prefetch import prefetch

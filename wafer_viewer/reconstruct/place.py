@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.surface import Outline
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import Outline
 from wafer_viewer.numerics.rectangles import Rectangles
 from wafer_viewer.reconstruct.ramps import BOTTOM, LEFT, RIGHT, TOP, Lengths, ramps
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, Numbers, Shifts
+from wafer_viewer.model.surface.field_poses import Doubt, Numbers, Shifts
 from wafer_viewer.reconstruct.camera_axes import LEAST_OVERLAPS, SIGMA, Camera, shared_by_all
 from wafer_viewer.reconstruct.contested import verdicts
 from wafer_viewer.reconstruct.graph import groups

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.plan import MIN_FRAMES
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack, Image
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.numerics.resample import Taps, resampled
 from wafer_viewer.reconstruct.drift import Drift, drift_of, told
 from wafer_viewer.reconstruct.exposures import Fusion, fusion_of

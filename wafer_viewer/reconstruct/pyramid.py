@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.pyramid import halve
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.model.comparison import Heights
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import UNMEASURED_FROM, HeightMap, Mosaic, Origin, ReadThrough
+from wafer_viewer.model.surface.comparison import Heights
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Mosaic, Origin, ReadThrough
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance, pixel_window
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance, pixel_window
 from wafer_viewer.reconstruct.pyramid import halved
 
 _COARSEST_PX = 256

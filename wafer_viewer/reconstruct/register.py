@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Doubt, SaidBy, Shifts
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Doubt, SaidBy, Shifts
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.match import Match, match
 from wafer_viewer.reconstruct.parts import on_threads
 from wafer_viewer.reconstruct.strips import Window, height_of, picture_of

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import DOUBT_WORDS, Doubt, Poses, Shifts
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import DOUBT_WORDS, Doubt, Poses, Shifts
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.misfits import (
     has_no_heights,
     judge_misfit,

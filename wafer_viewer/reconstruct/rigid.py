@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.comparison import Registration
 from wafer_viewer.model.errors import ComputeError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.comparison import Registration
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.numerics.planes import Plane, fit_plane
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.poses import Seams
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.field_poses import Seams
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.numerics.binning import binned
 from wafer_viewer.numerics.differences import differences
 from wafer_viewer.numerics.planes import Plane, fit_plane

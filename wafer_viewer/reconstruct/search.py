@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.stack import Image
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, USUAL_CAMERA, Focusing
 from wafer_viewer.reconstruct.parts import cores, source_of

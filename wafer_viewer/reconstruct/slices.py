@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.model.stack import FieldStack, Image
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
 from wafer_viewer.reconstruct.blend import blend_pictures
 from wafer_viewer.reconstruct.place import Layout, layout
 

@@ -9,13 +9,13 @@ from dataclasses import replace as replaced
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import Form, Poses, Seams, Shifts, no_seams, no_shifts
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Outline
+from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts, no_seams, no_shifts
+from wafer_viewer.model.surface.height_map import HeightMap, Outline
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance, moved_to
 from wafer_viewer.reconstruct.growing import Known
 from wafer_viewer.reconstruct.misfits import suspects

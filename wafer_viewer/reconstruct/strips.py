@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap, Origin
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.numerics.align import Picture
 from wafer_viewer.numerics.binning import binned
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.model.poses import Numbers
+from wafer_viewer.model.surface.field_poses import Numbers
 from wafer_viewer.reconstruct.multigrid import Solver
 from wafer_viewer.reconstruct.network import Network, pull
 from wafer_viewer.reconstruct.settle import Settled

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.optics import WAVELENGTH_UM
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Origin
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.camera_noise import camera_of, settled_noise
 from wafer_viewer.reconstruct.clean import settle_cleaning
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.evidence import FocusCurve, Rival, Verdict
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import ORIGIN_TITLES, Origin
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import cleaned, settled_recipe
 from wafer_viewer.reconstruct.judge import judge
 from wafer_viewer.reconstruct.peak import Peaks

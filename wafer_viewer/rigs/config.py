@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.rigs.virtual.faults import Faults

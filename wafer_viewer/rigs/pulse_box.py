@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from wafer_viewer.model.devices import Clock, Pulse, PulseSummary, SerialPort
+from wafer_viewer.model.acquisition.devices import Clock, Pulse, PulseSummary, SerialPort
+from wafer_viewer.model.acquisition.plan import Axis, PulseTrain
 from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.model.plan import Axis, PulseTrain
 from wafer_viewer.rigs.wire import VERSION, Line, WireClient
 
 PULSE_WIDTH_US = 50

@@ -12,7 +12,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Literal, cast
 
-from wafer_viewer.model.devices import Clock, SerialPort
+from wafer_viewer.model.acquisition.devices import Clock, SerialPort
 from wafer_viewer.model.errors import RigError, RigTimeout, WireError
 
 Kind = Literal["C", "A", "E"]

@@ -10,17 +10,17 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Protocol
 
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.comparing import ComparingVerbs
 from wafer_viewer.session.control import Control

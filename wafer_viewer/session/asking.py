@@ -6,14 +6,14 @@ import threading
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.findings import AnyFinding, Profile, ProfileCurve
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
-from wafer_viewer.model.poses import Poses
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.questions import Questions, ReadOut
 
 if TYPE_CHECKING:

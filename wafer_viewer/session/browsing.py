@@ -20,7 +20,7 @@ from typing import Literal
 import msgspec
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import READ
+from wafer_viewer.model.file_formats import READ
 
 Order = Literal["date", "name", "size"]
 KindName = Literal[

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.model.comparison import Comparison
+from wafer_viewer.model.surface.comparison import Comparison
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,13 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.comparison import Align, Comparison, Face, SurfaceName, comparison_of
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName, comparison_of
 from wafer_viewer.session.compared import Compared
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
-    from wafer_viewer.model.surface import Mosaic
+    from wafer_viewer.model.surface.height_map import Mosaic
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.library import Library
     from wafer_viewer.session.notices import Notices

@@ -8,11 +8,11 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.plan import MIN_FRAMES
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.comparing import ComparingKeeper
 from wafer_viewer.session.defect_files import DefectFilesKeeper

@@ -8,8 +8,8 @@ from pathlib import Path
 from wafer_viewer._version import __version__
 from wafer_viewer.measure.heights import Layer
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.sections import Section, SectionAsked
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.model.surface.height_map import Mosaic
 
 
 def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:

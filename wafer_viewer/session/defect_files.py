@@ -8,13 +8,13 @@ from dataclasses import replace as with_changes
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.defects import DefectRecipe
+from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.defect_handover import Handover, hand_over, keep_golden
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM, DefectShelf, OtherTool
 from wafer_viewer.session.other_tool import KlarfUnit, laid_over
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.golden import GoldenHeader
+    from wafer_viewer.model.inspection.golden_die import GoldenHeader
     from wafer_viewer.session.desk import Desk
     from wafer_viewer.session.file_work import FileWork
     from wafer_viewer.session.library import Library

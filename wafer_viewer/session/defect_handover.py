@@ -10,7 +10,7 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.defects import Inspection
+    from wafer_viewer.model.inspection.defect import Inspection
     from wafer_viewer.session.defect_offline import Wafer
 
 Handover = Literal["klarf", "csv", "training"]

@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.defects import DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieGrid
-from wafer_viewer.model.golden import GoldenDie
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.session.defect_work import NOT_BY_DIES
 from wafer_viewer.session.given_dies import GivenDies, dies_or_why

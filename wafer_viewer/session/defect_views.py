@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from wafer_viewer.model.comparison import Face
-from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.surface.comparison import Face
 from wafer_viewer.session.like_place import DiePicture, LikePlace, Place, SideBySide
 from wafer_viewer.session.paint_request import PaintRequest, Source
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.alignment import Alignment
-    from wafer_viewer.model.plan import Job
-    from wafer_viewer.model.repeated_place import RepeatedPlace
+    from wafer_viewer.model.acquisition.alignment import Alignment
+    from wafer_viewer.model.acquisition.plan import Job
+    from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
     from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
 
 T = TypeVar("T")

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from wafer_viewer.compute.task_runner import Crew, Here
-from wafer_viewer.model.defects import DefectRecipe, Inspection
-from wafer_viewer.model.die_grid import DieGrid
 from wafer_viewer.model.errors import ComputeError, WaferViewerError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_rows import RowHands
@@ -19,7 +19,7 @@ from wafer_viewer.session.given_dies import GivenDies, dies_or_why
 from wafer_viewer.session.library import today
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.surface import Mosaic
+    from wafer_viewer.model.surface.height_map import Mosaic
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.result import Result
 

@@ -8,8 +8,8 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.defects import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_shelf import product_of
 from wafer_viewer.session.defect_work import Against, Dies, inspect_dataset, mosaic_mark
@@ -18,7 +18,7 @@ from wafer_viewer.session.inspection_state import InspectionState
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.compute_client import Compute
-    from wafer_viewer.model.defect_limits import DefectLimits
+    from wafer_viewer.model.inspection.defect_limits import DefectLimits
     from wafer_viewer.session.defect_files import DefectFiles
     from wafer_viewer.session.defect_views import DefectViews
     from wafer_viewer.session.desk import Desk

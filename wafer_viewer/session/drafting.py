@@ -6,12 +6,12 @@ import math
 import shutil
 from pathlib import Path
 
-from wafer_viewer.model.devices import Overview
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.marking import Seen

@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.plan import Field, ScanPlan
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.placement import as_stitched
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.formats import Reading
+from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.file_work import FileWork
 

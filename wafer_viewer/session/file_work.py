@@ -8,10 +8,10 @@ from typing import Any
 
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.watched_tasks import Args, WatchedTask
-from wafer_viewer.model.comparison import comparison_of
-from wafer_viewer.model.formats import Reading
+from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
+from wafer_viewer.model.surface.comparison import comparison_of
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import ENDING, Library, free_name
 from wafer_viewer.session.notices import Notices

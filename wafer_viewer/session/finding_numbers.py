@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from wafer_viewer.draw.numbers import number, share, value_and_u
-from wafer_viewer.model.finding import Finding
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.levelling import Levelling
-from wafer_viewer.model.quantities import BudgetLine, Length, Quantity
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.quantity import BudgetLine, Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import Spec
 

@@ -7,9 +7,9 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.region import Region
 from wafer_viewer.session import gauge_check as work
 from wafer_viewer.session.gauge_keeper import NO_CERTIFICATE, GaugeKeeper

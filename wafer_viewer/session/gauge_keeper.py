@@ -8,10 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
-from wafer_viewer.model.run_chart import RunChart
+from wafer_viewer.model.gauge.gauge_check import (
+    Certificate,
+    GaugeCheck,
+    GaugeRecord,
+    GaugeRepeat,
+    GaugeTerms,
+    ScaleCorrection,
+)
+from wafer_viewer.model.gauge.run_chart import RunChart
 from wafer_viewer.session import gauge_check as work
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.gauge_state import Faces, GaugeState, Tick

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.model.gauge import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms, ScaleCorrection
+from wafer_viewer.model.gauge.gauge_check import (
+    Certificate,
+    GaugeCheck,
+    GaugeRecord,
+    GaugeRepeat,
+    GaugeTerms,
+    ScaleCorrection,
+)
+from wafer_viewer.model.gauge.run_chart import Capability, RunChart
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.run_chart import Capability, RunChart
 
 Faces = tuple[Region, Region]
 """The upper and the lower face."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.surface.height_map import Mosaic
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.die_fit import FittedDies

@@ -9,9 +9,9 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from wafer_viewer.compute.child_process import Link
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.messages import (

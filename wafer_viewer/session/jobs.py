@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting
 from wafer_viewer.session.releases import list_released

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.spec import encode
-from wafer_viewer.model.surface import Provenance
-from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.model.surface.height_map import Provenance
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library, today
 from wafer_viewer.session.notices import Notices

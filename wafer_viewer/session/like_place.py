@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import msgspec
 
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.inspection.die_grid import DieGrid
 
 if TYPE_CHECKING:
     from wafer_viewer.session.paint_request import Source

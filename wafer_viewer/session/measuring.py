@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
-from wafer_viewer.model.findings import AnyFinding, Finding, Profile, ProfileCurve
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.measuring import ToolName
-from wafer_viewer.model.options import ToolOptions
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding, Finding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.sections import SlabPoints
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.sections import SlabPoints
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:

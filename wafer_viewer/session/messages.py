@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.devices import Overview, Position
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Job, ScanPlan
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import Overview, Position
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.session.state import LatestFrame, ScanProgress
 
 

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.notebook import Notebook, SavedView, Verdict
+from wafer_viewer.model.job.review_notes import Notebook, SavedView, Verdict
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.model.notebook import Notebook
+from wafer_viewer.model.job.review_notes import Notebook
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from wafer_viewer.compute.dask_worker import attempt
 from wafer_viewer.compute.task_runner import Crew, Here, crew_for, n_local_workers, require_tls
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.formats import Reading
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.progress import Progress
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.session.state import SurfaceInfo

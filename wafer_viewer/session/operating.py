@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.trial import Trial
-from wafer_viewer.model.verdict import WaferVerdict
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.revision_trial import Trial
+from wafer_viewer.model.job.verdict import WaferVerdict
 
 
 @dataclass(frozen=True, slots=True)

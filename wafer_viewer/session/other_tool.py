@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from wafer_viewer.model.alignment import Alignment
-from wafer_viewer.model.defects import Inspection
-from wafer_viewer.model.die_grid import DieGrid
+from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.klarf import Klarf
+from wafer_viewer.model.inspection.defect import Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.klarf import Klarf
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_shelf import SAME_PLACE_UM, OtherTool
 

@@ -30,8 +30,8 @@ from wafer_viewer.session.paint_request import PaintRequest, Source
 from wafer_viewer.session.shelf import Shelf
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.golden import GoldenDie
-    from wafer_viewer.model.surface import Mosaic
+    from wafer_viewer.model.inspection.golden_die import GoldenDie
+    from wafer_viewer.model.surface.height_map import Mosaic
 
 PLACE_PX, DIE_PX = 320, 640
 """The longer side of a picture has at most so many pixels."""

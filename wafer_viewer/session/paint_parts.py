@@ -15,7 +15,7 @@ from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes, point_codes
 from wafer_viewer.draw.colours import origin_table
 from wafer_viewer.draw.glb import painted
 from wafer_viewer.draw.shade import without_gaps
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.paint_refused import RefusedPoints, refused_in
 from wafer_viewer.session.paint_request import PaintRequest, pack_points
 from wafer_viewer.session.shelf import Shelf, at_level, levelled

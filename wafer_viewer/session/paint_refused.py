@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.clipping import CODES, DRAWN, Floats, point_codes
-from wafer_viewer.model.clipping import Box
-from wafer_viewer.model.levelling import Datum
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.surface.clipping import Box
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.reconstruct.place import Lean, layout
 from wafer_viewer.session.paint_request import PaintRequest, Refused, Source
 

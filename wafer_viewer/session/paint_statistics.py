@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes
-from wafer_viewer.model.clipping import Clip, Span
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, pixel_window
+from wafer_viewer.model.surface.clipping import Clip, Span
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, pixel_window
 from wafer_viewer.session.paint_refused import count_refused
 from wafer_viewer.session.paint_request import Brushed, PaintRequest, Statistics
 from wafer_viewer.session.shelf import Shelf, Window, at_level, levelled

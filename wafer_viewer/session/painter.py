@@ -15,9 +15,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from wafer_viewer.compute.child_process import live_in_the_background
-from wafer_viewer.model.comparison import Face
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.comparison import Face
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.paint_request import PaintRequest, Source
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import DOUBT_TITLES, Doubt, Poses
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
 from wafer_viewer.session.state import StitchingInfo
 
 COVERAGE = 2.0

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Job, ScanPlan
 from wafer_viewer.session.state import LatestFrame, Snapshot
 from wafer_viewer.store.files import size
 

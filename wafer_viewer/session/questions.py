@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError, MeasureError
-from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import Image
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.session.comparing import surface_of
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.measuring import Measuring

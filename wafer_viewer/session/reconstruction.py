@@ -13,7 +13,7 @@ from wafer_viewer.compute.child_process import ChildGone
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.notices import Notices

@@ -9,9 +9,10 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
-from wafer_viewer.model.defects import Defect
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import (
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.measurement.measurements import (
     AnyFinding,
     AreaVolume,
     Distance,
@@ -25,10 +26,9 @@ from wafer_viewer.model.findings import (
     StepHeight,
     StepProfile,
 )
-from wafer_viewer.model.shape import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
-from wafer_viewer.model.site_range import SiteRanges
+from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.texture import Roughness, Texture
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.history import History
 from wafer_viewer.session.library import Library

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.job.revision_trial import Trial
+from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.trial import Trial
-from wafer_viewer.model.verdict import WaferVerdict
 from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.releases import blank, free_place, prepared, released, revised

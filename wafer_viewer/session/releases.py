@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.model.plan import Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.operating import JobEntry
 
 FOLDER, ENDING = "jobs", ".toml"

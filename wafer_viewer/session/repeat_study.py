@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.feature import Die, Feature
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.quantities import Quantity
-from wafer_viewer.model.repeatability import Study
+from wafer_viewer.model.gauge.gauge_rr import Study
+from wafer_viewer.model.measurement.feature import Die, Feature
+from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.library import DEFAULT_RESULT

@@ -14,7 +14,7 @@ from wafer_viewer.draw.look import Light, Look
 from wafer_viewer.draw.shade import light_gain
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 
 WHOLE_PX, PLACE_PX, PICTURE_PX = 1400, 320, 1600
 ROUND_A_PLACE, LEAST_UM = 0.7, 20.0

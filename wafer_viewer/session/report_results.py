@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 from wafer_viewer.draw.numbers import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.gauge import GaugeCheck
-from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.notebook import key_of_result, keys_of_features
-from wafer_viewer.model.quantities import BudgetLine
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
+from wafer_viewer.model.job.verdict import GRAVEST, Judged, WaferVerdict
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.sections import SectionAsked
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import BudgetLine
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, Figure, Section, Sheet, Table
-from wafer_viewer.model.sections import SectionAsked
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.verdict import GRAVEST, Judged, WaferVerdict
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.finding_numbers import (
     UNITS,
     budget_of,
@@ -150,7 +150,7 @@ def _curve(material: Material, finding: AnyFinding, line: Region) -> Figure | No
     from wafer_viewer.draw.profile_svg import profile_svg
     from wafer_viewer.measure.levelled import levelled
     from wafer_viewer.measure.profile import profile
-    from wafer_viewer.model.sections import Section as Cut
+    from wafer_viewer.model.measurement.sections import Section as Cut
 
     surface = _surface(material, finding.show)
     if surface is None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from wafer_viewer.draw.defect_looks import KINDS
 from wafer_viewer.draw.die_stack import die_stack_svg
 from wafer_viewer.draw.numbers import number
-from wafer_viewer.model.defects import Inspection
+from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.report import Figure
 from wafer_viewer.session.report_material import Material
 

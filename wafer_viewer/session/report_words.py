@@ -6,15 +6,15 @@ from collections.abc import Iterator
 from typing import Any, cast
 
 from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
-from wafer_viewer.model.calibration import Calibration
-from wafer_viewer.model.feature import limits_text
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.notebook import Judgement, Notebook, key_of_result
-from wafer_viewer.model.plan import Job, ScanPlan
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.measurement.feature import limits_text
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
-from wafer_viewer.model.surface import LAYER_TITLES
-from wafer_viewer.model.verdict import Judged, WaferVerdict
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 from wafer_viewer.session.finding_numbers import UNITS, quantity_text, spaced, title_of
 from wafer_viewer.session.state import SurfaceInfo
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from wafer_viewer._version import __version__
 from wafer_viewer.draw.numbers import number
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.model.notebook import keys_of_features, keys_under_review
+from wafer_viewer.model.job.review_notes import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
 from wafer_viewer.session.finding_numbers import not_evaluated

@@ -15,13 +15,13 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError
-from wafer_viewer.model.feature import Die, Feature
-from wafer_viewer.model.plan import Job
+from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.job.verdict import Judged
+from wafer_viewer.model.measurement.feature import Die, Feature
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.surface import Mosaic
-from wafer_viewer.model.trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.model.verdict import Judged
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.library import DEFAULT_RESULT, ENDING, today
 from wafer_viewer.session.offline import Hire, make_surface

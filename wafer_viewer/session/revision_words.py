@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.model.feature import DecisionRule, limits_text
-from wafer_viewer.model.measuring import TOOLS
-from wafer_viewer.model.options import ToolOptions
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.verdict import Judged
+from wafer_viewer.model.measurement.feature import DecisionRule, limits_text
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import Spec
-from wafer_viewer.model.verdict import Judged
+from wafer_viewer.model.surface.recipe import Recipe
 
 RULES: dict[DecisionRule, str] = {"guard_band": "guard band", "simple_acceptance": "simple acceptance"}
 NOTHING_DIFFERS = "Nothing of the feature differs: it was measured again with today's calibration."

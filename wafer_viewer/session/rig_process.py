@@ -12,10 +12,10 @@ from multiprocessing.connection import Connection
 
 from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
 from wafer_viewer.compute.child_process import Ask, ChildEnd, live_in_the_background
-from wafer_viewer.model.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
-from wafer_viewer.model.plan import Axis
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.config import RigConfig, open_rig
 from wafer_viewer.session.messages import (
     At,

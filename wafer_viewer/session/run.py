@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.surface.recipe import Recipe
 
 
 @dataclass(slots=True)

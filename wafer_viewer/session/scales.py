@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import GaugeRecord, ScaleCorrection
+from wafer_viewer.model.gauge.gauge_check import GaugeRecord, ScaleCorrection
 from wafer_viewer.session.gauge_check import now
 from wafer_viewer.session.library import today
 from wafer_viewer.store.calibrations import CalibrationChange, calibration_in_force, record_change

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import DatasetError, PlanError
-from wafer_viewer.model.plan import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.session.drafting import free_bytes, plan_of
 from wafer_viewer.session.library import today

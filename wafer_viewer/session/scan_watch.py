@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from wafer_viewer.model.devices import Position, PulseSummary
-from wafer_viewer.model.plan import Leg, ScanPlan, Shot
-from wafer_viewer.model.stack import Frame, Image
+from wafer_viewer.model.acquisition.devices import Position, PulseSummary
+from wafer_viewer.model.acquisition.focus_stack import Frame, Image
+from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.session.messages import FieldComplete, Paused, ScanFault, Taken
 from wafer_viewer.session.state import LatestFrame, ScanProgress
 from wafer_viewer.store.files import writing

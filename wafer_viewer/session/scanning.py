@@ -8,7 +8,7 @@ from typing import Any
 
 from wafer_viewer.acquire.motion import device_errors
 from wafer_viewer.acquire.runner import run_scan
-from wafer_viewer.model.devices import Rig
+from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.messages import Scan, ScanEnded
 from wafer_viewer.session.scan_watch import ScanWatch, Steering

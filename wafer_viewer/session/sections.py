@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from wafer_viewer.model.levelling import Datum, Levelling
-from wafer_viewer.model.sections import OtherSurface, Section, SectionAsked
-from wafer_viewer.model.surface import Mosaic
+from wafer_viewer.model.measurement.levelling import Datum, Levelling
+from wafer_viewer.model.measurement.sections import OtherSurface, Section, SectionAsked
+from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.cutting import cut, file_of, other_layer
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.state import Snapshot

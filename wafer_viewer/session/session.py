@@ -10,11 +10,11 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from wafer_viewer.model.evidence import FocusCurve
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.plan import Job
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.browsing import Browsing

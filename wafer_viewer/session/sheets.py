@@ -15,12 +15,12 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Recipe, Stitching
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance
 from wafer_viewer.reconstruct.growing import Known
 from wafer_viewer.reconstruct.place import Lattice, layout, planned_lattice

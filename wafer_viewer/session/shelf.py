@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from wafer_viewer.draw.reduce import reduced
-from wafer_viewer.model.levelling import Datum
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import FieldStack
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.session.paint_refused import PlacedField
 from wafer_viewer.session.paint_request import PaintRequest, Source
 

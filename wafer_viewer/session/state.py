@@ -7,13 +7,13 @@ from enum import Enum
 from pathlib import Path
 from typing import Literal
 
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.devices import Overview
-from wafer_viewer.model.findings import AnyFinding
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Field, Job, ScanPlan
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.stack import Image
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Field, Job, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.compared import Compared
 from wafer_viewer.session.defect_shelf import DefectShelf
 from wafer_viewer.session.gauge_state import GaugeState

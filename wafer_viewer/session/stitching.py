@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from wafer_viewer.compute.task_runner import Crew, Here
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.recipe import Recipe, Stitching
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state import Box, SurfaceInfo
 
 if TYPE_CHECKING:
-    from wafer_viewer.model.poses import Poses, Seams, Shifts
+    from wafer_viewer.model.surface.field_poses import Poses, Seams, Shifts
     from wafer_viewer.reconstruct.blend import StitchedMosaic
     from wafer_viewer.reconstruct.growing import Known
     from wafer_viewer.session.sheets import Sheets, Window
@@ -105,7 +105,7 @@ def _find_poses(sheets: Sheets, recipe: Recipe, known: Known, final: bool, hands
 
 
 def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> Shifts:
-    from wafer_viewer.model.poses import joined, no_shifts
+    from wafer_viewer.model.surface.field_poses import joined, no_shifts
 
     reach_um = None if stitching.search_um == "auto" else stitching.search_um
     items = [(*_names(hands, part), reach_um) for part in _batches(pairs)]
@@ -114,7 +114,7 @@ def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> 
 
 
 def _compare(hands: _Hands, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> Seams:
-    from wafer_viewer.model.poses import joined, no_seams
+    from wafer_viewer.model.surface.field_poses import joined, no_seams
 
     items = [(*_names(hands, part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
     found = hands.each(compare_pairs, items, 0.7 * LOOK_SHARE, LOOK_SHARE)
@@ -207,7 +207,7 @@ def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas
 @lru_cache(maxsize=2)
 def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
     """The mosaic to be drawn, kept from patch to patch; `mark` tells one drawing from the next."""
-    from wafer_viewer.model.surface import Provenance
+    from wafer_viewer.model.surface.height_map import Provenance
     from wafer_viewer.session.sheets import Sheets
     from wafer_viewer.store.poses import read_poses
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.quantities import Unit
-from wafer_viewer.model.repeatability import GaugeRR, Method
+from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method
+from wafer_viewer.model.quantity import Unit
 
 
 @dataclass(frozen=True, slots=True)

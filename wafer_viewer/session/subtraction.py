@@ -9,12 +9,12 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from wafer_viewer.model.comparison import Align, Comparison, Face, SurfaceName
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.surface import HeightMap, Mosaic, Provenance
+from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
 from wafer_viewer.reconstruct.difference import Difference, Sums
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.store.checksums import save_json

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.recipe import Recipe
-from wafer_viewer.model.surface import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.store.checksums import sealed_text, verified_text
 from wafer_viewer.store.files import write_text

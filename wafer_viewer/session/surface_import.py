@@ -6,12 +6,12 @@ import datetime
 from functools import partial
 from pathlib import Path
 
-from wafer_viewer.model.calibration import OpticalSetup
+from wafer_viewer.model.acquisition.calibration import OpticalSetup
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import Reading
-from wafer_viewer.model.plan import MIN_FRAMES, FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.summary import save_summary, summarise
 from wafer_viewer.store.dataset import Dataset

@@ -11,11 +11,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from wafer_viewer.model.plan import MIN_FRAMES, Field
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
-from wafer_viewer.model.recipe import Recipe
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.stack import FieldStack
+from wafer_viewer.model.surface.recipe import Recipe
 
 if TYPE_CHECKING:
     from wafer_viewer.store.dataset import Dataset
@@ -123,8 +123,8 @@ def export_surface(
 
     part: only what lies in the upright rectangle round this region.
     """
-    from wafer_viewer.model.comparison import Face
-    from wafer_viewer.model.surface import Mosaic, PartOfMosaic
+    from wafer_viewer.model.surface.comparison import Face
+    from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
     from wafer_viewer.session.subtraction import face_of
     from wafer_viewer.store.dataset import Dataset
     from wafer_viewer.store.exporters import export

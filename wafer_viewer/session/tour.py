@@ -6,9 +6,9 @@ scene `tour_wafer`.
 
 from __future__ import annotations
 
-from wafer_viewer.model.devices import Rig
-from wafer_viewer.model.plan import FieldGrid, FocusSweep, Job
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.acquisition.devices import Rig
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.rigs.config import RigConfig
 
 TOUR_FIELDS = 3

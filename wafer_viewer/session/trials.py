@@ -10,8 +10,8 @@ from typing import Any
 
 from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.job.revision_trial import Trial
 from wafer_viewer.model.spec import replace as replace_in
-from wafer_viewer.model.trial import Trial
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.drafting import Drafting
 from wafer_viewer.session.jobs import settled_by

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
-from wafer_viewer.model.calibration import Calibration
+from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.store.log_lines import append_line, read_lines

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.gauge import Certificate
+from wafer_viewer.model.gauge.gauge_check import Certificate
 from wafer_viewer.model.spec import decode
 
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Image
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import MIN_FRAMES, Field, Shot
 from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.model.stack import Bracket, FieldStack, Image
 from wafer_viewer.store.checksums import KnownGood, file_mark, mend_of
 from wafer_viewer.store.journal import FaultNoted, Finished, FrameKept, JournalReader, Missed, PassBegun, PassEnded
 from wafer_viewer.store.pages import map_pages, tags_crc32c

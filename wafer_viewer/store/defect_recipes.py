@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from wafer_viewer.model.defects import DefectRecipe
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.store.files import remove, write_text, writing
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.defects import Defect, Inspection
+from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.checksums import load_json, save_json
 from wafer_viewer.store.files import writing

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.quantities import Quantity
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.quantity import Quantity
 
 COLUMNS = (
     *("number", "die", "u_um", "v_um", "x_um", "y_um", "class", "class by rules", "reasons", "judgement", "judged by"),

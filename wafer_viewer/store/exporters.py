@@ -9,9 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import FORMATS, MESH_POINTS, every_for
+from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, every_for
 from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing
 from wafer_viewer.store.formats.about import caveats
 from wafer_viewer.store.formats.gsf import write_gsf

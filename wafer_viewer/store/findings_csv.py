@@ -7,10 +7,10 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from wafer_viewer.model.findings import AnyFinding, Finding, Findings
-from wafer_viewer.model.quantities import Length, Quantity
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Chip, Chipping, Coplanarity
+from wafer_viewer.model.measurement.measurements import AnyFinding, Finding, Findings
+from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.shape import Bump, Chip, Chipping, Coplanarity
 
 COLUMNS = (
     *("number", "name", "kind", "quantity", "value", "U", "unit", "k", "status"),

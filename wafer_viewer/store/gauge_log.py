@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from wafer_viewer.model.gauge import GaugeRecord
+from wafer_viewer.model.gauge.gauge_check import GaugeRecord
 from wafer_viewer.store.log_lines import append_line, read_lines
 
 GAUGE_LOG = "gauge-checks.jsonl"

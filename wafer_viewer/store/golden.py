@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.golden import GoldenDie, GoldenHeader
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.store.checksums import require_good_archive, seal_archive
 from wafer_viewer.store.files import natural, remove, writing

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.stack import Image
 from wafer_viewer.store.files import natural
 
 REC_709 = np.array([0.2126, 0.7152, 0.0722])

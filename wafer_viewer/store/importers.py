@@ -15,11 +15,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, depth_of_field_um
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.optics import WAVELENGTH_UM, depth_of_field_um
-from wafer_viewer.model.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.model.stack import FieldStack, Frame, FrameStatus, Image
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import replacing, require_space
 from wafer_viewer.store.images import NOTHING_WRITTEN, Paths, Picture, pictures

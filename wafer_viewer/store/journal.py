@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
-from wafer_viewer.model.devices import PulseSummary
+from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.plan import Axis, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import Axis, Shot
 from wafer_viewer.store.checksums import Checksum, line_state, sealed_line
 from wafer_viewer.store.files import writing
 

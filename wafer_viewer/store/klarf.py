@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.defects import Defect, Inspection
-from wafer_viewer.model.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.klarf import BINS, CLASS_NUMBERS
-from wafer_viewer.model.sample import Sample
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
+from wafer_viewer.model.inspection.klarf import BINS, CLASS_NUMBERS
 from wafer_viewer.store.files import write_text
 
 COLUMNS = (

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.klarf import Klarf, KlarfDefect
+from wafer_viewer.model.inspection.klarf import Klarf, KlarfDefect
 from wafer_viewer.model.spec import replace
 
 KlarfUnit = Literal["um", "nm", "mm"]

@@ -19,12 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.pictured import Pictured, picture_of
-from wafer_viewer.model.poses import Poses
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode
-from wafer_viewer.model.surface import HeightLayer, HeightMap, Heights, Mosaic, Origin, Provenance, pixel_window
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import (
+    HeightLayer,
+    HeightMap,
+    Heights,
+    Mosaic,
+    Origin,
+    Provenance,
+    pixel_window,
+)
+from wafer_viewer.model.surface.textured_surface import Pictured, picture_of
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.checksums import Checksum, damaged, mend_of, sealed_node, text_state
 from wafer_viewer.store.files import replacing, write_text, writing

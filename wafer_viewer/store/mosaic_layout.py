@@ -11,7 +11,7 @@ import numpy as np
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Count, Positive, Spec, encode
-from wafer_viewer.model.surface import Mosaic, Origin, Provenance
+from wafer_viewer.model.surface.height_map import Mosaic, Origin, Provenance
 from wafer_viewer.store.shard import Shards
 
 CHUNK, SHARD = 256, 2048

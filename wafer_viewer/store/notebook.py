@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wafer_viewer.model.notebook import Notebook
+from wafer_viewer.model.job.review_notes import Notebook
 from wafer_viewer.store.checksums import load_json, require_good_json, save_json
 from wafer_viewer.store.files import writing
 

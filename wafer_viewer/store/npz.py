@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.refused import RefusedHeights
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
+from wafer_viewer.model.surface.refused_points import RefusedHeights
 from wafer_viewer.store.checksums import SURFACES, mend_of, require_good_archive, seal_archive
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.stack import Image
 from wafer_viewer.store.checksums import crc32c
 from wafer_viewer.store.files import writing
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wafer_viewer.model.devices import PulseSummary
+from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.journal import FrameKept, JournalReader, Line, Missed, PassBegun, PassEnded
 from wafer_viewer.store.record import JOURNAL

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.poses import Form, Poses, Seams, Shifts
+from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
 from wafer_viewer.store.checksums import mend_of, require_good_archive, seal_archive
 from wafer_viewer.store.files import replacing
 

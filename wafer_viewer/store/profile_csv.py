@@ -7,8 +7,8 @@ import io
 from collections.abc import Sequence
 from itertools import zip_longest
 
-from wafer_viewer.model.sections import Section
-from wafer_viewer.model.surface import LAYER_TITLES
+from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
 
 COLUMNS = ("distance_um", "x_um", "y_um", "z_um")
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.formats import FORMATS, READ, Reading
+from wafer_viewer.model.file_formats import FORMATS, READ, Reading
 from wafer_viewer.model.progress import Progress, ShouldStop
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.gsf import read_gsf
 from wafer_viewer.store.formats.gwy import read_gwy
 from wafer_viewer.store.formats.pcd import read_pcd

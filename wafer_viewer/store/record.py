@@ -7,9 +7,9 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.plan import Field, Job, ScanPlan
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.model.plan import Field, Job, ScanPlan
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.checksums import Checksum, damaged, save_json, text_state, unsealed
 from wafer_viewer.store.pages import PageShape

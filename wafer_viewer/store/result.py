@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.comparison import Comparison
+from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.findings import Findings
-from wafer_viewer.model.plan import Field
-from wafer_viewer.model.poses import Poses
-from wafer_viewer.model.recipe import Recipe
+from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.spec import Spec
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.comparison import Comparison
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.store.checksums import SURFACES, load_json, require_good_json, save_json
 from wafer_viewer.store.files import replacing, writing
 from wafer_viewer.store.mosaic import ZarrMosaic

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.defects import Defect, Inspection
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.files import replacing
 
 MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512

@@ -15,12 +15,12 @@ import msgspec
 import numpy as np
 
 from wafer_viewer._version import __version__
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.devices import PulseSummary
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.plan import Job, Leg, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.plan import Job, Leg, ScanPlan, Shot
 from wafer_viewer.model.spec import replace
-from wafer_viewer.model.stack import Frame, FrameStatus, Image
 from wafer_viewer.store import journal
 from wafer_viewer.store.dataset import Dataset
 from wafer_viewer.store.files import remove, require_space, writing

@@ -6,10 +6,10 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Protocol
 
-from wafer_viewer.model.devices import CameraImage, Position
+from wafer_viewer.model.acquisition.devices import CameraImage, Position
+from wafer_viewer.model.acquisition.focus_stack import FrameStatus, Image
+from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.model.limits import CameraLimits
-from wafer_viewer.model.stack import FrameStatus, Image
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.mechanics import VirtualStage

@@ -6,8 +6,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 
-from wafer_viewer.model.devices import Pulse
-from wafer_viewer.model.plan import Axis
+from wafer_viewer.model.acquisition.devices import Pulse
+from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.rigs.virtual.clock import Event, VirtualClock
 from wafer_viewer.rigs.virtual.mechanics import VirtualStage
 from wafer_viewer.rigs.wire import ANSWER, COMMAND, EVENT, HALT, SEQUENCES, VERSION, Line, LineReader, encode

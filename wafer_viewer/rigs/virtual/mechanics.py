@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wafer_viewer.model.devices import Position
+from wafer_viewer.model.acquisition.devices import Position
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits, RigLimits
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
-from wafer_viewer.model.limits import AxisLimits, RigLimits
-from wafer_viewer.model.plan import Axis
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults

@@ -18,13 +18,13 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.devices import Position
+from wafer_viewer.model.acquisition.devices import Position
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Leg, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import RigError, WaferViewerError
-from wafer_viewer.model.limits import RigLimits
-from wafer_viewer.model.plan import Leg, ScanPlan
 from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, decode, encode
-from wafer_viewer.model.stack import Image
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.mechanics import VirtualStage

@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wafer_viewer.model.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.devices import Overview
-from wafer_viewer.model.limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
-from wafer_viewer.model.plan import ScanPlan
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
+from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.progress import ShouldStop
-from wafer_viewer.model.sample import Sample
 from wafer_viewer.rigs.pulse_box import PulseBoxClient
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock

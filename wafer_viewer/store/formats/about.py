@@ -10,7 +10,7 @@ import msgspec
 
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.spec import decode, encode
-from wafer_viewer.model.surface import HeightMap, Mosaic, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Provenance
 from wafer_viewer.store.formats.strips import Strips
 
 OURS = "WaferViewer"

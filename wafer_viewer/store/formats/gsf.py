@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import OURS, about, title, told_by
 from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
 from wafer_viewer.store.formats.strips import Strips

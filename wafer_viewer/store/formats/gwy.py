@@ -16,7 +16,7 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.store.formats.about import OURS, about, title, told_by
 from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
 from wafer_viewer.store.formats.reading import UNITS_UM, Asked, heights_only, require_some, scaled

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.store.formats.about import About
 from wafer_viewer.store.formats.reading import Asked, heights_only
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import about, caveats, heading
 from wafer_viewer.store.formats.points import eight_bits, points_of
 from wafer_viewer.store.formats.strips import Strips

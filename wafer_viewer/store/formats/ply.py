@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import OURS, heading, told_by
 from wafer_viewer.store.formats.lattice import Block, Points, surface_of_points
 from wafer_viewer.store.formats.points import AT_A_TIME, count, eight_bits, points_of, records, text_records, units_of

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import About
 from wafer_viewer.store.formats.reading import UNITS_UM, Asked
 from wafer_viewer.store.formats.strips import Strips

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.model.region import Region
-from wafer_viewer.model.surface import HeightMap, Mosaic
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.store.mosaic import ZarrMosaic
 from wafer_viewer.store.progress import watched
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import OURS, About, heading, told_by
 from wafer_viewer.store.formats.lattice import Block, Points, surface_of_points
 from wafer_viewer.store.formats.points import units_of

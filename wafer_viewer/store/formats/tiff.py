@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import about, told_by
 from wafer_viewer.store.formats.reading import Asked, heights_only, same, scaled
 from wafer_viewer.store.formats.strips import Strips

@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.surface import HeightMap
+from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.store.formats.about import about, caveats, told_by
 from wafer_viewer.store.formats.reading import Asked, heights_only
 from wafer_viewer.store.formats.strips import STRIP_ROWS, Strips

@@ -1,0 +1,1 @@
+"""Plans, samples, devices, calibrations and focus stacks."""

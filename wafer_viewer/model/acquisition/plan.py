@@ -1,0 +1,289 @@
+"""What to scan and how: fields, the focus sweep, pulses, legs of motion, the priced plan, the job.
+
+Stage coordinates are in um, right-handed, z towards the objective. A field's (x_um, y_um) is the centre of its frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+import msgspec
+
+from wafer_viewer.model.acquisition.alignment import Alignment, Marks
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.measurement.feature import Dies, Feature
+from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
+from wafer_viewer.model.surface.recipe import Recipe
+
+Axis = Literal["x", "y", "z"]
+Overlap = Annotated[float, Within(0, 0.5)]
+MIN_FRAMES = 3
+"""Three frames are the fewest that have a peak with a neighbour on either side."""
+
+
+class Field(Spec, frozen=True, kw_only=True):
+    """One camera position: running number from 1, place in the grid, centre, and the lowest z of its sweep."""
+
+    number: Count
+    row: Annotated[int, Within(0)]
+    col: Annotated[int, Within(0)]
+    x_um: float
+    y_um: float
+    z_start_um: float
+
+    @property
+    def name(self) -> str:
+        """The name of its files, ``r0000c0000``."""
+        return f"r{self.row:04d}c{self.col:04d}"
+
+
+class FieldGrid(Spec, frozen=True, kw_only=True):
+    """A rectangular lattice of fields; (x0_um, y0_um) is the centre of field (row 0, col 0), the top left one."""
+
+    rows: Count
+    cols: Count
+    field_width_um: Positive
+    field_height_um: Positive
+    overlap_x_fraction: Overlap = 0.1
+    overlap_y_fraction: Overlap = 0.1
+    x0_um: float = 0.0
+    y0_um: float = 0.0
+
+    @classmethod
+    def covering(
+        cls,
+        width_um: float,
+        height_um: float,
+        *,
+        field_width_um: float,
+        field_height_um: float,
+        overlap_x_fraction: float = 0.1,
+        overlap_y_fraction: float = 0.1,
+        center_x_um: float = 0.0,
+        center_y_um: float = 0.0,
+    ) -> FieldGrid:
+        """The smallest grid whose fields cover width x height um round a centre."""
+        one = cls(
+            rows=1,
+            cols=1,
+            field_width_um=field_width_um,
+            field_height_um=field_height_um,
+            overlap_x_fraction=overlap_x_fraction,
+            overlap_y_fraction=overlap_y_fraction,
+        )
+        cols = 1 + max(0, math.ceil((width_um - field_width_um) / one.pitch_x_um - 1e-9))
+        rows = 1 + max(0, math.ceil((height_um - field_height_um) / one.pitch_y_um - 1e-9))
+        return one.resized(rows=rows, cols=cols).centred_on(center_x_um, center_y_um)
+
+    @property
+    def pitch_x_um(self) -> float:
+        """Distance between the centres of neighbours in a row."""
+        return self.field_width_um * (1 - self.overlap_x_fraction)
+
+    @property
+    def pitch_y_um(self) -> float:
+        """Distance between the centres of neighbours in a column."""
+        return self.field_height_um * (1 - self.overlap_y_fraction)
+
+    @property
+    def width_um(self) -> float:
+        """From the left edge of the first to the right edge of the last field."""
+        return self.field_width_um + (self.cols - 1) * self.pitch_x_um
+
+    @property
+    def height_um(self) -> float:
+        """From the top edge of the first to the bottom edge of the last field."""
+        return self.field_height_um + (self.rows - 1) * self.pitch_y_um
+
+    @property
+    def center_um(self) -> tuple[float, float]:
+        """The centre of the covered rectangle."""
+        return (
+            self.x0_um + (self.cols - 1) * self.pitch_x_um / 2,
+            self.y0_um - (self.rows - 1) * self.pitch_y_um / 2,
+        )
+
+    def resized(self, *, rows: int, cols: int) -> FieldGrid:
+        """The same grid with another number of rows and columns, same first field."""
+        return msgspec.structs.replace(self, rows=rows, cols=cols)
+
+    def centred_on(self, x_um: float, y_um: float) -> FieldGrid:
+        """The same grid moved so that its centre is (x_um, y_um)."""
+        x, y = self.center_um
+        return msgspec.structs.replace(self, x0_um=self.x0_um + x_um - x, y0_um=self.y0_um + y_um - y)
+
+    def fields(self, z_start_um: float = 0.0) -> tuple[Field, ...]:
+        """All fields, numbered from 1 row by row from the top left, each sweep beginning at z_start_um."""
+        return tuple(
+            Field(
+                number=row * self.cols + col + 1,
+                row=row,
+                col=col,
+                x_um=self.x0_um + col * self.pitch_x_um,
+                y_um=self.y0_um - row * self.pitch_y_um,
+                z_start_um=z_start_um,
+            )
+            for row in range(self.rows)
+            for col in range(self.cols)
+        )
+
+
+class FocusSweep(Spec, frozen=True, kw_only=True):
+    """The frames of one field: n_frames, z_step_um apart, upward from the field's z_start_um."""
+
+    z_step_um: Positive
+    n_frames: Annotated[int, Within(MIN_FRAMES, 65535)]
+
+    @property
+    def range_um(self) -> float:
+        """From the first to the last frame."""
+        return self.z_step_um * (self.n_frames - 1)
+
+    def z_um(self, field: Field, k: int) -> float:
+        """The z of frame k in a field."""
+        return field.z_start_um + k * self.z_step_um
+
+
+class Shot(msgspec.Struct, frozen=True, array_like=True):
+    """What one pulse takes: the field's number, the frame k of its sweep, the exposure's index."""
+
+    field: int
+    k: int
+    exposure: int = 0
+
+
+class PulseTrain(Spec, frozen=True, kw_only=True):
+    """Pulses that the box sends while an axis moves: the first at a scale count, then one every counts_per_frame."""
+
+    axis: Axis
+    first_count: int
+    counts_per_frame: Count
+    n_frames: Count
+    direction: Literal[-1, 1]
+
+    @property
+    def last_count(self) -> int:
+        """The scale count of the last pulse."""
+        return self.first_count + self.direction * self.counts_per_frame * (self.n_frames - 1)
+
+
+class Leg(Spec, frozen=True, kw_only=True):
+    """One continuous motion and the shot of each of its pulses.
+
+    (x_um, y_um, z_um) is where the first pulse falls; speed 0 means stop and shoot: the axis halts and settles at
+    every count of the train and the box sends a pulse on command.
+    """
+
+    train: PulseTrain
+    shots: tuple[Shot, ...]
+    x_um: float
+    y_um: float
+    z_um: float
+    speed_um_s: NonNegative
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.shots) != self.train.n_frames:
+            self.refuse("shots", f"{self.train.n_frames} shots, one for each pulse of the train")
+
+
+class Price(Spec, frozen=True, kw_only=True):
+    """What one strategy costs, or why it is ruled out."""
+
+    strategy: str
+    title: str
+    predicted_s: NonNegative | None = None
+    motions: int = 0
+    ruled_out: str | None = None
+
+
+class ScanPlan(Spec, frozen=True, kw_only=True):
+    """Everything a scan does: fields, sweep, exposures, the legs in order, the predicted time, and all prices.
+
+    depth_of_field_um: of the objective; 0 when nobody knows.
+    """
+
+    fields: tuple[Field, ...]
+    sweep: FocusSweep
+    exposures_us: tuple[Positive, ...]
+    strategy: str
+    legs: tuple[Leg, ...]
+    predicted_s: NonNegative
+    prices: tuple[Price, ...]
+    rows: Count
+    cols: Count
+    pixel_um: Positive
+    depth_of_field_um: NonNegative = 0.0
+
+    def field(self, number: int) -> Field:
+        """The field with a running number."""
+        return next(f for f in self.fields if f.number == number)
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of the whole scan, all fields and exposures."""
+        return len(self.fields) * self.sweep.n_frames * len(self.exposures_us)
+
+    @property
+    def field_by_field(self) -> bool:
+        """Whether each field gets all its frames in one pass, one field after the other."""
+        fields = [{shot.field for shot in leg.shots} for leg in self.legs[: len(self.fields) + 1]]
+        return len(fields) == len(self.fields) and all(len(of_leg) == 1 for of_leg in fields)
+
+    @property
+    def bytes_on_disk(self) -> int:
+        """Bytes of all 8-bit pages."""
+        return self.n_frames * self.rows * self.cols
+
+
+class Job(Spec, frozen=True, kw_only=True):
+    """What an engineer prepares once and an operator runs: the file ``PLAN.toml``.
+
+    Either `grid` or `fields` says where, in wafer um where `marks` are given to align by, else in stage um; `strategy`
+    is a name of the planner's table or ``auto``. `alignment` is of the one wafer that is on the stage. `dies` are where
+    features that are measured per die are repeated.
+    """
+
+    product: str = ""
+    revision: str = ""
+    sample: Sample = Sample()
+    grid: FieldGrid | None = None
+    fields: tuple[Field, ...] = ()
+    z_start_um: float = 0.0
+    sweep: FocusSweep
+    exposures_us: tuple[Positive, ...] = (100.0,)
+    light_fraction: Annotated[float, Within(0, 1)] = 1.0
+    strategy: str = "auto"
+    recipe: Recipe = Recipe()
+    marks: Marks | None = None
+    alignment: Alignment | None = None
+    features: tuple[Feature, ...] = ()
+    dies: Dies | None = None
+    defect_sensitivity: Positive = 5.0
+    released: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.grid is None) == (not self.fields):
+            self.refuse("grid", "given, or else a list of fields, not both")
+        if not self.exposures_us:
+            self.refuse("exposures_us", "at least one exposure time")
+        if self.released and self.recipe.has_auto:
+            self.refuse("released", "false as long as the recipe holds an 'auto'")
+        if self.released and self.strategy == "auto":
+            self.refuse("released", "false as long as the strategy is 'auto'")
+        if self.dies is None and any(feature.per_die for feature in self.features):
+            self.refuse("dies", "given where a feature is measured per die")
+        if self.alignment is not None and self.marks is None:
+            self.refuse("alignment", "left out where there are no marks to align by")
+
+    def all_fields(self) -> tuple[Field, ...]:
+        """The fields on the stage, from the grid or as listed: where they lie once the wafer is aligned."""
+        fields = self.fields if self.grid is None else self.grid.fields(self.z_start_um)
+        return fields if self.alignment is None else tuple(_on_stage(field, self.alignment) for field in fields)
+
+
+def _on_stage(field: Field, alignment: Alignment) -> Field:
+    x_um, y_um = alignment.to_stage(field.x_um, field.y_um)
+    return msgspec.structs.replace(field, x_um=x_um, y_um=y_um)

@@ -1,0 +1,119 @@
+"""What a rig can do: the limits that the planner prices strategies from."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, ClassVar
+
+from wafer_viewer.model.acquisition.optics import depth_of_field_um
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.errors import RigError, WaferViewerError
+from wafer_viewer.model.spec import Count, NonNegative, Positive, Spec, Within
+
+RUN_UP_SPARE_S = 0.005
+"""How long an axis runs at speed before the first pulse of a pass: what rang in the ramp has died down by then."""
+
+
+class AxisLimits(Spec, frozen=True, kw_only=True):
+    """One axis: where it can go, how fast, how long it rings, how fine its scale counts."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    low_um: float
+    high_um: float
+    speed_um_s: Positive
+    acceleration_um_s2: Positive
+    settle_s: NonNegative
+    counts_per_um: Positive
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.high_um <= self.low_um:
+            self.refuse("high_um", f"over low_um, which is {self.low_um:g}")
+
+    def counts(self, position_um: float) -> int:
+        """The scale count at a position."""
+        return round(position_um * self.counts_per_um)
+
+    def position_um(self, counts: float) -> float:
+        """The position at a scale count."""
+        return counts / self.counts_per_um
+
+    def ramp_um(self, speed_um_s: float) -> float:
+        """The way an axis needs to reach a speed, or to halt from it."""
+        return speed_um_s**2 / (2 * self.acceleration_um_s2)
+
+    def run_up_um(self, speed_um_s: float) -> float:
+        """The way before the first pulse, and past the last, of a pass: the ramp and RUN_UP_SPARE_S at full speed."""
+        return self.ramp_um(speed_um_s) + speed_um_s * RUN_UP_SPARE_S
+
+    def move_s(self, distance_um: float, speed_um_s: float | None = None) -> float:
+        """Seconds that a move over a distance takes with its settling, at full speed or a given one."""
+        way_um, speed = abs(distance_um), speed_um_s or self.speed_um_s
+        top = min(speed, math.sqrt(way_um * self.acceleration_um_s2))
+        return (way_um / top + top / self.acceleration_um_s2 if top > 0 else 0.0) + self.settle_s
+
+
+class CameraLimits(Spec, frozen=True, kw_only=True):
+    """The sensor: frame rate, exposure range, size, how many frames its driver can hold, and its bit depth.
+
+    readout_us: how long after an exposure the next one may begin; a trigger that comes sooner is ignored.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    frame_rate_hz: Positive
+    exposure_min_us: Positive
+    exposure_max_us: Positive
+    readout_us: NonNegative = 0.0
+    rows: Annotated[int, Within(16)]
+    cols: Annotated[int, Within(16)]
+    queue_frames: Count = 16
+    bits: Annotated[int, Within(8, 16)] = 8
+
+    def period_s(self, exposure_us: float) -> float:
+        """The shortest time between two triggers at an exposure."""
+        return max(1 / self.frame_rate_hz, (exposure_us + self.readout_us) * 1e-6)
+
+
+class ObjectiveLimits(Spec, frozen=True, kw_only=True):
+    """The objective: its optics, and how close it may come."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    numerical_aperture: Positive
+    wavelength_um: Positive
+    magnification: Positive
+    working_distance_um: Positive
+    clearance_um: NonNegative
+    safe_z_um: float
+
+
+class RigLimits(Spec, frozen=True, kw_only=True):
+    """All limits of a rig. pixel_um is the size of a pixel on the sample that the maker states."""
+
+    error: ClassVar[type[WaferViewerError]] = RigError
+    x: AxisLimits
+    y: AxisLimits
+    z: AxisLimits
+    camera: CameraLimits
+    objective: ObjectiveLimits
+    pixel_um: Positive
+    strobe_us: NonNegative = 0.0
+
+    def axis(self, name: Axis) -> AxisLimits:
+        """The limits of one axis."""
+        return {"x": self.x, "y": self.y, "z": self.z}[name]
+
+    @property
+    def field_width_um(self) -> float:
+        """Width of a frame on the sample."""
+        return self.camera.cols * self.pixel_um
+
+    @property
+    def field_height_um(self) -> float:
+        """Height of a frame on the sample."""
+        return self.camera.rows * self.pixel_um
+
+    @property
+    def depth_of_field_um(self) -> float:
+        """Of the objective, in air."""
+        o = self.objective
+        return depth_of_field_um(o.numerical_aperture, self.pixel_um, o.wavelength_um)

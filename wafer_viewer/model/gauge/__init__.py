@@ -1,0 +1,1 @@
+"""Gauge checks and repeatability studies."""

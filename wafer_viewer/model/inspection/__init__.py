@@ -1,0 +1,1 @@
+"""Dies, defects, their limits and the exchange of both."""

@@ -1,0 +1,97 @@
+"""The word that follows for a wafer from its defects and the limits for them, and why."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.spec import NonNegative, Spec
+
+LEAST_GAP = 0.02
+"""Of a surface: what its fields leave at a ragged border is less."""
+
+
+class DefectVerdict(Spec, frozen=True, kw_only=True):
+    """Whether an inspected wafer is within its limits, and why not.
+
+    counted: defects, without those that people judged a nuisance; failing: dies with more than they may have;
+    not_inspected: dies of which nothing, or not all, is known, which are never clean.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = MeasureError
+    within: bool
+    counted: int
+    per_mm2: NonNegative | None
+    failing: tuple[str, ...] = ()
+    not_inspected: tuple[str, ...] = ()
+    why: tuple[str, ...] = ()
+
+
+def verdict_of(inspection: Inspection, limits: DefectLimits | None = None) -> DefectVerdict:
+    """Hold an inspection against limits, those of its recipe by default.
+
+    A wafer of which nothing was inspected is not within any.
+    """
+    limits = inspection.recipe.limits if limits is None else limits
+    counted = [defect for defect in inspection.found if defect.judgement != "nuisance"]
+    area_mm2 = inspection.inspected_mm2
+    per_mm2 = len(counted) / area_mm2 if area_mm2 else None
+    failing = _failing(counted, limits)
+    lacking = tuple(die.name for die in inspection.dies if die.state in ("partly scanned", "not scanned"))
+    why = (
+        *_too_many(failing, limits),
+        *_too_dense(per_mm2, limits),
+        *_not_looked_at(lacking, per_mm2),
+        *_gaps(inspection),
+    )
+    return DefectVerdict(
+        within=not why,
+        counted=len(counted),
+        per_mm2=per_mm2,
+        failing=failing,
+        not_inspected=lacking,
+        why=why,
+    )
+
+
+def _failing(counted: list[Defect], limits: DefectLimits) -> tuple[str, ...]:
+    if limits.max_per_die is None:
+        return ()
+    on = [defect.die for defect in counted if defect.die]
+    return tuple(name for name in dict.fromkeys(on) if on.count(name) > limits.max_per_die)
+
+
+def _too_many(failing: tuple[str, ...], limits: DefectLimits) -> tuple[str, ...]:
+    if not failing:
+        return ()
+    dies = "1 die" if len(failing) == 1 else f"{len(failing)} dies"
+    most = "1 defect" if limits.max_per_die == 1 else f"{limits.max_per_die} defects"
+    return (f"More than {most} on {dies}: {_listed(failing)}.",)
+
+
+def _too_dense(per_mm2: float | None, limits: DefectLimits) -> tuple[str, ...]:
+    if limits.max_per_mm2 is None or per_mm2 is None or per_mm2 <= limits.max_per_mm2:
+        return ()
+    return (f"{per_mm2:.3g} defects per mm2, and {limits.max_per_mm2:g} are allowed.",)
+
+
+def _not_looked_at(lacking: tuple[str, ...], per_mm2: float | None) -> tuple[str, ...]:
+    if per_mm2 is None:
+        return ("Nothing was inspected.",)
+    return (f"Not or only partly scanned, so not clean: {_listed(lacking)}.",) if lacking else ()
+
+
+def _gaps(inspection: Inspection) -> tuple[str, ...]:
+    """What was not scanned of a surface whose dies are not known."""
+    whole_mm2 = inspection.inspected_mm2 + inspection.unmeasured_mm2
+    if inspection.dies or inspection.not_scanned_mm2 <= LEAST_GAP * whole_mm2:
+        return ()
+    return (f"{inspection.not_scanned_mm2:.3g} mm2 of the surface were not scanned, so it is not clean.",)
+
+
+def _listed(names: tuple[str, ...], most: int = 12) -> str:
+    """The first of them, and how many more; a die's name has a comma of its own."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return "; ".join(names[:most]) + more

@@ -1,0 +1,1 @@
+"""Verdicts, revisions and reviews of jobs."""

@@ -1,0 +1,87 @@
+"""What people note down beside a surface: views to come back to, and what they think of its results and features."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import ClassVar, Literal
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.spec import Positive, Spec
+
+Verdict = Literal["open", "accepted", "rejected"]
+Place = tuple[float, float, float]
+
+
+class SavedView(Spec, frozen=True, kw_only=True):
+    """A way to look at the surface: where the camera stands and looks at, in mm of the scene, and how it is drawn.
+
+    number: its place in the list, 1 the first. look, colour_by and colours are the page's words for them.
+    """
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    number: int = 0
+    name: str = ""
+    position_mm: Place
+    look_at_mm: Place
+    look: str = "surface"
+    colour_by: str = "height"
+    colours: str = "mako"
+    range_um: tuple[float, float] | None = None
+    exaggeration: Positive = 3.0
+    hillshade: float = 0.8
+    all_in_focus: float = 0.0
+    show: int = 0
+    levelling: Levelling = Levelling()
+
+
+class Judgement(Spec, frozen=True, kw_only=True):
+    """What a person thinks of a thing under review; `key` names the thing, ``result 3`` or ``feature pad``."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    key: str
+    verdict: Verdict = "open"
+    note: str = ""
+
+
+def key_of_result(number: int) -> str:
+    """The key under which the result of a number is judged."""
+    return f"result {number}"
+
+
+def keys_of_features(verdict: WaferVerdict | None) -> tuple[str, ...]:
+    """The keys under which the features of a verdict are judged, in its order; those of one name are numbered."""
+    seen: Counter[str] = Counter()
+    keys: list[str] = []
+    for name in (item.name for item in (verdict.items if verdict is not None else ())):
+        seen[name] += 1
+        keys.append(f"feature {name}" if seen[name] == 1 else f"feature {name} ({seen[name]})")
+    return tuple(keys)
+
+
+def keys_under_review(verdict: WaferVerdict | None, findings: Iterable[AnyFinding]) -> tuple[str, ...]:
+    """The keys of everything people can judge of a surface: the features of its verdict, and the results kept."""
+    return (*keys_of_features(verdict), *(key_of_result(finding.number) for finding in findings))
+
+
+class Notebook(Spec, frozen=True, kw_only=True):
+    """The file ``notebook.json`` of one reconstruction."""
+
+    error: ClassVar[type[WaferViewerError]] = DatasetError
+    views: tuple[SavedView, ...] = ()
+    judgements: tuple[Judgement, ...] = ()
+
+    def view(self, number: int) -> SavedView | None:
+        """The saved view of a number, if there is one."""
+        return next((view for view in self.views if view.number == number), None)
+
+    def judgement(self, key: str) -> Judgement:
+        """What is thought of a thing; open as long as nobody said."""
+        return next((j for j in self.judgements if j.key == key), Judgement(key=key))
+
+    def judged(self, keys: Iterable[str]) -> int:
+        """How many of some things were accepted or rejected."""
+        return sum(self.judgement(key).verdict != "open" for key in keys)

@@ -1,0 +1,1 @@
+"""Measuring tools, their options and their results."""

@@ -1,0 +1,156 @@
+"""What is to be measured on every sample of a product, with its limits, and the dies over which it is repeated."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.measurement.tools import TOOLS, ToolName
+from wafer_viewer.model.quantity import Unit
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.spec import NonNegative, Spec, Within, replace
+
+DecisionRule = Literal["guard_band", "simple_acceptance"]
+MOST_DIES = 100_000
+
+
+class Feature(Spec, frozen=True, kw_only=True, omit_defaults=True):
+    """One quantity of what a tool measures at its places, its limits, and how a verdict is reached.
+
+    places: as many as the tool asks for, in wafer um where the job has marks to align by, else in stage um; in um from
+    the corner of a die where the feature is measured `per_die`. Without them it is not measured by itself.
+    quantity: a field of the result, ``flt_q`` say; its main one where nothing is said. unit: of nominal and limits; a
+    limit that is left out is open. options: of the tool, the defaults where nothing is said.
+
+    A step height may be given as it once had to be, with upper, lower, nominal_um, lower_limit_um, upper_limit_um.
+    """
+
+    name: str
+    tool: ToolName = "step"
+    quantity: str = ""
+    unit: Unit = "um"
+    nominal: float | None = None
+    lower_limit: float | None = None
+    upper_limit: float | None = None
+    decision_rule: DecisionRule = "guard_band"
+    per_die: bool = False
+    places: tuple[Region, ...] = ()
+    options: ToolOptions | None = None
+    nominal_um: float | None = None
+    lower_limit_um: float | None = None
+    upper_limit_um: float | None = None
+    upper: Region | None = None
+    lower: Region | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._take_over_older_words()
+        if self.lower_limit is None and self.upper_limit is None:
+            self.refuse("upper_limit", f"a number in {self.unit}, or else lower_limit: by one of them it is judged")
+        if self.lower_limit is not None and self.upper_limit is not None and self.upper_limit <= self.lower_limit:
+            self.refuse("upper_limit", f"over the lower limit {self.lower_limit:g} {self.unit}")
+        asked = TOOLS[self.tool].places
+        if self.places and [place.kind for place in self.places] != [place.kind for place in asked]:
+            self._require_places(len(asked))
+
+    @property
+    def has_place(self) -> bool:
+        """Whether it is known where to measure it."""
+        return bool(self.places)
+
+    @property
+    def tolerance(self) -> float | None:
+        """Upper limit less lower, in the unit; None where one of them is open."""
+        return None if self.lower_limit is None or self.upper_limit is None else self.upper_limit - self.lower_limit
+
+    @property
+    def measures(self) -> tuple[Any, ...]:
+        """All that says which number is measured: features that have this alike have the same number."""
+        return self.tool, self.quantity, self.places, self.per_die, self.options or ToolOptions()
+
+    def _take_over_older_words(self) -> None:
+        """What is given in the older words becomes what it is called now."""
+        if (self.upper is None) != (self.lower is None):
+            self.refuse("lower" if self.lower is None else "upper", "a region, as the other one is")
+        if self.upper is not None and self.lower is not None:
+            self._put(places=(self.upper, self.lower), upper=None, lower=None)
+        for name in ("nominal", "lower_limit", "upper_limit"):
+            if (older := getattr(self, f"{name}_um")) is not None:
+                self._put(**{name: older, f"{name}_um": None})
+
+    def _put(self, **values: Any) -> None:
+        for name, value in values.items():
+            msgspec.structs.force_setattr(self, name, value)
+
+    def _require_places(self, n: int) -> None:
+        """A corner more of a rectangle makes it a polygon, which is measured all the same; other kinds are refused."""
+        kinds = [(given.kind, asked.kind) for given, asked in zip(self.places, TOOLS[self.tool].places, strict=False)]
+        same = all(given == asked or {given, asked} <= {"rectangle", "polygon", "circle"} for given, asked in kinds)
+        if len(self.places) != n or not same:
+            names = ", ".join(f"{place.name} ({place.kind})" for place in TOOLS[self.tool].places)
+            given = ", ".join(place.kind for place in self.places)
+            raise PlanError(f"Feature '{self.name}': its tool '{self.tool}' is measured at {names}; {given} are given.")
+
+
+class Die(Spec, frozen=True, kw_only=True):
+    """One die: its name, and where its lower left corner is on the wafer."""
+
+    name: str
+    x_um: float
+    y_um: float
+
+
+class Dies(Spec, frozen=True, kw_only=True):
+    """The dies of a wafer: `listed` one by one, or a lattice of rows and columns with its pitch, in wafer um.
+
+    (x0_um, y0_um): the lower left corner of the die in row 0, column 0; rows go upwards. `left_out` names dies of the
+    lattice, "column,row", that are not there.
+    """
+
+    width_um: NonNegative
+    height_um: NonNegative
+    listed: tuple[Die, ...] = ()
+    rows: Annotated[int, Within(0)] = 0
+    cols: Annotated[int, Within(0)] = 0
+    pitch_x_um: float = 0.0
+    pitch_y_um: float = 0.0
+    x0_um: float = 0.0
+    y0_um: float = 0.0
+    left_out: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if bool(self.listed) == bool(self.rows * self.cols):
+            self.refuse("listed", "given, or else rows and cols of a lattice, not both")
+        if self.rows * self.cols > MOST_DIES:
+            self.refuse("rows", f"so few that rows times cols is at most {MOST_DIES}")
+        if len({die.name for die in self.listed}) < len(self.listed):
+            self.refuse("listed", "dies with a name each, no two alike")
+
+    def all(self) -> tuple[Die, ...]:
+        """Every die, row by row from the lowest."""
+        if self.listed:
+            return self.listed
+        lattice = ((row, col) for row in range(self.rows) for col in range(self.cols))
+        dies = (self._at(row, col) for row, col in lattice)
+        return tuple(die for die in dies if die.name not in self.left_out)
+
+    def _at(self, row: int, col: int) -> Die:
+        x_um, y_um = self.x0_um + col * self.pitch_x_um, self.y0_um + row * self.pitch_y_um
+        return Die(name=f"{col},{row}", x_um=x_um, y_um=y_um)
+
+
+def on_die(region: Region, die: Die) -> Region:
+    """A region in um from the corner of a die, in wafer um."""
+    return replace(region, points=tuple(Point(x_um=p.x_um + die.x_um, y_um=p.y_um + die.y_um) for p in region.points))
+
+
+def limits_text(feature: Feature) -> str:
+    """Between which values a feature is good, in plain characters: ``29 to 31 um``, ``at most 2 um``."""
+    low, high = feature.lower_limit, feature.upper_limit
+    if low is None:
+        return f"at most {high:g} {feature.unit}"
+    return f"at least {low:g} {feature.unit}" if high is None else f"{low:g} to {high:g} {feature.unit}"

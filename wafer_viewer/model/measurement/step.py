@@ -1,0 +1,75 @@
+"""The height of a step between faces, and of a groove, a ridge or a step in a profile."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.tool_options import GrooveOptions, StepOptions
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import NonNegative
+
+
+class StepHeight(Finding, frozen=True, kw_only=True, tag="step_height"):
+    """The height of one face over another; the definition of h is part of the result.
+
+    also_upper, also_lower: further regions of the two faces; at_joint: the step of both faces extended to the middle
+    between the regions; tilt: of one face against the other, in mrad; not_evaluated: what the budget leaves out.
+    """
+
+    upper: Region
+    lower: Region
+    also_upper: tuple[Region, ...] = ()
+    also_lower: tuple[Region, ...] = ()
+    height: Length
+    definition: str
+    options: StepOptions = StepOptions()
+    at_joint: Length | None = None
+    tilt: Quantity | None = None
+    upper_mean_um: float
+    lower_mean_um: float
+    upper_sq_um: NonNegative
+    lower_sq_um: NonNegative
+    upper_points: int
+    lower_points: int
+    relative_tilt_mrad: NonNegative = 0.0
+    not_evaluated: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> Quantity:
+        """The step's height."""
+        return self.height.quantity
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """All of both faces, the first upper and the first lower one in front."""
+        return (self.upper, self.lower, *self.also_upper, *self.also_lower)
+
+
+class StepProfile(Finding, frozen=True, kw_only=True, tag="step_profile"):
+    """A groove, a ridge or a single step that a line crosses, by ISO 5436-1: z = a x + b + h delta.
+
+    height: depth of a groove or height of a ridge, positive; of a step, what lies beyond its edge over what lies before
+    it. edges_um: where along the line its edges were found; zones: names with their ends along the line, in um; curve:
+    the profile in a few hundred points, distance and height in um.
+    """
+
+    line: Region
+    kind: Literal["groove", "ridge", "step"]
+    height: Length
+    definition: str
+    options: GrooveOptions = GrooveOptions()
+    width: Length | None = None
+    edges_um: tuple[float, ...]
+    zones: tuple[tuple[str, float, float], ...]
+    curve: tuple[tuple[float, float], ...] = ()
+    sq_um: NonNegative
+    points: int
+    measured_fraction: NonNegative
+    not_evaluated: tuple[str, ...] = ()
+
+    @property
+    def main(self) -> Quantity:
+        """Its height or depth."""
+        return self.height.quantity

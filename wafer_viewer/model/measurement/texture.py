@@ -1,0 +1,73 @@
+"""Texture of a face (ISO 25178-2), and roughness of a line (ISO 21920-2)."""
+
+from __future__ import annotations
+
+from wafer_viewer.model.measurement.measurement import Finding
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions, TextureOptions
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Fraction, NonNegative
+
+
+class Texture(Finding, frozen=True, kw_only=True, tag="texture"):
+    """Parameters of ISO 25178-2 of a region, of what is left of it once form and filtered waves are off.
+
+    Height: sa, sq, sp, sv, sz, ssk, sku. Hybrid: sdq (a slope), sdr_fraction. Functional: sk, spk, svk, smr1_fraction,
+    smr2_fraction. Spatial: sal, str_ratio, std (across the lay, counter-clockwise from +x). None: what this surface
+    does not have: a flat one no ssk, sku, sal; one without a lay no std.
+    """
+
+    region: Region
+    options: TextureOptions = TextureOptions()
+    sa: Length
+    sq: Length
+    sp: Length
+    sv: Length
+    sz: Length
+    ssk: float | None
+    sku: float | None
+    sdq: NonNegative | None = None
+    sdr_fraction: NonNegative | None = None
+    sk: Length | None = None
+    spk: Length | None = None
+    svk: Length | None = None
+    smr1_fraction: Fraction | None = None
+    smr2_fraction: Fraction | None = None
+    sal: Length | None = None
+    str_ratio: Fraction | None = None
+    std: Quantity | None = None
+    points: int
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """Sa."""
+        return self.sa.quantity
+
+
+class Roughness(Finding, frozen=True, kw_only=True, tag="roughness"):
+    """Parameters of ISO 21920-2 along a line.
+
+    ra, rq, rt, rsk, rku: of the whole evaluation length; rp, rv, rz: means over its sections, each section_um long.
+    Without a cut-off the profile is the primary one and has one section: the norm calls them Pa, Pq, Pt ...
+    """
+
+    line: Region
+    options: RoughnessOptions = RoughnessOptions()
+    ra: Length
+    rq: Length
+    rz: Length
+    rt: Length
+    rp: Length
+    rv: Length
+    rsk: float | None
+    rku: float | None
+    sections: int
+    section_um: NonNegative
+    points: int
+    measured_fraction: Fraction
+
+    @property
+    def main(self) -> Quantity:
+        """Ra."""
+        return self.ra.quantity

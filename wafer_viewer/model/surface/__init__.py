@@ -1,0 +1,1 @@
+"""Height maps, recipes, poses and comparisons."""

@@ -1,0 +1,346 @@
+"""Surfaces: the height map of a field, and the mosaic of many."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface.refused_points import RefusedHeights
+
+
+class Origin(IntEnum):
+    """How a pixel came by its height, or why it has none. Codes are never reused; from 10 on a pixel is unmeasured."""
+
+    MEASURED = 0
+    FILLED = 1
+    NOT_COVERED = 10
+    CLIPPED = 11
+    NO_TEXTURE = 12
+    AMBIGUOUS = 13
+    END_OF_RANGE = 14
+    WINDOWS_DISAGREE = 15
+    BLEEDING_EDGE = 16
+    OUTLIER = 17
+    TOO_FEW_FRAMES = 18
+    STEP_EDGE = 19
+    NO_REASON = 20
+
+
+UNMEASURED_FROM = 10
+ORIGIN_TITLES: dict[Origin, str] = {
+    Origin.MEASURED: "measured",
+    Origin.FILLED: "filled",
+    Origin.NOT_COVERED: "not covered",
+    Origin.CLIPPED: "too bright",
+    Origin.NO_TEXTURE: "no texture",
+    Origin.AMBIGUOUS: "ambiguous peak",
+    Origin.END_OF_RANGE: "peak at the end of the range",
+    Origin.WINDOWS_DISAGREE: "windows disagree",
+    Origin.BLEEDING_EDGE: "light bleeding over an edge",
+    Origin.OUTLIER: "outlier",
+    Origin.TOO_FEW_FRAMES: "too few frames",
+    Origin.STEP_EDGE: "at the edge of a step",
+    Origin.NO_REASON: "no reason given",
+}
+
+
+class Provenance(Spec, frozen=True, kw_only=True):
+    """Where a surface comes from: the recipe with what ``auto`` chose, calibration, version, input, simulation."""
+
+    recipe: Recipe = Recipe()
+    calibration: Calibration | None = None
+    software_version: str = ""
+    input_checksum: str = ""
+    simulated: bool = False
+    z_step_um: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightMap:
+    """A surface on a lattice, all arrays [row, col]: x = x0_um + col * pixel_um, y = y0_um - row * pixel_um.
+
+    z_um: float32, NaN where unmeasured, cleaned as the recipe says; z_raw_um: float32, gated but neither smoothed nor
+    filled, what is measured on as a rule; confidence: float32 in 0 ... 1; all_in_focus: uint8 or uint16 grey;
+    origin: uint8 codes of `Origin`; overlap_um: float32, of a mosaic: highest minus lowest raw height where two fields
+    or more measured a pixel, NaN elsewhere; None of a field. refused: of a field, the heights that gates refused; None
+    where they were not kept, and of a part of a map.
+
+    Raises MeasureError when the shapes disagree.
+    """
+
+    z_um: NDArray[np.float32]
+    z_raw_um: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    all_in_focus: NDArray[np.uint8] | NDArray[np.uint16]
+    origin: NDArray[np.uint8]
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    provenance: Provenance = Provenance()
+    overlap_um: NDArray[np.float32] | None = None
+    refused: RefusedHeights | None = None
+
+    def __post_init__(self) -> None:
+        shapes = {a.shape for a in (self.z_um, self.z_raw_um, self.confidence, self.all_in_focus, self.origin)}
+        shapes |= set() if self.overlap_um is None else {self.overlap_um.shape}
+        if len(shapes) != 1:
+            raise MeasureError(f"The layers of a height map have the shapes {sorted(shapes)}: they must be one shape.")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.z_um.shape[0], self.z_um.shape[1]
+
+    @property
+    def x_um(self) -> NDArray[np.float64]:
+        """Stage x of each column."""
+        return self.x0_um + np.arange(self.shape[1], dtype=np.float64) * self.pixel_um
+
+    @property
+    def y_um(self) -> NDArray[np.float64]:
+        """Stage y of each row."""
+        return self.y0_um - np.arange(self.shape[0], dtype=np.float64) * self.pixel_um
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Where a height was measured, not filled."""
+        return self.origin == Origin.MEASURED
+
+    @property
+    def bounds_um(self) -> tuple[float, float, float, float]:
+        """(x low, y low, x high, y high) of the pixel centres."""
+        rows, cols = self.shape
+        return self.x0_um, self.y0_um - (rows - 1) * self.pixel_um, self.x0_um + (cols - 1) * self.pixel_um, self.y0_um
+
+    def to_measure(self, count_filled: bool = False) -> NDArray[np.float32]:
+        """The heights that measurements use: gated and unsmoothed, unless the recipe says otherwise.
+
+        count_filled: the cleaned heights with their filled pixels instead.
+        """
+        if count_filled:
+            return self.z_um
+        smoothed = self.provenance.recipe.measure_on == "smoothed"
+        return np.where(self.measured, self.z_um, np.float32(np.nan)) if smoothed else self.z_raw_um
+
+    def crop(self, rows: slice, cols: slice) -> HeightMap:
+        """The part [rows, cols], as views; slices need a start and a step of one."""
+        return dataclasses.replace(
+            self,
+            z_um=self.z_um[rows, cols],
+            z_raw_um=self.z_raw_um[rows, cols],
+            confidence=self.confidence[rows, cols],
+            all_in_focus=self.all_in_focus[rows, cols],
+            origin=self.origin[rows, cols],
+            overlap_um=None if self.overlap_um is None else self.overlap_um[rows, cols],
+            refused=None,
+            x0_um=self.x0_um + int(cols.start or 0) * self.pixel_um,
+            y0_um=self.y0_um - int(rows.start or 0) * self.pixel_um,
+        )
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The smallest part that holds a region (all without one); a map has one level, so it is a mosaic too.
+
+        Raises MeasureError when the region lies outside.
+        """
+        if level != 0:
+            raise MeasureError(f"This surface has one level, level {level} was asked for: take level 0.")
+        if region is None:
+            return self
+        rows, cols = pixel_window(self, region)
+        return self.crop(rows, cols)
+
+    @property
+    def levels(self) -> int:
+        """A plain map has one level."""
+        return 1
+
+
+class Outline(Protocol):
+    """Where the pixels of a surface lie; known of a field before they are read."""
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        ...
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0) of level 0."""
+        ...
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0) of level 0."""
+        ...
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        ...
+
+
+class Mosaic(Outline, Protocol):
+    """A surface that may be larger than memory: a pyramid of levels, each half the resolution of the one before."""
+
+    @property
+    def levels(self) -> int:
+        """Number of levels, at least 1."""
+        ...
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where it comes from."""
+        ...
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of a level that holds a region; all of it without one."""
+        ...
+
+
+HeightLayer = Literal["unsmoothed", "smoothed", "filled"]
+LAYER_TITLES: dict[HeightLayer, str] = {
+    "unsmoothed": "measured heights",
+    "smoothed": "filtered heights",
+    "filled": "filtered and filled heights",
+}
+"""The words of page, reports and files for each layer of heights; its name is that of recipes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heights:
+    """One layer of heights, float32 [row, col], NaN where that layer has none; it lies as a HeightMap does."""
+
+    z_um: NDArray[np.float32]
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+
+    @property
+    def x_um(self) -> NDArray[np.float64]:
+        """Stage x of each column."""
+        return self.x0_um + np.arange(self.z_um.shape[1], dtype=np.float64) * self.pixel_um
+
+    @property
+    def y_um(self) -> NDArray[np.float64]:
+        """Stage y of each row."""
+        return self.y0_um - np.arange(self.z_um.shape[0], dtype=np.float64) * self.pixel_um
+
+
+@runtime_checkable
+class HasLayers(Protocol):
+    """A surface that reads one layer of heights alone: a sixth of the work where nothing else is asked for."""
+
+    def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+        """The part of a level that holds a region. Raises MeasureError when the region lies outside."""
+        ...
+
+
+class ReadThrough:
+    """The base of a mosaic that lies where another does, and only reads it differently."""
+
+    surface: Mosaic
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.surface.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0) of level 0."""
+        return self.surface.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0) of level 0."""
+        return self.surface.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.surface.shape
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return self.surface.levels
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where it comes from."""
+        return self.surface.provenance
+
+
+def pixel_window(surface: Mosaic | HeightMap, region: Region, level: int = 0) -> tuple[slice, slice]:
+    """The rows and columns of a level of a surface that hold a region.
+
+    Raises MeasureError when the region lies outside of the surface.
+    """
+    scale = 2**level
+    pixel = surface.pixel_um * scale
+    x0 = surface.x0_um + (scale - 1) / 2 * surface.pixel_um
+    y0 = surface.y0_um - (scale - 1) / 2 * surface.pixel_um
+    rows, cols = (-(-n // scale) for n in surface.shape)
+    xa, ya, xb, yb = region.bounds_um
+    first_col, last_col = int(np.floor((xa - x0) / pixel + 0.5)), int(np.ceil((xb - x0) / pixel - 0.5))
+    first_row, last_row = int(np.floor((y0 - yb) / pixel + 0.5)), int(np.ceil((y0 - ya) / pixel - 0.5))
+    if last_col < 0 or first_col >= cols or last_row < 0 or first_row >= rows:
+        raise MeasureError(
+            f"The {region.kind} from ({xa:.1f}, {ya:.1f}) to ({xb:.1f}, {yb:.1f}) um lies outside of the surface: "
+            f"({x0:.1f}, {y0 - (rows - 1) * pixel:.1f}) to ({x0 + (cols - 1) * pixel:.1f}, {y0:.1f}) um."
+        )
+    return (
+        slice(max(0, first_row), min(rows, max(last_row, first_row) + 1)),
+        slice(max(0, first_col), min(cols, max(last_col, first_col) + 1)),
+    )
+
+
+class PartOfMosaic(ReadThrough):
+    """The part of a mosaic in the upright rectangle round a region, at full resolution.
+
+    Raises MeasureError when the region lies outside of the surface.
+    """
+
+    def __init__(self, surface: Mosaic, region: Region) -> None:
+        self.surface = surface
+        self._rows, self._cols = pixel_window(surface, region)
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of its first column."""
+        return self.surface.x0_um + self._cols.start * self.pixel_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of its first row."""
+        return self.surface.y0_um - self._rows.start * self.pixel_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self._rows.stop - self._rows.start, self._cols.stop - self._cols.start
+
+    @property
+    def levels(self) -> int:
+        """It has one level."""
+        return 1
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of it that holds a region. Raises MeasureError for another level than 0."""
+        if level != 0:
+            raise MeasureError(f"A part of a surface has one level, level {level} was asked for: take level 0.")
+        rows, cols = (slice(0, n) for n in self.shape) if region is None else pixel_window(self, region)
+        xa, xb = (self.x0_um + col * self.pixel_um for col in (cols.start, cols.stop - 1))
+        ya, yb = (self.y0_um - row * self.pixel_um for row in (rows.stop - 1, rows.start))
+        return self.surface.window(Region.rectangle(xa, ya, xb, yb))
