@@ -162,23 +162,30 @@ def show_compile_times() -> None:
 
 
 def compile_all() -> None:
-    from wafer_viewer.numerics import islands, lines, median, neighbours, pairs, spline
+    from wafer_viewer.numerics.filters.sliding_filters import (
+        connected_components,
+        line_median,
+        median_5x5,
+        neighbour_distances,
+        opposite_pair_mean,
+        spline_fill,
+    )
 
     z = np.random.default_rng(0).normal(0, 1, (60, 70)).astype(np.float32)
     z[20:24, 20:24] = np.nan
     at = np.nonzero(np.isfinite(z))
     padded = {n: np.pad(z, n, constant_values=np.nan) for n in (2, 3, 5)}
     kernels: dict[str, Callable[[], object]] = {
-        "lines": lambda: lines.far_along_lines(padded[5], 0.5),
-        "medians of lines": lambda: lines.line_medians_at(padded[5], *at),
-        "pairs": lambda: pairs.pair_mean(z, 1.0),
-        "neighbours near": lambda: neighbours.near_counts(padded[3], 1.0),
-        "distances": lambda: neighbours.mean_distances(padded[3], *at, 15),
-        "narrow parts": lambda: islands.narrow_parts(z, 1.0, 6),
-        "islands": lambda: islands.small_islands(z, 1.0, 81),
-        "splines": lambda: spline.fill_gaps(z, 9, 1.0),
-        "(guided, switching: far)": lambda: median.far_from_median(padded[2], np.float32(1)),
-        "(guided, switching: medians)": lambda: median.medians_at(padded[2], *at),
+        "lines": lambda: line_median.far_along_lines(padded[5], 0.5),
+        "medians of lines": lambda: line_median.line_medians_at(padded[5], *at),
+        "pairs": lambda: opposite_pair_mean.pair_mean(z, 1.0),
+        "neighbours near": lambda: neighbour_distances.near_counts(padded[3], 1.0),
+        "distances": lambda: neighbour_distances.mean_distances(padded[3], *at, 15),
+        "narrow parts": lambda: connected_components.narrow_parts(z, 1.0, 6),
+        "islands": lambda: connected_components.small_islands(z, 1.0, 81),
+        "splines": lambda: spline_fill.fill_gaps(z, 9, 1.0),
+        "(guided, switching: far)": lambda: median_5x5.far_from_median(padded[2], np.float32(1)),
+        "(guided, switching: medians)": lambda: median_5x5.medians_at(padded[2], *at),
     }
     np.median(z)
     spent = {name: seconds(kernel) for name, kernel in kernels.items()}

@@ -29,7 +29,7 @@ from wafer_viewer.measure.texture_slopes import developed_fraction
 from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.gaussian import ALPHA
+from wafer_viewer.numerics.filters.iso_gaussian import ALPHA
 
 PIXEL_UM = 0.5
 QUICK_PX, FULL_PX = 256, 1000

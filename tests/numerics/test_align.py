@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import affine_transform, gaussian_filter
 
-from wafer_viewer.numerics.align import Picture, align
-from wafer_viewer.numerics.blocks import block_sums, taps
+from wafer_viewer.numerics.registration.block_moments import block_sums, taps
+from wafer_viewer.numerics.registration.subpixel_registration import Picture, align
 
 SHAPE = 160, 90
 

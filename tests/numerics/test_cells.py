@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.numerics.cells import bridged, less_products, read_affine
+from wafer_viewer.numerics.grids.die_cell_kernels import bridged, less_products, read_affine
 
 ROWS, COLS = np.mgrid[:90, :120].astype(np.float32)
 WAYS = {

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.numerics.filters import doubled, halved, highest, lowest, mean, mean_of_known, nearest, pieces
+from wafer_viewer.numerics.filters.sliding_filters import (
+    doubled,
+    halved,
+    highest,
+    lowest,
+    mean,
+    mean_of_known,
+    nearest,
+    pieces,
+)
 
 RNG = np.random.default_rng(6)
 

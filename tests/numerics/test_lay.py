@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.lay import Layers, lay
+from wafer_viewer.numerics.grids.affine_resample import Layers, lay
 
 
 def a_slope(shape=(6, 8)) -> Layers:

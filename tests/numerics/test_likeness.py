@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.numerics.likeness import contrast, likeness
+from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
 
 
 def test_it_is_the_correlation_of_the_common_known_pixels():

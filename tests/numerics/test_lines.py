@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.lines import REACH_PX, far_along_lines, line_medians_at
+from wafer_viewer.numerics.filters.line_median import REACH_PX, far_along_lines, line_medians_at
 
 ALONG = ((0, 1), (1, 0), (1, 1), (1, -1))
 

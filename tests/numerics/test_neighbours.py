@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.numerics.neighbours import REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.filters.neighbour_distances import REACH_PX, mean_distances, near_counts
 
 
 @settings(max_examples=20)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from wafer_viewer.numerics.places import hanging_together, tops_over, widened
+from wafer_viewer.numerics.filters.peak_regions import hanging_together, tops_over, widened
 
 ALL_ROUND = np.ones((3, 3), int)
 

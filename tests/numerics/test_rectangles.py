@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.numerics.rectangles import Rectangles
+from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 
 
 def scattered(n: int, seed: int) -> tuple[np.ndarray, ...]:

@@ -18,7 +18,7 @@ from wafer_viewer.measure.heights import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.pyramid import halve
+from wafer_viewer.numerics.grids.pyramid_level import halve
 from wafer_viewer.store import mosaic_layout
 from wafer_viewer.store.mosaic import (
     ZarrMosaic,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import Plane
-from wafer_viewer.numerics.binning import binned
-from wafer_viewer.numerics.smoothing import FINE_PX, coarseness
+from wafer_viewer.numerics.filters.binning import binned
+from wafer_viewer.numerics.filters.multiscale_gaussian import FINE_PX, coarseness
 
 SHARP, SOFT = "sharp", "soft"
 """Layers of scores: of discs with an outline as sharp as the optics show it, of what fades like a Gaussian."""

@@ -20,8 +20,8 @@ from wafer_viewer.measure.defect_filters import SHARP, Spectrum, side_of
 from wafer_viewer.measure.die_cells import Plane
 from wafer_viewer.measure.golden import robust_sigma
 from wafer_viewer.measure.unevenness import KINDS, Kinds, coarser
-from wafer_viewer.numerics.cells import typical
-from wafer_viewer.numerics.places import tops_over
+from wafer_viewer.numerics.filters.peak_regions import tops_over
+from wafer_viewer.numerics.grids.die_cell_kernels import typical
 
 Key = tuple[str, float]
 """A layer and a scale in pixels."""

@@ -25,9 +25,9 @@ from wafer_viewer.measure.defect_scores import (
 )
 from wafer_viewer.measure.die_cells import CellGrid, Place, Plane, Shift
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence
-from wafer_viewer.numerics.arrays import Float32s
-from wafer_viewer.numerics.places import hanging_together, widened
-from wafer_viewer.numerics.smoothing import coarseness, smooth
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness, smooth
+from wafer_viewer.numerics.filters.peak_regions import hanging_together, widened
 
 Floats = NDArray[np.float64]
 SPARE_PX = 8

@@ -21,8 +21,8 @@ from wafer_viewer.measure.die_cells import Place, Plane
 from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.measure.golden import Cell, Golden
 from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, FalseCounts
-from wafer_viewer.numerics.places import tops_over
-from wafer_viewer.numerics.smoothing import gaussian_sums
+from wafer_viewer.numerics.filters.multiscale_gaussian import gaussian_sums
+from wafer_viewer.numerics.filters.peak_regions import tops_over
 
 LOUDEST = 15.0
 LOW_SHARE, LEAST_LOW = 0.6, 2.5

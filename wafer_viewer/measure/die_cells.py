@@ -23,7 +23,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.surface.height_map import Heights, Mosaic
-from wafer_viewer.numerics.cells import bridged, less_products, read_affine
+from wafer_viewer.numerics.grids.die_cell_kernels import bridged, less_products, read_affine
 
 Plane = NDArray[np.float32]
 Place = tuple[int, int]

@@ -14,9 +14,9 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.textured_surface import picture_of
-from wafer_viewer.numerics.arrays import Float32s
-from wafer_viewer.numerics.binning import binned
-from wafer_viewer.numerics.filters import blurred
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.filters.binning import binned
+from wafer_viewer.numerics.filters.sliding_filters import blurred
 
 Evidence = Literal["height", "picture", "both"]
 LEVEL_PIXELS = 1_000_000

@@ -18,9 +18,9 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
-from wafer_viewer.numerics.align import Picture, align
-from wafer_viewer.numerics.cells import bridged, read_affine, typical
-from wafer_viewer.numerics.likeness import contrast, likeness
+from wafer_viewer.numerics.grids.die_cell_kernels import bridged, read_affine, typical
+from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+from wafer_viewer.numerics.registration.subpixel_registration import Picture, align
 
 Plane = NDArray[np.float32]
 Floats = NDArray[np.float64]

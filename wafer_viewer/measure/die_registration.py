@@ -15,8 +15,8 @@ from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.arrays import Bools, Float32s
-from wafer_viewer.numerics.likeness import contrast, likeness
+from wafer_viewer.numerics.array_types import Bools, Float32s
+from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
 
 MOST_DIES, LEAST_DIES = 100, 25
 ENOUGH_INNER = 0.5

@@ -18,7 +18,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
-from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.array_types import Float32s
 
 DIE_PX = 200
 """The shorter pitch is read at a level that gives it about as many pixels."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.periodicity import vertex
-from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.array_types import Float32s
 
 WIDEST = 0.3
 """Of the pitch: a street is narrower."""

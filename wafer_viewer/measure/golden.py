@@ -15,8 +15,8 @@ from wafer_viewer.measure.die_cells import MARGIN_PX, REACH_PX, CellGrid, Place,
 from wafer_viewer.measure.die_plane import DiePlane
 from wafer_viewer.model.errors import DiesNotFound
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
-from wafer_viewer.numerics.cells import MAD_TO_SIGMA, shift_sums, typical
-from wafer_viewer.numerics.filters import relief
+from wafer_viewer.numerics.filters.sliding_filters import relief
+from wafer_viewer.numerics.grids.die_cell_kernels import MAD_TO_SIGMA, shift_sums, typical
 
 LEAST_DIES = 5
 """Fewer dies have no typical one."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.model.errors import DiesNotFound
-from wafer_viewer.numerics.arrays import Float32s
-from wafer_viewer.numerics.autocorrelation import autocorrelation
-from wafer_viewer.numerics.likeness import contrast
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.filters.autocorrelation import autocorrelation
+from wafer_viewer.numerics.registration.cross_correlation import contrast
 
 LEAST_ALIKE = 0.15
 """Autocorrelation of a lag at which a pattern repeats, at least."""

@@ -11,7 +11,7 @@ import numpy as np
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.measure.lags import LEAST_ALIKE, MEND, Peak, alike_of, cone, lasting, part_of, peaks_of, shortest
 from wafer_viewer.model.errors import DiesNotFound
-from wafer_viewer.numerics.arrays import Float32s
+from wafer_viewer.numerics.array_types import Float32s
 
 LIMIT_DEG = 5.0
 """Dies turned further against the axes of the stage are refused: rows and columns would be taken for each other."""

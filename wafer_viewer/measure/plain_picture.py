@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import Plane
 from wafer_viewer.measure.golden import LEAST_CONTRAST, robust_sigma
-from wafer_viewer.numerics.smoothing import smooth
+from wafer_viewer.numerics.filters.multiscale_gaussian import smooth
 
 AROUND_PX = 20.0
 """Deviation of the Gaussian over which the mean around a place is taken."""

@@ -19,7 +19,7 @@ from wafer_viewer.model.measurement.texture import Roughness
 from wafer_viewer.model.measurement.tool_options import RoughnessOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic
-from wafer_viewer.numerics.gaussian import gaussian_mean
+from wafer_viewer.numerics.filters.iso_gaussian import gaussian_mean
 
 SECTIONS = 5
 """Sampling lengths of an evaluation, each as long as the cut-off."""

@@ -8,8 +8,8 @@ from wafer_viewer.measure.areas import Area
 from wafer_viewer.measure.heights import Floats
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tool_options import TextureOptions
-from wafer_viewer.numerics.gaussian import gaussian_mean
-from wafer_viewer.numerics.polynomials import polynomial
+from wafer_viewer.numerics.filters.iso_gaussian import gaussian_mean
+from wafer_viewer.numerics.filters.polynomial_fit import polynomial
 
 FORMS = {0: "Form removed: the mean alone.", 1: "Form removed: plane of least squares."}
 UNFILTERED = "Neither S-filter nor L-filter: noise and waviness are in the numbers."

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.measure.heights import Floats
-from wafer_viewer.numerics.autocorrelation import autocorrelation
+from wafer_viewer.numerics.filters.autocorrelation import autocorrelation
 
 DECAYED = 0.2
 """Of the autocorrelation: heights so far apart are no longer alike."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.measure.die_cells import Plane
 from wafer_viewer.measure.golden import Golden
-from wafer_viewer.numerics.filters import relief
+from wafer_viewer.numerics.filters.sliding_filters import relief
 
 PLAIN_TO = 4.0
 """In usual spreads: plain ground rises and falls by so much at most."""

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from wafer_viewer.numerics.arrays import Greys
+from wafer_viewer.numerics.array_types import Greys
 from wafer_viewer.numerics.jit import inlined_part
 
 _LINE_BYTES = 64

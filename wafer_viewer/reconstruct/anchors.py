@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.filters import halved, highest, lowest, mean, mean_of_known, nearest, pieces
+from wafer_viewer.numerics.filters.sliding_filters import halved, highest, lowest, mean, mean_of_known, nearest, pieces
 from wafer_viewer.reconstruct.sides import Band, Sides
 from wafer_viewer.reconstruct.volume import COARSE_PX
 

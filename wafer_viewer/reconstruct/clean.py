@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.numerics.islands import small_islands
+from wafer_viewer.numerics.filters.connected_components import small_islands
 from wafer_viewer.reconstruct.fill import fill
 from wafer_viewer.reconstruct.jumps import JUMP_STEPS, apart_um
 from wafer_viewer.reconstruct.levy import SMOOTHERS, bends_of, flight_lengths, height_noise_um, smooth

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.filters import blurred, lowest
+from wafer_viewer.numerics.filters.sliding_filters import blurred, lowest
 from wafer_viewer.reconstruct.anchors import side_heights_um
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.log_laplacian import Stabiliser

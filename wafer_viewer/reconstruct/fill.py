@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Fill
-from wafer_viewer.numerics.spline import fill_gaps, fill_rows
+from wafer_viewer.numerics.filters.spline_fill import fill_gaps, fill_rows
 
 MAX_STEP_FRAMES = 1.5
 """A gap whose sides differ by more than one and a half steps of the sweep is a step of the surface."""

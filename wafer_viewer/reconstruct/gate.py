@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.numerics.filters import mean
+from wafer_viewer.numerics.filters.sliding_filters import mean
 from wafer_viewer.reconstruct.noise import NoiseScores
 from wafer_viewer.reconstruct.peak import Peaks, confidence_of, lead_of
 

@@ -250,7 +250,7 @@ def _turns() -> Iterator[float]:
 
 def _alike(read: Read, laid: LaidOver, at_um: tuple[float, float], level: int) -> float:
     """How surely the patch is to be found, in standard deviations."""
-    from wafer_viewer.numerics.likeness import contrast, likeness
+    from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
 
     pixel = laid.first.pixel_um * 2**level
     one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)

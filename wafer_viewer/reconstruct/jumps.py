@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.filters import doubled, highest, lowest
+from wafer_viewer.numerics.filters.sliding_filters import doubled, highest, lowest
 
 JUMP_STEPS = 2.0
 """Heights that differ by more than so many steps of the resolution, a few pixels apart, are two surfaces."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     pass
 
 if TYPE_CHECKING:
-    from wafer_viewer.numerics.lay import Layers
+    from wafer_viewer.numerics.grids.affine_resample import Layers
 
 Affine = NDArray[np.float64]
 """[2, 3]: the images of (1, a, b)."""
@@ -108,7 +108,7 @@ class LaidOver:
 
     def on(self, lattice: Lattice) -> HeightMap:
         """The second on any lattice of the first's stage."""
-        from wafer_viewer.numerics.lay import lay
+        from wafer_viewer.numerics.grids.affine_resample import lay
 
         part = self._beneath(lattice)
         grey = np.uint8 if part is None else part.all_in_focus.dtype
@@ -165,14 +165,14 @@ class LaidOver:
 
 
 def _layers_of(part: HeightMap) -> Layers:
-    from wafer_viewer.numerics.lay import Layers
+    from wafer_viewer.numerics.grids.affine_resample import Layers
 
     layers: tuple[Any, ...] = part.z_um, part.z_raw_um, part.confidence, part.all_in_focus, part.origin
     return Layers(*(np.ascontiguousarray(layer) for layer in layers))
 
 
 def _not_covered(shape: tuple[int, int], grey: Any) -> Layers:
-    from wafer_viewer.numerics.lay import Layers
+    from wafer_viewer.numerics.grids.affine_resample import Layers
 
     return Layers(
         np.full(shape, np.nan, np.float32),

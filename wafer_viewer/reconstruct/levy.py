@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Levy
-from wafer_viewer.numerics.lines import REACH_PX, far_along_lines, line_medians_at
-from wafer_viewer.numerics.median import far_from_median, medians_at, pad_with_nan
-from wafer_viewer.numerics.pairs import pair_mean
+from wafer_viewer.numerics.filters.line_median import REACH_PX, far_along_lines, line_medians_at
+from wafer_viewer.numerics.filters.median_5x5 import far_from_median, medians_at, pad_with_nan
+from wafer_viewer.numerics.filters.opposite_pair_mean import pair_mean
 
 NOISE_LAG_PX = 15
 """Errors this far apart are strangers: they share little of a focus window."""

@@ -28,10 +28,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
-from wafer_viewer.numerics.boxes import AHEAD, box, pieces_of
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.fast_log2 import quick_log2
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.camera_noise import CameraNoise
 from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Doubt
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.align import Alignment, Lag, Picture, align
-from wafer_viewer.numerics.likeness import Likeness, contrast, likeness
+from wafer_viewer.numerics.registration.cross_correlation import Likeness, contrast, likeness
+from wafer_viewer.numerics.registration.subpixel_registration import Alignment, Lag, Picture, align
 from wafer_viewer.reconstruct.strips import Read, Window, shrunk
 
 SURE_SIGMAS = 7.0
@@ -111,7 +111,7 @@ def _candidates(one: Picture, other: Picture, window: Window, factor: int, reach
 
 def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
     """The highest local maxima, from the middle; none where nothing is alike."""
-    from wafer_viewer.numerics.filters import highest
+    from wafer_viewer.numerics.filters.sliding_filters import highest
 
     sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
     top = float(sigmas.max())

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
-from wafer_viewer.numerics.islands import narrow_parts, small_islands
-from wafer_viewer.numerics.neighbours import REACH_PX, mean_distances, near_counts
-from wafer_viewer.numerics.spline import fill_gaps
+from wafer_viewer.numerics.filters.connected_components import narrow_parts, small_islands
+from wafer_viewer.numerics.filters.neighbour_distances import REACH_PX, mean_distances, near_counts
+from wafer_viewer.numerics.filters.spline_fill import fill_gaps
 
 BRIDGED_PX = 2
 """A strip is not narrow for a few pixels that happen to be unmeasured in it."""

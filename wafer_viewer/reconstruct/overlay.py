@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.numerics import overlay, placed
-from wafer_viewer.numerics.overlay import Blended, Piece, Tally
-from wafer_viewer.numerics.placed import Leaning, Shift
+from wafer_viewer.numerics.grids import shifted_read, weighted_blend
+from wafer_viewer.numerics.grids.shifted_read import Leaning, Shift
+from wafer_viewer.numerics.grids.weighted_blend import Blended, Piece, Tally
 from wafer_viewer.reconstruct.pieces import pieces
 from wafer_viewer.reconstruct.place import Layout, Part, Place
 
@@ -141,7 +141,7 @@ class Laid:
         out = np.ones(self.shape, np.float32)
         if blend.judges:
             limit_um = _max_step_um(height) or np.inf
-            overlay.believe(fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out)
+            weighted_blend.believe(fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out)
         return out
 
     @property
@@ -152,12 +152,12 @@ class Laid:
 
     def heights(self, layer: Float32s, max_step_um: float, out: Float32s, row: int, col: int) -> None:
         """Read heights of the piece, upright, to (row, col) of `out`."""
-        placed.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
+        shifted_read.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
 
     def grey(self, picture: Image) -> Float32s:
         """The grey of the piece."""
         out = np.empty(self.shape, np.float32)
-        placed.read_grey(fixed(picture), self.shift, out)
+        shifted_read.read_grey(fixed(picture), self.shift, out)
         return out
 
 
@@ -181,7 +181,7 @@ def lay_pictures(pictures: Sequence[Image], layout: Layout, rows: slice, cols: s
     for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
         here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
         if here:
-            overlay.round_grey(_grey(here), out, piece[0].start - rows.start, piece[1].start - cols.start)
+            weighted_blend.round_grey(_grey(here), out, piece[0].start - rows.start, piece[1].start - cols.start)
     return out
 
 
@@ -252,7 +252,7 @@ def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[Hei
     window["origin"][here] = laid.nearest(first.origin)
     if len(fields) > 1:
         _blend_in(window, here, fields, blend)
-    overlay.round_grey(
+    weighted_blend.round_grey(
         _grey([(height.all_in_focus, laid) for height, laid in fields]), window["all_in_focus"], row, col
     )
 
@@ -267,7 +267,7 @@ def _blend_in(window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightM
     scratch = np.empty((2, here[1].stop - here[1].start), np.float32)
     for height, laid in fields[1:]:
         piece = _read(height, laid, blend)
-        overlay.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
+        weighted_blend.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
 
 
 def _read(height: HeightMap, laid: Laid, blend: Blend) -> Piece:
@@ -285,7 +285,7 @@ def _grey(fields: Sequence[tuple[Image, Laid]]) -> Float32s:
     if len(fields) > 1:
         weight = fields[0][1].grey_fade.weights
         for picture, laid in fields[1:]:
-            overlay.blend_grey(laid.grey(picture), laid.grey_fade.rows, laid.grey_fade.cols, weight, total)
+            weighted_blend.blend_grey(laid.grey(picture), laid.grey_fade.rows, laid.grey_fade.cols, weight, total)
     return total
 
 

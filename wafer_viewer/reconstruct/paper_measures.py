@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
-from wafer_viewer.numerics.boxes import AHEAD, box, pieces_of
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.volume import Source, Volume, count_clipped, empty, keep_row, take_grey
 

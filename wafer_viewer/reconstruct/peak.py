@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
 from wafer_viewer.reconstruct.placing import Placing, Spots, place_row

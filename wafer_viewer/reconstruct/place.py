@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import Outline
-from wafer_viewer.numerics.rectangles import Rectangles
+from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 from wafer_viewer.reconstruct.ramps import BOTTOM, LEFT, RIGHT, TOP, Lengths, ramps
 
 SNAP_PX = 1e-3

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Real, UInt16s, aligned
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Real, UInt16s, aligned
+from wafer_viewer.numerics.fast_log2 import quick_log2
 from wafer_viewer.numerics.jit import inline_kernel, lean_kernel, lean_part
-from wafer_viewer.numerics.logarithm import quick_log2
 
 _ARGMAX, _GAUSSIAN, _TENT, _BLUR_LAW = 0, 1, 2, 3
 

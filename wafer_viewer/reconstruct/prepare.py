@@ -20,7 +20,7 @@ from wafer_viewer.model.acquisition.plan import MIN_FRAMES
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.numerics.resample import Taps, resampled
+from wafer_viewer.numerics.registration.lanczos import Taps, resampled
 from wafer_viewer.reconstruct.drift import Drift, drift_of, told
 from wafer_viewer.reconstruct.exposures import Fusion, fusion_of
 from wafer_viewer.reconstruct.flaws import Flaws, find_flaws

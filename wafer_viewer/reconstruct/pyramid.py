@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.pyramid import halve
+from wafer_viewer.numerics.grids.pyramid_level import halve
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.rectangles import Rectangles
+from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
 
 Lengths = NDArray[np.float64]
 """[n, 4]: the ramps of n fields at their top, bottom, left and right border, in pixels; 0 without a neighbour."""

@@ -19,7 +19,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.numerics.planes import Plane, fit_plane
+from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.reconstruct.laid import LaidOver, Lattice
 
 SAMPLE_PX = 256

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.field_poses import Seams
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.numerics.binning import binned
-from wafer_viewer.numerics.differences import differences
-from wafer_viewer.numerics.planes import Plane, fit_plane
+from wafer_viewer.numerics.filters.binning import binned
+from wafer_viewer.numerics.grids.height_differences import differences
+from wafer_viewer.numerics.grids.robust_plane import Plane, fit_plane
 from wafer_viewer.reconstruct.overlay import MAX_STEP_FRAMES
 from wafer_viewer.reconstruct.parts import on_threads
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Bools, Float32s, UInt8s, UInt16s, Whole
-from wafer_viewer.numerics.filters import doubled, halved, highest, lowest, mean_of_known
+from wafer_viewer.numerics.array_types import Bools, Float32s, UInt8s, UInt16s, Whole
+from wafer_viewer.numerics.filters.sliding_filters import doubled, halved, highest, lowest, mean_of_known
 from wafer_viewer.numerics.jit import lean_kernel
 from wafer_viewer.reconstruct.silhouette import Silhouette
 from wafer_viewer.reconstruct.volume import Source

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int32s, Real, UInt16s, Whole
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Real, UInt16s, Whole
+from wafer_viewer.numerics.fast_log2 import quick_log2
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
-from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.parts import on_threads, row_parts, source_of_rows
 from wafer_viewer.reconstruct.prepare import Frames
 from wafer_viewer.reconstruct.volume import Source, take_grey

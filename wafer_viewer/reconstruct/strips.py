@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.numerics.align import Picture
-from wafer_viewer.numerics.binning import binned
+from wafer_viewer.numerics.filters.binning import binned
+from wafer_viewer.numerics.registration.subpixel_registration import Picture
 
 Read = Callable[[HeightMap, slice, slice], Picture]
 """What of a field is compared, read from some of its rows and columns."""
@@ -102,7 +102,7 @@ def _noise(plane: NDArray[np.float32]) -> float:
 
 def height_of(height: HeightMap, rows: slice, cols: slice) -> Picture:
     """What stands out of its surroundings in the measured heights, outliers held down; 0 where nothing is measured."""
-    from wafer_viewer.numerics.filters import mean, mean_of_known
+    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
 
     z = np.asarray(height.z_raw_um[rows, cols])
     known = np.isfinite(z)

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, Real, Whole, aligned
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Greys, Real, Whole, aligned
+from wafer_viewer.numerics.fast_log2 import quick_log2
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
-from wafer_viewer.numerics.logarithm import quick_log2
 from wafer_viewer.reconstruct.log_laplacian import Stabiliser
 
 NOISE_ENERGY = 0.0239

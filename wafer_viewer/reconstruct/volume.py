@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Greys, Int64s, UInt16s, Whole
+from wafer_viewer.numerics.array_types import Greys, Int64s, UInt16s, Whole
 from wafer_viewer.numerics.jit import inlined_part, lean_part
 from wafer_viewer.numerics.prefetch import prefetch
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Int32s, UInt16s, Whole, aligned
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Int32s, UInt16s, Whole, aligned
 from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
 from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
 from wafer_viewer.reconstruct.peak import Curves, Peaks, gather, gather_blended

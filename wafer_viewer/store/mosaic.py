@@ -56,7 +56,7 @@ from wafer_viewer.store.progress import watched
 from wafer_viewer.store.shard import ShardedArray, codecs
 
 if TYPE_CHECKING:
-    from wafer_viewer.numerics.pyramid import Layers
+    from wafer_viewer.numerics.grids.pyramid_level import Layers
 
 __all__ = [
     "Patch",
@@ -130,7 +130,7 @@ def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
 
     Doing it again makes the same. Raises DatasetError when the place cannot be written to.
     """
-    from wafer_viewer.numerics.pyramid import halve
+    from wafer_viewer.numerics.grids.pyramid_level import halve
 
     stored = ZarrMosaic.open(path)
     shape = patch.bottom - patch.top, patch.right - patch.left

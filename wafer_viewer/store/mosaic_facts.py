@@ -23,7 +23,7 @@ from wafer_viewer.store.files import replacing
 from wafer_viewer.store.shard import checked, summed
 
 if TYPE_CHECKING:
-    from wafer_viewer.numerics.pyramid import Layers
+    from wafer_viewer.numerics.grids.pyramid_level import Layers
 
 FACTS = "facts"
 SAMPLES = 400_000
@@ -67,7 +67,7 @@ def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
 
 def _blocks_of(layers: Layers, step: int) -> Blocks:
     """The facts of a window of level 0 that begins with a block, block by block."""
-    from wafer_viewer.numerics.codes import count_codes
+    from wafer_viewer.numerics.filters.code_counts import count_codes
 
     size = 2 * mosaic_layout.CHUNK
     rows, cols = layers["z_um"].shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Real
+from wafer_viewer.numerics.array_types import Real
 from wafer_viewer.numerics.jit import inline_kernel
 
 # log2(1 + f) - f = f (1 - f) (c0 + c1 f + c2 f^2) for 0 <= f < 1, within 0.00012.

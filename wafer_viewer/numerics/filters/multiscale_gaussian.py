@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s
-from wafer_viewer.numerics.binning import binned
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.filters.binning import binned
 from wafer_viewer.numerics.jit import fast_kernel
 
 FINE_PX = 2.9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Int64s, Wholes
+from wafer_viewer.numerics.array_types import Int64s, Wholes
 from wafer_viewer.numerics.jit import inlined_part, lean_part
 
 AHEAD = 64

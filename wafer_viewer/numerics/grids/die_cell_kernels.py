@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Real
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Real
 from wafer_viewer.numerics.jit import kernel
 
 MAD_TO_SIGMA = 1.4826

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Int64s, Real
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, Real
 from wafer_viewer.numerics.jit import fast_kernel
 
 REACH = 3

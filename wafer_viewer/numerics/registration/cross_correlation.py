@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Bools, Float32s
+from wafer_viewer.numerics.array_types import Bools, Float32s
 
 _STEEPEST = 3.0
 """Contrast counts up to about three times its usual size: one bright spot must not speak for the whole overlap."""
@@ -36,7 +36,7 @@ def contrast(picture: Float32s, known: Bools, size: int) -> Float32s:
 
     It does not change, but for its scale, when the picture gets brighter or darker as a whole or slowly across.
     """
-    from wafer_viewer.numerics.filters import mean, mean_of_known
+    from wafer_viewer.numerics.filters.sliding_filters import mean, mean_of_known
 
     local = mean(picture, size) if known.all() else mean_of_known(picture, known, size)
     detail = np.where(known, picture - local, np.float32(0))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Real, UInt8s, Whole
+from wafer_viewer.numerics.array_types import Float32s, Greys, Real, UInt8s, Whole
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 _MEASURED = 0

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.gaussian import fast_length
+from wafer_viewer.numerics.filters.iso_gaussian import fast_length
 
 Floats = NDArray[np.float64]
 LEAST_PAIRS = 0.05

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wafer_viewer.numerics.arrays import Float32s, Float64s, Greys, UInt8s
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Greys, UInt8s
 from wafer_viewer.numerics.jit import kernel
 
 _NOT_COVERED = 10

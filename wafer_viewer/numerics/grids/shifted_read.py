@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Float32s, Greys, Real, Whole
+from wafer_viewer.numerics.array_types import Float32s, Greys, Real, Whole
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.numerics.arrays import Bools, Float32s, Int32s, Real, Whole
+from wafer_viewer.numerics.array_types import Bools, Float32s, Int32s, Real, Whole
 from wafer_viewer.numerics.jit import kernel
 
 

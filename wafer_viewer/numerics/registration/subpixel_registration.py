@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s
-from wafer_viewer.numerics.blocks import block_sums
-from wafer_viewer.numerics.pulls import Pulls, agreeing, bent, correlation, covariance, pulls_of
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.registration.block_moments import block_sums
+from wafer_viewer.numerics.registration.shift_estimation import Pulls, agreeing, bent, correlation, covariance, pulls_of
 
 MOST_STEPS = 6
 CLOSE_PX, ROUGHLY_PX = 0.005, 0.05

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Real
+from wafer_viewer.numerics.array_types import Float32s, Real
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 LEAST_PIXELS = 30

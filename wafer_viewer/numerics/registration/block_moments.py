@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.numerics.arrays import Float32s, Int64s
+from wafer_viewer.numerics.array_types import Float32s, Int64s
 from wafer_viewer.numerics.jit import lean_kernel, lean_part
 
 REACH = 3

@@ -1,0 +1,1 @@
+"""Filters, statistics and labelling of images."""

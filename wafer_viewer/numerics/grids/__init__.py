@@ -1,0 +1,1 @@
+"""Resampling, blending and differences of grids."""

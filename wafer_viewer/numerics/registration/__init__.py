@@ -1,0 +1,1 @@
+"""Subpixel registration of images."""
