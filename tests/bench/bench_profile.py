@@ -32,7 +32,7 @@ from tests.bench.big_mosaic import BLOCKS_PX, QUICK_PX, big_dataset
 from tests.bench.page_driver import SIZE, Viewer
 from tests.bench.tables import met, show
 from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
-from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 
 GOAL_S = 0.1
 REST_MS = 1500

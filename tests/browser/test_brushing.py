@@ -10,7 +10,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, go_to, press, title_is
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.points_section import amount
 

@@ -24,7 +24,7 @@ from tests.browser.steps import (
     stored,
     title_is,
 )
-from wafer_viewer.draw.numbers import number, share
+from wafer_viewer.draw.number_format import number, share
 from wafer_viewer.gui.points_section import amount
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, HeightMap, Origin

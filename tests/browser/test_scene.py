@@ -13,7 +13,7 @@ from playwright.sync_api import Browser
 
 from tests.gui.stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.gui.test_scene import until
-from wafer_viewer.draw.colours import table
+from wafer_viewer.draw.colormaps import table
 from wafer_viewer.gui.access import open_server
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View

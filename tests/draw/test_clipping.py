@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 
 from tests.gui.stand_in import height_map
-from wafer_viewer.draw.bake import bake
-from wafer_viewer.draw.clipping import depth_shade
-from wafer_viewer.draw.colours import BRUSH, rgb
-from wafer_viewer.draw.histogram_html import histogram_html
-from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.charts.histogram_html import histogram_html
+from wafer_viewer.draw.colormaps import BRUSH, rgb
+from wafer_viewer.draw.surface.clipping import depth_shade
+from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.texture_baking import bake
 
 PIT = np.s_[20:40, 20:40]
 

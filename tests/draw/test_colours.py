@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from wafer_viewer.draw.colours import DIVERGING, ORIGIN_COLOURS, table
+from wafer_viewer.draw.colormaps import DIVERGING, ORIGIN_COLOURS, table
 from wafer_viewer.model.surface.height_map import Origin
 
 EYES = {

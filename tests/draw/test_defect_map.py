@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from tests.store.inspections import GRID, defect, inspection
-from wafer_viewer.draw.defect_map import (
+from wafer_viewer.draw.charts.defect_map import (
     DIE_LOOKS,
     defect_map_svg,
     die_frame,
@@ -19,8 +19,8 @@ from wafer_viewer.draw.defect_map import (
     kinds_text,
     look_svg,
 )
-from wafer_viewer.draw.pareto import pareto, pareto_svg
-from wafer_viewer.draw.wafer_map import MOST_SINGLE
+from wafer_viewer.draw.charts.pareto import pareto, pareto_svg
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE
 from wafer_viewer.model.inspection.die_grid import DieStatus
 from wafer_viewer.model.spec import replace
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.draw.numbers import MINUS, NOTHING, THIN, duration, number, share, size, value_and_u, with_unit
+from wafer_viewer.draw.number_format import MINUS, NOTHING, THIN, duration, number, share, size, value_and_u, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length, round_step, tick_digits, ticks
 
 LENGTHS = st.floats(1e-6, 1e9)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.draw.colour_bar import colour_bar_html, origin_legend_html
-from wafer_viewer.draw.ground import Figure, hatch, shadow
-from wafer_viewer.draw.text import LINE_PX, font, length_px, tag
-from wafer_viewer.draw.wafer_map import FIELD_INKS, field_map_svg
+from wafer_viewer.draw.charts.colour_bar import colour_bar_html, origin_legend_html
+from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, field_map_svg
+from wafer_viewer.draw.raster_text import LINE_PX, font, length_px, tag
+from wafer_viewer.draw.surface.ground_plane import Figure, hatch, shadow
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.state import FieldState
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from wafer_viewer.draw.colours import table
-from wafer_viewer.draw.print_picture import (
+from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.print.print_figure import (
     BAR_HIGH,
     DARK,
     FOOT_SHARE,

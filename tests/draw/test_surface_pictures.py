@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.gui.stand_in import height_map
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.bake import bake
-from wafer_viewer.draw.colours import COLOUR_MAPS, ELSEWHERE, table
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.look import Light, Look
-from wafer_viewer.draw.mesh import plates
-from wafer_viewer.draw.reduce import reduced
-from wafer_viewer.draw.shade import light_gain, shade, without_gaps
-from wafer_viewer.draw.text import sheet, tag
-from wafer_viewer.draw.tone import as_shown, to_texture
+from wafer_viewer.draw.colormaps import COLOUR_MAPS, ELSEWHERE, table
+from wafer_viewer.draw.raster_text import sheet, tag
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.block_mean import reduced
+from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.glb import painted
+from wafer_viewer.draw.surface.hillshade import light_gain, shade, without_gaps
+from wafer_viewer.draw.surface.mesh import plates
+from wafer_viewer.draw.surface.texture_baking import bake
+from wafer_viewer.draw.surface.tone_curve import as_shown, to_texture
 from wafer_viewer.model.surface.height_map import HeightMap
 
 FLAT = Look(hillshade=0.0, low=0.0, high=10.0)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 
-from wafer_viewer.draw.map_marks import Mark, map_marks_svg
-from wafer_viewer.draw.symbols import SHAPES, symbol, symbol_svg
-from wafer_viewer.draw.wafer_map import Frame
+from wafer_viewer.draw.charts.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.charts.symbols import SHAPES, symbol, symbol_svg
+from wafer_viewer.draw.charts.wafer_map import Frame
 
 
 def test_every_shape_is_a_drawing_of_its_own_in_the_colour_asked_for():

@@ -12,8 +12,8 @@ import pytest
 from tests.browser import fake_session as fake
 from tests.browser.inspected_session import GRID, PLANTED, found
 from tests.browser.inspected_states import wafer_of
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.defect_map import die_frame
+from wafer_viewer.draw.charts.defect_map import die_frame
+from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.gui.defect_listing import DefectListing, next_die, next_kind
 from wafer_viewer.gui.defect_map import DefectMap, die_at
 from wafer_viewer.gui.defect_map_html import MOST_SIGNS, counts_of, fills_by_class, map_html

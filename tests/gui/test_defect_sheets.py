@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.browser.inspected_session import PLANTED, found, repeating_session
-from wafer_viewer.draw.die_stack import MOST_MARKS, die_stack_svg, shown
+from wafer_viewer.draw.charts.die_stack import MOST_MARKS, die_stack_svg, shown
 from wafer_viewer.gui import defect_beside_html as beside
 from wafer_viewer.gui import defect_stack_html as stacked
 from wafer_viewer.gui.over_scene import Room

@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser import fake_session as fake
 from tests.browser.inspected_session import PLANTED, found
-from wafer_viewer.draw.defect_looks import KINDS
+from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.gui.defect_items import chosen_defect, number_of
 from wafer_viewer.gui.defect_lines import cut_through
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing, listed

@@ -11,8 +11,8 @@ import pytest
 from tests.browser.gauge_blocks import certificate
 from tests.browser.gauge_session import TERMS, a_study, checked, worked_out
 from tests.browser.measuring_session import MeasuringSession
-from wafer_viewer.draw.run_chart import MOST_POINTS, run_chart_html
-from wafer_viewer.draw.site_map import site_map_svg
+from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
+from wafer_viewer.draw.charts.site_map import site_map_svg
 from wafer_viewer.gui import gauge_uncertainty as unsure
 from wafer_viewer.gui import gauge_words as words
 from wafer_viewer.gui.gauge_dock import below

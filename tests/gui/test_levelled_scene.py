@@ -14,7 +14,7 @@ import pytest
 from tests.gui.stage_props import Browser
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.gui.test_scene import settled, until
-from wafer_viewer.draw.look import Look
+from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.overlays import ReadOutBox
 from wafer_viewer.gui.scene import SceneView

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from tests.gui.stage_props import Browser, RecordingScene
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
-from wafer_viewer.draw.look import Look
+from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui.camera import Clear, direction_of, fit
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.ground import block_items

@@ -8,7 +8,7 @@ import viser.transforms as vtf
 
 from tests.gui.stage_props import RecordingScene
 from tests.gui.test_places import SIDE_PX, land_of, noise, xy
-from wafer_viewer.draw.text import tag
+from wafer_viewer.draw.raster_text import tag
 from wafer_viewer.gui.camera import FOV_RAD, Pose, direction_of
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.lie_of_land import Land

@@ -11,7 +11,7 @@ import pytest
 
 from tests.browser import fake_session as fake
 from tests.store.inspections import defect, inspection
-from wafer_viewer.draw.numbers import size
+from wafer_viewer.draw.number_format import size
 from wafer_viewer.gui.tour_guide import N_STEPS, end_card, note_of, present_step, report_of
 from wafer_viewer.gui.view import Tour, View
 from wafer_viewer.model.spec import replace

@@ -8,7 +8,7 @@ import pytest
 
 from tests.gui.test_operator_words import words
 from tests.session.conftest import small_job
-from wafer_viewer.draw.die_map import die_map_svg
+from wafer_viewer.draw.charts.die_map import die_map_svg
 from wafer_viewer.gui.dies_dialog import lattice_of, on_the_die_it_is_on, within_fields
 from wafer_viewer.gui.job_dialogs import trial_is_old
 from wafer_viewer.gui.kept_features import kept_features

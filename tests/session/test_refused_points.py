@@ -12,8 +12,8 @@ import pytest
 from tests.gui.stand_in import MemoryShelf, height_map
 from tests.session.grid_dataset import REGISTERED, add_surfaces, make_dataset
 from tests.truth.field_grid import SMALL, make
-from wafer_viewer.draw.clipping import CODES
-from wafer_viewer.draw.colours import ORIGIN_COLOURS
+from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
+from wafer_viewer.draw.surface.clipping import CODES
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region

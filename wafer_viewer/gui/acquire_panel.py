@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.look import eight_bit
-from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
+from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
+from wafer_viewer.draw.surface.display_style import eight_bit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, leading, outlined, set_prop

@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 import viser
 
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.look import Look, eight_bit
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.display_style import Look, eight_bit
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.book import Book
 from wafer_viewer.gui.camera import Clear
 from wafer_viewer.gui.contents import Contents, corners_of

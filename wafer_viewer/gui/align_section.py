@@ -6,7 +6,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.corner_picture import clicked, corner_picture, expected_um
 from wafer_viewer.gui.guard import guarded

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import msgspec
 
-from wafer_viewer.draw.look import Look
+from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.datums import Datums, FindDatum
 from wafer_viewer.gui.stage import NotYet, Orders, Paint

@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.gui.contents import OnShow, corners_of
 from wafer_viewer.gui.echoes import Echoes
 from wafer_viewer.gui.gaze import Gaze

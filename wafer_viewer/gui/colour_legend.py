@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
-from wafer_viewer.draw.look import QUANTITIES
+from wafer_viewer.draw.charts.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
+from wafer_viewer.draw.surface.display_style import QUANTITIES
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page

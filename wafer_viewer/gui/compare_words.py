@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.numbers import digits_of_u, number, share, value_and_u, with_unit
+from wafer_viewer.draw.number_format import digits_of_u, number, share, value_and_u, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.surface.comparison import FOUND_BY, Change, Comparison, Face, Registration, SurfaceName
 

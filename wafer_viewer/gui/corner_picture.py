@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.draw.patch import greys, patch_url
+from wafer_viewer.draw.surface.pixel_patch import greys, patch_url
 from wafer_viewer.gui import html
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.acquisition.devices import Overview

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.draw.colours import css_gradient
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.numbers import number, with_unit
-from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol_svg
+from wafer_viewer.draw.colormaps import css_gradient
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length, tick_digits, ticks
 from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.profile_frame import frame_of
-from wafer_viewer.draw.profile_plot import profile_plot_html
+from wafer_viewer.draw.charts.profile_axes import frame_of
+from wafer_viewer.draw.charts.profile_plot import profile_plot_html
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 from wafer_viewer.gui import html
 from wafer_viewer.gui.bottom import BottomPanel
 from wafer_viewer.gui.defect_items import chosen_defect

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 
-from wafer_viewer.draw.defect_looks import KINDS
+from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.gui.defect_listing import DefectListing, listed
 from wafer_viewer.gui.defect_words import below, said, size_text
 from wafer_viewer.gui.kept_places import bounds_of

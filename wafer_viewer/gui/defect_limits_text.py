@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Inspection

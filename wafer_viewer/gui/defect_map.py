@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.defect_map import die_frame
-from wafer_viewer.draw.map_marks import Mark, map_marks_svg
-from wafer_viewer.draw.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, Frame, Outline
+from wafer_viewer.draw.charts.defect_map import die_frame
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.map_marks import Mark, map_marks_svg
+from wafer_viewer.draw.charts.wafer_map import MOST_HEIGHT_PX, WIDTH_PX, Frame, Outline
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_items import chosen_defect, key_of, on_show
 from wafer_viewer.gui.defect_listing import listed, next_die, next_kind

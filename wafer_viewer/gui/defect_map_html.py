@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.defect_map import Fill, die_shapes, fills_by_count, kinds_of, look_svg
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.symbols import symbol
-from wafer_viewer.draw.wafer_map import Frame, Outline
+from wafer_viewer.draw.charts.defect_map import Fill, die_shapes, fills_by_count, kinds_of, look_svg
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol
+from wafer_viewer.draw.charts.wafer_map import Frame, Outline
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_items import key_of
 from wafer_viewer.gui.defect_listing import DefectListing, MapBy

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.draw.map_marks import Mark
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.charts.map_marks import Mark
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kept_places import Box
 from wafer_viewer.gui.kit import Cell

@@ -9,9 +9,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.pareto import Bar, pareto
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.pareto import Bar, pareto
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_items import on_show
 from wafer_viewer.gui.defect_listing import DefectListing

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_listing import SORTS, DefectListing
 from wafer_viewer.gui.review_item import ReviewItem

@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.look import Look
+from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui import defect_words as words
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command, unless

@@ -5,10 +5,10 @@ from __future__ import annotations
 import base64
 from collections.abc import Sequence
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.die_stack import die_stack_svg, not_drawn, shown
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.die_stack import die_stack_svg, not_drawn, shown
+from wafer_viewer.draw.charts.symbols import symbol_svg
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.model.inspection.defect import Inspection

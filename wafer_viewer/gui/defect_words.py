@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.numbers import number, with_unit
-from wafer_viewer.draw.symbols import symbol_svg
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol_svg
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
 from wafer_viewer.session.inspection_state import InspectionState

@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog, open_dataset, open_surface
 from wafer_viewer.gui.file_dialog import FileList

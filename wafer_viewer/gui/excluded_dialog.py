@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import viser
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell

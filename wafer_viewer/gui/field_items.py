@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.numbers import with_unit
+from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, Group, cased, dashed, lines, lying, rectangle, way, word
 from wafer_viewer.gui.stage import Handle, Item

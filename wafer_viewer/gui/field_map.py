@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from wafer_viewer.draw.colours import BRUSH
-from wafer_viewer.draw.map_marks import Area, Mark, map_marks_svg
-from wafer_viewer.draw.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
+from wafer_viewer.draw.charts.map_marks import Area, Mark, map_marks_svg
+from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, Frame, Ink, Outline, field_map_svg, map_frame
+from wafer_viewer.draw.colormaps import BRUSH
 from wafer_viewer.gui import html
 from wafer_viewer.gui.defect_other import other_marks
 from wafer_viewer.gui.kit import Cell, Gui

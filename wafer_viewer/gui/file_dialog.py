@@ -17,7 +17,7 @@ from typing import Any, get_args
 
 import viser
 
-from wafer_viewer.draw.numbers import number, size
+from wafer_viewer.draw.number_format import number, size
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog, KeepOpen, unless_there, when
 from wafer_viewer.gui.guard import guarded

@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.file_dialog import FileList

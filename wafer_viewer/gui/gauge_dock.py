@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.numbers import THIN, number, value_and_u
-from wafer_viewer.draw.run_chart import MOST_POINTS, run_chart_html
+from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
+from wafer_viewer.draw.number_format import THIN, number, value_and_u
 from wafer_viewer.gui import html
 from wafer_viewer.gui.bottom import BottomPanel
 from wafer_viewer.gui.kit import Cell

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeLine, Role, ScaleCorrection
 from wafer_viewer.model.gauge.run_chart import Capability

@@ -6,7 +6,7 @@ from datetime import date, datetime
 
 import viser
 
-from wafer_viewer.draw.numbers import THIN, digits_of_u, number, value_and_u, with_unit
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.verdict_words import LOOKS
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRepeat

@@ -7,9 +7,9 @@ from functools import partial
 import numpy as np
 import viser
 
-from wafer_viewer.draw import ground, mesh
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.surface import ground_plane, mesh
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.draw.ticks import ticks
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, lines, lying
@@ -49,7 +49,7 @@ def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool)
         k: (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
         for k, (a, b) in enumerate(sides)
     }
-    data = painted(mesh.walls(edges, -plinth_mm(box)), ground.sides(*ground.PLINTH_TONES[dark]))
+    data = painted(mesh.walls(edges, -plinth_mm(box)), ground_plane.sides(*ground_plane.PLINTH_TONES[dark]))
     return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
 
 
@@ -57,7 +57,7 @@ def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) 
     """A hair under the lowest height, seen through holes in the surface."""
     width, height = box[2] - box[0], box[3] - box[1]
     scale = _HATCH_PX_PER_SIDE / max(width, height)
-    picture = ground.hatch(
+    picture = ground_plane.hatch(
         max(2, round(height * scale)), max(2, round(width * scale)), dark=dark, pitch_px=16, line_px=4
     )
     inset = _hatch_mm(box)
@@ -82,7 +82,7 @@ def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool,
     palette, pad = colours(dark), _pad_mm(box)
     width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
     corners = [(pad, pad), (width - pad, pad), (width - pad, height - pad), (pad, height - pad)]
-    picture = ground.shadow(
+    picture = ground_plane.shadow(
         corners, width, height, pad / 3,
         darkness=palette.shadow_strength, shade=palette.shadow, ink=palette.ink, figures=_figures(box, pad),
     )  # fmt: skip
@@ -98,15 +98,16 @@ def _tick_places(box: Box) -> tuple[list[float], list[float]]:
     return along_x, along_y
 
 
-def _figures(box: Box, pad: float) -> tuple[ground.Figure, ...]:
+def _figures(box: Box, pad: float) -> tuple[ground_plane.Figure, ...]:
     high, gap = figure_height_mm(box), 0.027 * max(box[2] - box[0], box[3] - box[1])
     foot = pad + box[3] - box[1]
     along_x, along_y = _tick_places(box)
     unit = {along_x[-1]: "\u202fµm"} if along_x else {}
     below = [
-        ground.Figure(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m") for v in along_x
+        ground_plane.Figure(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
+        for v in along_x
     ]
-    beside = [ground.Figure(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
+    beside = [ground_plane.Figure(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
     return (*below, *beside)
 
 

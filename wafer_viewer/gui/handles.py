@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.lie_of_land import Land, Place
 from wafer_viewer.gui.shapes import lines

@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.histogram_html import histogram_html
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.charts.histogram_html import histogram_html
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui import histogram_pointer as pointer
 from wafer_viewer.gui import html
 from wafer_viewer.gui.guard import guarded

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from wafer_viewer.draw.histogram_html import HEIGHT_PX, place_of
+from wafer_viewer.draw.charts.histogram_html import HEIGHT_PX, place_of
 from wafer_viewer.gui import html
 from wafer_viewer.model.surface.clipping import Span
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import msgspec
 
-from wafer_viewer.draw.look import Look
+from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.quadtree import Span
 from wafer_viewer.gui.stage import Paint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from wafer_viewer.draw.numbers import duration, share
+from wafer_viewer.draw.number_format import duration, share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.view import View
 from wafer_viewer.session.state import Snapshot, Work

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tool_options import ToolOptions

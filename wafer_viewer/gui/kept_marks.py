@@ -9,7 +9,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import Rgb, rgb
+from wafer_viewer.draw.colormaps import Rgb, rgb
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import CasedLine
 from wafer_viewer.gui.kept_places import drawn_of

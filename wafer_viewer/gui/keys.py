@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.colours import COLOUR_MAPS
+from wafer_viewer.draw.colormaps import COLOUR_MAPS
 from wafer_viewer.gui import judging
 from wafer_viewer.gui.acquire_panel import AcquirePanel
 from wafer_viewer.gui.commands import Command, unless

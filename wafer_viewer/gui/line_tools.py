@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS, rgb
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
 from wafer_viewer.gui.echoes import Echoes
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import CasedLine, Dragged, Knob

@@ -41,13 +41,8 @@ class LineVerbs:
         view = self._page.view
         line = view.active_line if view.tool == "profile" else None
         if line is not None and len(view.lines) < MOST_LINES:
-            crossed = (
-                sum(
-                    math.dist(section_lines.middle(other), section_lines.middle(line)) < _SAME_PLACE_UM
-                    for other in view.lines
-                )
-                > 1
-            )
+            middle = section_lines.middle(line)
+            crossed = sum(math.dist(section_lines.middle(other), middle) < _SAME_PLACE_UM for other in view.lines) > 1
             lines = (*view.lines, (section_lines.beside if crossed else section_lines.across)(line, self._surface()))
             self._page.change(lines=lines, line=len(lines) - 1, selected=None)
 

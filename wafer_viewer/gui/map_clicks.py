@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.wafer_map import MOST_SINGLE
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.field_map import drawn, field_at
 from wafer_viewer.gui.page import Page

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui import html, shape_words, step_words
 from wafer_viewer.gui.gauge_words import told as gauge_told
 from wafer_viewer.gui.measure_words import averaging, whole

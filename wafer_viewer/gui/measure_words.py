@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.numbers import digits_of_u, number, value_and_u, with_unit
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
+from wafer_viewer.draw.number_format import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.measurements import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile

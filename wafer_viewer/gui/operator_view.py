@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import Any
 
-from wafer_viewer.draw.numbers import duration
+from wafer_viewer.draw.number_format import duration
 from wafer_viewer.gui import html, preflight_words
 from wafer_viewer.gui.align_section import Aligning, AlignSection
 from wafer_viewer.gui.edits import Edits

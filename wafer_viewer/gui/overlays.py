@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.draw.ticks import length_text, round_length
 from wafer_viewer.gui import html
 from wafer_viewer.gui.bottom import room_px

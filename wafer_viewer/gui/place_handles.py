@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
-from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.draw.colormaps import Rgb
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.handles import CasedLine, Dragged, Knob
 from wafer_viewer.gui.lie_of_land import Land, Place

@@ -6,7 +6,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import THIN, duration, number, size, with_unit
+from wafer_viewer.draw.number_format import THIN, duration, number, size, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.acquisition.plan import Price
 from wafer_viewer.session.state import Draft, Snapshot

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from wafer_viewer.draw.colours import ORIGIN_COLOURS
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.colormaps import ORIGIN_COLOURS
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell, Choice, Field, set_prop
 from wafer_viewer.gui.page import Page

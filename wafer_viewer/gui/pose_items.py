@@ -11,10 +11,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.colours import Rgb
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.text import sheet, tag
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.raster_text import sheet, tag
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.drape import Drape
 from wafer_viewer.gui.pose_book import Known

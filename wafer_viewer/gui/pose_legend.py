@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.html import safe
 from wafer_viewer.gui.kit import Overlay
 from wafer_viewer.gui.overlays import EDGE_PX

@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.look import QUANTITIES
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.surface.display_style import QUANTITIES
 from wafer_viewer.gui.colour_legend import SIGNED
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.guard import guarded
@@ -23,7 +23,7 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.draw.print_picture import Caption, ColourKey
+    from wafer_viewer.draw.print.print_figure import Caption, ColourKey
     from wafer_viewer.gui.scene import SceneView
 
 PRINT_WIDTH_PX = 3000
@@ -84,7 +84,7 @@ class PrintPicture:
             ) from fault
 
     def _keep(self, rendered: NDArray[np.uint8], um_per_pixel: float, whole: bool) -> None:
-        from wafer_viewer.draw.print_picture import DARK, LIGHT, png, print_picture
+        from wafer_viewer.draw.print.print_figure import DARK, LIGHT, png, print_picture
 
         page, snapshot, view = self._page, self._page.session.snapshot, self._page.view
         paper = DARK if view.dark else LIGHT
@@ -100,7 +100,7 @@ class PrintPicture:
         page.ask("The picture was not saved", page.session.papers.keep_picture(data), kept)
 
     def _key(self, view: View) -> ColourKey | None:
-        from wafer_viewer.draw.print_picture import ColourKey
+        from wafer_viewer.draw.print.print_figure import ColourKey
 
         scale, by = self._page.scale, self._page.coloured_by(view)
         if scale is None or by == "origin":
@@ -111,7 +111,7 @@ class PrintPicture:
 
 def caption_of(snapshot: Snapshot, view: View) -> Caption:
     """What stands below the picture."""
-    from wafer_viewer.draw.print_picture import Caption
+    from wafer_viewer.draw.print.print_figure import Caption
 
     data = snapshot.dataset
     drawn = "seen from above" if view.look == "plan" else f"z drawn × {number(view.exaggeration, 1).removesuffix('.0')}"

@@ -7,8 +7,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 
-from wafer_viewer.draw.profile_frame import Ends, ProfileFrame, frame_of
-from wafer_viewer.draw.profile_plot import profile_plot_html
+from wafer_viewer.draw.charts.profile_axes import Ends, ProfileFrame, frame_of
+from wafer_viewer.draw.charts.profile_plot import profile_plot_html
 from wafer_viewer.gui import plot_pointer as pointer
 from wafer_viewer.gui import profile_words as words
 from wafer_viewer.gui.bottom import BottomPanel

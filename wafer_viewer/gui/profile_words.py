@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.numbers import number, with_unit
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
+from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging
 from wafer_viewer.model.measurement.section_lines import LETTERS, Gap

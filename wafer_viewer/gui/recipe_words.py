@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import digits_of_u, number, with_unit
+from wafer_viewer.draw.number_format import digits_of_u, number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.dies_dialog import dies_dialog
 from wafer_viewer.gui.feature_dialog import feature_dialog

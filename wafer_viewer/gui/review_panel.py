@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import viser
 
-from wafer_viewer.draw.defect_looks import KINDS
+from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.gui import html, judging
 from wafer_viewer.gui.commands import Command, unless
 from wafer_viewer.gui.defect_items import chosen_defect

@@ -10,8 +10,8 @@ import viser
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wafer_viewer.draw import ground
-from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.surface import ground_plane
 from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Box, Group, closed, dashed, lines, lying, rectangle
 from wafer_viewer.gui.stage import Handle, Item
@@ -80,7 +80,7 @@ def _shadow(
     palette, pad = colours(dark), 0.14 * max(box[2] - box[0], box[3] - box[1])
     width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
     down = [(x * 1e-3 - box[0] + pad, box[3] + pad - y * 1e-3) for x, y in outline]
-    picture = ground.shadow(
+    picture = ground_plane.shadow(
         down, width, height, pad / 3,
         darkness=palette.shadow_strength * 0.9, shade=palette.shadow, long_side_px=640,
     )  # fmt: skip

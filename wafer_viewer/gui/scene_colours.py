@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from wafer_viewer.draw.colours import Rgb, rgb
+from wafer_viewer.draw.colormaps import Rgb, rgb
 
 
 @dataclass(frozen=True, slots=True)

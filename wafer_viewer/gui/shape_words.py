@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import whole
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth

@@ -10,10 +10,10 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.colours import Rgb
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.text import tag
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.raster_text import tag
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.stage import Handle
 
 Segments = NDArray[np.float32]

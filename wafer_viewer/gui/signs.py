@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.colours import Rgb
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.text import tag
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.raster_text import tag
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.gui.camera import Vector
 from wafer_viewer.gui.gaze import Gaze
 from wafer_viewer.gui.lie_of_land import Land

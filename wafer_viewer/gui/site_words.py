@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.colours import css_gradient
-from wafer_viewer.draw.numbers import THIN, number, share
-from wafer_viewer.draw.site_map import site_map_svg, spread_um
+from wafer_viewer.draw.charts.site_map import site_map_svg, spread_um
+from wafer_viewer.draw.colormaps import css_gradient
+from wafer_viewer.draw.number_format import THIN, number, share
 from wafer_viewer.gui import html
 from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 

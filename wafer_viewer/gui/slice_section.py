@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from wafer_viewer.draw.numbers import with_unit
+from wafer_viewer.draw.number_format import with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.kit import Cell, Field, set_prop
 from wafer_viewer.gui.page import Page

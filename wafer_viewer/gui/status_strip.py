@@ -6,7 +6,7 @@ import datetime
 
 import viser
 
-from wafer_viewer.draw.numbers import THIN, number, share
+from wafer_viewer.draw.number_format import THIN, number, share
 from wafer_viewer.gui import html, stitching_words
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.groove_svg import groove_svg
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.charts.groove_svg import groove_svg
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import averaging, whole
 from wafer_viewer.model.measurement.measurements import AnyFinding

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from wafer_viewer.draw.numbers import THIN, digits_of_u, number, with_unit
+from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.recipe_words import notes
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.page import Page
 from wafer_viewer.session.state import FieldState, OpenDataset, RigStatus, Snapshot

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from wafer_viewer.draw.numbers import NOTHING, number, share
+from wafer_viewer.draw.number_format import NOTHING, number, share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import UNIT_SIGNS
 from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method

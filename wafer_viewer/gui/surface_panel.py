@@ -8,8 +8,8 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.colours import COLOUR_MAPS
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.colormaps import COLOUR_MAPS
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.clip_section import ClipSection
 from wafer_viewer.gui.exchange_dialogs import export_dialog

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from wafer_viewer.draw.numbers import NOTHING, number, share, with_unit
+from wafer_viewer.draw.number_format import NOTHING, number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.quantity import Length

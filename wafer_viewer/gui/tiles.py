@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import viser
 
-from wafer_viewer.draw.colours import DIVERGING
-from wafer_viewer.draw.look import Light, Look
+from wafer_viewer.draw.colormaps import DIVERGING
+from wafer_viewer.draw.surface.display_style import Light, Look
 from wafer_viewer.gui.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
 from wafer_viewer.gui.sight import Sight
 from wafer_viewer.gui.stage import Cover, Handle, Item

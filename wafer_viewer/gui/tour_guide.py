@@ -12,8 +12,8 @@ from pathlib import Path
 
 import viser
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.numbers import duration, number, size, with_unit
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.number_format import duration, number, size, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.commands import Command
 from wafer_viewer.gui.exchange_dialogs import import_dialog

@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
-from wafer_viewer.draw.die_map import die_map_svg
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.charts.die_map import die_map_svg
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import reading, value_texts, with_unit_sign
 from wafer_viewer.model.job.verdict import Judged, WaferVerdict, Word

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from wafer_viewer.draw.focus_plot import focus_plot_html
-from wafer_viewer.draw.numbers import with_unit
-from wafer_viewer.draw.patch import Greys, greys, patch, patch_url
+from wafer_viewer.draw.charts.focus_curve_plot import focus_plot_html
+from wafer_viewer.draw.number_format import with_unit
+from wafer_viewer.draw.surface.pixel_patch import Greys, greys, patch, patch_url
 from wafer_viewer.gui import html
 from wafer_viewer.gui import why_words as words
 from wafer_viewer.gui.bottom import BottomPanel

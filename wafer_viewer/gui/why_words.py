@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import viser
 
-from wafer_viewer.draw.numbers import NOTHING, number, share, with_unit
+from wafer_viewer.draw.number_format import NOTHING, number, share, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.recipe_words import FOCUS
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Verdict

@@ -59,7 +59,7 @@ def _table(sections: Sequence[Section]) -> bytes:
 
 
 def _picture(sections: Sequence[Section]) -> bytes:
-    from wafer_viewer.draw.profile_picture import profile_png
+    from wafer_viewer.draw.print.profile_figure import profile_png
 
     return profile_png(sections)
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from wafer_viewer.draw.numbers import number, share, value_and_u
+from wafer_viewer.draw.number_format import number, share, value_and_u
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurement import Finding
 from wafer_viewer.model.measurement.measurements import AnyFinding

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.look import eight_bit
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.display_style import eight_bit
+from wafer_viewer.draw.surface.glb import painted
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf
 

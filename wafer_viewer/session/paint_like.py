@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.like import Range, greys_of, heights_of, picture_of
+from wafer_viewer.draw.surface.matched_pictures import Range, greys_of, heights_of, picture_of
 from wafer_viewer.measure.die_patches import (
     LEAST_ALIKE,
     Cut,

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from wafer_viewer.draw import ground as grounds
-from wafer_viewer.draw import mesh
-from wafer_viewer.draw.bake import Picture, bake
-from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes, point_codes
-from wafer_viewer.draw.colours import origin_table
-from wafer_viewer.draw.glb import painted
-from wafer_viewer.draw.shade import without_gaps
+from wafer_viewer.draw.colormaps import origin_table
+from wafer_viewer.draw.surface import ground_plane as grounds
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.clipping import CODES, DRAWN, clip_codes, point_codes
+from wafer_viewer.draw.surface.glb import painted
+from wafer_viewer.draw.surface.hillshade import without_gaps
+from wafer_viewer.draw.surface.texture_baking import Picture, bake
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.paint_refused import RefusedPoints, refused_in
 from wafer_viewer.session.paint_request import PaintRequest, pack_points

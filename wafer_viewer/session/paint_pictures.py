@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from wafer_viewer.draw.bake import bake, grey_image
-from wafer_viewer.draw.glb import jpeg
-from wafer_viewer.draw.look import Light, Look
-from wafer_viewer.draw.reduce import reduced
-from wafer_viewer.draw.shade import light_gain
+from wafer_viewer.draw.surface.block_mean import reduced
+from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.draw.surface.glb import jpeg
+from wafer_viewer.draw.surface.hillshade import light_gain
+from wafer_viewer.draw.surface.texture_baking import bake, grey_image
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.paint_request import PaintRequest
 from wafer_viewer.session.shelf import Shelf, levelled

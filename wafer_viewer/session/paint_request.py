@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.look import Form, Light, Look
-from wafer_viewer.draw.mesh import Skirts
+from wafer_viewer.draw.surface.display_style import Form, Light, Look
+from wafer_viewer.draw.surface.mesh import Skirts
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.clipping import Clip, LeftOut, Span
 from wafer_viewer.session.like_place import LikePlace

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from wafer_viewer.draw.clipping import CODES, DRAWN, clip_codes
+from wafer_viewer.draw.surface.clipping import CODES, DRAWN, clip_codes
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Span
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, pixel_window

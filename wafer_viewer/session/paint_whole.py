@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.bake import VALUES
-from wafer_viewer.draw.look import Form
-from wafer_viewer.draw.shade import light_gain, without_gaps
+from wafer_viewer.draw.surface.display_style import Form
+from wafer_viewer.draw.surface.hillshade import light_gain, without_gaps
+from wafer_viewer.draw.surface.texture_baking import VALUES
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
 from wafer_viewer.session.shelf import Shelf, at_level, coarse, coarse_level, levelled

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.draw.defect_map import defect_map_svg, kinds_text
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.pareto import pareto_svg
+from wafer_viewer.draw.charts.defect_map import defect_map_svg, kinds_text
+from wafer_viewer.draw.charts.pareto import pareto_svg
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.report import PART_TITLES, Figure, Holds, Pairs, Section, Table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.draw.numbers import digits_of_u, number, share
+from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
@@ -77,7 +77,7 @@ def _of_feature(n: int, item: Judged) -> Sheet:
 
 
 def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
-    from wafer_viewer.draw.die_map import die_map_svg
+    from wafer_viewer.draw.charts.die_map import die_map_svg
 
     if not judged.dies:
         return ()
@@ -147,7 +147,7 @@ def profiles(material: Material) -> Section:
 
 def _curve(material: Material, finding: AnyFinding, line: Region) -> Figure | None:
     """Cut again where and how it was cut; None where the surface is not there any more."""
-    from wafer_viewer.draw.profile_svg import profile_svg
+    from wafer_viewer.draw.charts.profile_svg import profile_svg
     from wafer_viewer.measure.levelled import levelled
     from wafer_viewer.measure.profile import profile
     from wafer_viewer.model.measurement.sections import Section as Cut

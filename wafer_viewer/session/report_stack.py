@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 from collections.abc import Iterator
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.die_stack import die_stack_svg
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.die_stack import die_stack_svg
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.report import Figure
 from wafer_viewer.session.report_material import Material

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, cast
 
-from wafer_viewer.draw.numbers import duration, number, share, size, with_unit
+from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import Job, ScanPlan
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result

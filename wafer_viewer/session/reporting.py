@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from wafer_viewer._version import __version__
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job.review_notes import keys_of_features, keys_under_review
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent

@@ -6,8 +6,8 @@ import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from wafer_viewer.draw.symbols import symbol
-from wafer_viewer.draw.wafer_map import Frame, Outline
+from wafer_viewer.draw.charts.symbols import symbol
+from wafer_viewer.draw.charts.wafer_map import Frame, Outline
 
 _LEAST_SEEN_PX = 5.0
 """A view narrower than this is drawn as a cross: its frame would be a dot."""

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import BRUSH, PROFILE_COLOURS
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.profile_frame import ProfileFrame, digits, dots, runs
+from wafer_viewer.draw.charts.profile_axes import ProfileFrame, digits, dots, runs
+from wafer_viewer.draw.colormaps import BRUSH, PROFILE_COLOURS
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.measurement.sections import Section, SlabPoints
 
 LEFT_PX, RIGHT_PX, TOP_PX, FOOT_PX = 58, 14, 8, 40

@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from wafer_viewer.draw.wafer_map import Box, Frame
+from wafer_viewer.draw.charts.wafer_map import Box, Frame
 from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.job.verdict import JudgedDie
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.measurement.step import StepProfile
 
 WIDTH, HEIGHT = 372, 118

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.profile_frame import ProfileFrame, digits, frame_of, runs
+from wafer_viewer.draw.charts.profile_axes import ProfileFrame, digits, frame_of, runs
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.measurement.sections import Section
 
 WIDTH, HEIGHT = 680, 210

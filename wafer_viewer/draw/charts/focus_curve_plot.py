@@ -6,7 +6,7 @@ in a stretched SVG and words beside it in shares of its sides, so the drawing is
 
 from __future__ import annotations
 
-from wafer_viewer.draw.numbers import number, share, with_unit
+from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival
 

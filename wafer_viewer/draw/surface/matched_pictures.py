@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.colours import table
-from wafer_viewer.draw.glb import jpeg
-from wafer_viewer.draw.shade import light_gain, shade, without_gaps
+from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.surface.glb import jpeg
+from wafer_viewer.draw.surface.hillshade import light_gain, shade, without_gaps
 
 Plane = NDArray[np.float32]
 COLOURS = "mako"

@@ -8,8 +8,8 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Collection, Sequence
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.symbols import symbol
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
 from wafer_viewer.model.region import Region

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from wafer_viewer.draw.defect_looks import KINDS
-from wafer_viewer.draw.symbols import symbol
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.charts.symbols import symbol
 from wafer_viewer.model.inspection.defect import DefectClass
 
 _ROW_PX, _SIGN_PX, _NAME_PX, _NUMBER_PX = 20, 16, 100, 36

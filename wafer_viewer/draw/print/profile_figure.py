@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw
 
-from wafer_viewer.draw.colours import PROFILE_COLOURS, Rgb, rgb
-from wafer_viewer.draw.numbers import number, with_unit
-from wafer_viewer.draw.profile_frame import Ends, ProfileFrame, digits, frame_of, runs
-from wafer_viewer.draw.text import font, length_px, write
+from wafer_viewer.draw.charts.profile_axes import Ends, ProfileFrame, digits, frame_of, runs
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, Rgb, rgb
+from wafer_viewer.draw.number_format import number, with_unit
+from wafer_viewer.draw.raster_text import font, length_px, write
 from wafer_viewer.model.measurement.sections import Section
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
 

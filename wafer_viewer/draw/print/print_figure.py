@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from wafer_viewer.draw.colours import Rgb, rgb, table
-from wafer_viewer.draw.numbers import number
-from wafer_viewer.draw.text import font, length_px, write
+from wafer_viewer.draw.colormaps import Rgb, rgb, table
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.raster_text import font, length_px, write
 from wafer_viewer.draw.ticks import length_text, round_length, tick_digits, ticks
 
 FOOT_SHARE, LETTER_SHARE = 0.042, 0.0125

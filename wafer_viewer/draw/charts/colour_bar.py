@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wafer_viewer.draw.colours import ELSEWHERE, ORIGIN_COLOURS, css_gradient
-from wafer_viewer.draw.numbers import number
+from wafer_viewer.draw.colormaps import ELSEWHERE, ORIGIN_COLOURS, css_gradient
+from wafer_viewer.draw.number_format import number
 from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from wafer_viewer.draw.numbers import number, value_and_u
+from wafer_viewer.draw.number_format import number, value_and_u
 from wafer_viewer.draw.ticks import tick_digits, ticks
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.run_chart import ChartPoint, RunChart

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from wafer_viewer.draw.colours import Rgb
+from wafer_viewer.draw.colormaps import Rgb
 
 LINE_PX = 96
 """Height of a text picture."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.draw.wafer_map import MOST_SINGLE, Frame, Outline
+from wafer_viewer.draw.charts.wafer_map import MOST_SINGLE, Frame, Outline
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.draw.clipping import depth_shade
-from wafer_viewer.draw.colours import BRUSH, ELSEWHERE, origin_table, rgb, table
-from wafer_viewer.draw.look import Form, Light, Look, Plane, Quantity
-from wafer_viewer.draw.shade import Shading, shade, without_gaps
+from wafer_viewer.draw.colormaps import BRUSH, ELSEWHERE, origin_table, rgb, table
+from wafer_viewer.draw.surface.clipping import depth_shade
+from wafer_viewer.draw.surface.display_style import Form, Light, Look, Plane, Quantity
+from wafer_viewer.draw.surface.hillshade import Shading, shade, without_gaps
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 
 Picture = NDArray[np.uint8]

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import html
 
-from wafer_viewer.draw.colours import table
-from wafer_viewer.draw.numbers import THIN, number
+from wafer_viewer.draw.colormaps import table
+from wafer_viewer.draw.number_format import THIN, number
 from wafer_viewer.model.measurement.site_range import Site, SiteRanges
 
 _WIDTH, _GAP = 360.0, 0.04

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFilter
 
-from wafer_viewer.draw.colours import Rgb
-from wafer_viewer.draw.text import font, write
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.raster_text import font, write
 
 Picture = NDArray[np.uint8]
 

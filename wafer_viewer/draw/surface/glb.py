@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from wafer_viewer.draw.mesh import Mesh
-from wafer_viewer.draw.tone import GAIN, to_texture
+from wafer_viewer.draw.surface.mesh import Mesh
+from wafer_viewer.draw.surface.tone_curve import GAIN, to_texture
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]
 _JPEG_QUALITY, _WEBP_QUALITY = 93, 92

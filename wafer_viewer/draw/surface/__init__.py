@@ -1,0 +1,1 @@
+"""Meshes, textures and shading of height maps."""
