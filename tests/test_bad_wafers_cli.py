@@ -16,7 +16,7 @@ from wafer_viewer.measure.die_grid import find_dies
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--size-um", "173", "121")
 GAP = Region.rectangle(700, 500, 1100, 900)

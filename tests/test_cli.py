@@ -13,7 +13,7 @@ import pytest
 import tifffile
 
 from wafer_viewer.cli.app import COMMANDS
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = pytest.mark.slow
 

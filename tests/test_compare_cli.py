@@ -12,7 +12,7 @@ import pytest
 import wafer_viewer as wv
 from tests.reconstruct.compared import a_texture, taken, tilted, with_bump
 from tests.session.compared_datasets import BUMP_UM, SHIFT_UM, two_datasets
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 pytestmark = pytest.mark.slow
 

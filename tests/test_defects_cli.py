@@ -17,10 +17,10 @@ from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as spec_replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.defect_recipes import save_defect_recipe
-from wafer_viewer.store.golden import open_golden, save_golden
-from wafer_viewer.store.klarf_reading import read_klarf
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.defect_recipes import save_defect_recipe
+from wafer_viewer.store.records.golden_dies import open_golden, save_golden
+from wafer_viewer.store.tables.klarf_reader import read_klarf
 
 WAFER = Wafer(unmeasured_fraction=0.0)
 AT_UM = (480.0, 420.0)
@@ -139,7 +139,7 @@ def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path
 def dataset(folder: Path) -> Path:
     """A dataset of product LX-7, with a golden die and a recipe that names it beside."""
     from wafer_viewer.session.surface_import import import_surface
-    from wafer_viewer.store.record import read_record, write_record
+    from wafer_viewer.store.dataset.scan_record import read_record, write_record
 
     path = import_surface(folder / "bumped.npz", folder / "w7.wafer")
     record = read_record(path)

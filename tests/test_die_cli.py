@@ -11,7 +11,7 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.spec import encode, replace
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 GIVEN = ("--pitch-um", 201.3, 147.7, "--origin-um", 31.7, 22.9, "--size-um", 173, 121)
 

@@ -9,8 +9,8 @@ import pytest
 
 from tests.store.samples import CALIBRATION, make_surface
 from wafer_viewer.cli.app import main
-from wafer_viewer.store.exporters import export
-from wafer_viewer.store.readers import read_surface
+from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.readers import read_surface
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ from tests.measure.gauge_repeats import record
 from tests.session.gauge_scans import CALIBRATION, CORNERS, RIG, scan_of_blocks, surface
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.calibrations import calibration_in_force
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.gauge_log import GAUGE_LOG, sign
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.calibrations import calibration_in_force
+from wafer_viewer.store.records.gauge_checks import GAUGE_LOG, sign
 
 CERTIFICATE = Path(__file__).parents[1] / "assets" / "gauge" / "step.toml"
 CHECK = ("--certificate", str(CERTIFICATE), "--field", "1", *CORNERS)

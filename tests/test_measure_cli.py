@@ -11,7 +11,7 @@ import pytest
 
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
 from wafer_viewer.cli.app import COMMANDS, main
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 TILT, RADIUS_UM, FOOT_UM = 0.02, 60.0, 25.0
 TOP_UM = RADIUS_UM - np.sqrt(RADIUS_UM**2 - FOOT_UM**2)

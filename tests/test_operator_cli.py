@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.store.record import read_record, write_record
+from wafer_viewer.store.dataset.scan_record import read_record, write_record
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from tests.measure.surfaces import coordinates, surface_of
 from wafer_viewer.cli.app import main
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 
 @pytest.fixture(scope="module")

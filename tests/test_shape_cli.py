@@ -8,7 +8,7 @@ import pytest
 
 from tests.browser.shaped_session import DIE_X_UM, DIE_Y_UM, PITCH_Y_UM, bumped_dies
 from wafer_viewer.cli.app import main
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 KERF = ("--region", -40, -86, 39, -35)
 

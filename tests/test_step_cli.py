@@ -8,7 +8,7 @@ import pytest
 
 from tests.measure.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.cli.app import main
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 UPPER, LOWER = (-150, -50, -40, 50), (40, -50, 150, 50)
 

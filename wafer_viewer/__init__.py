@@ -84,17 +84,17 @@ if TYPE_CHECKING:
     from wafer_viewer.rigs.config import RigConfig
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session
-    from wafer_viewer.store.certificates import read_certificate
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.defect_recipes import read_defect_recipe, save_defect_recipe
-    from wafer_viewer.store.exporters import export, write_surface
-    from wafer_viewer.store.golden import open_golden, save_golden
-    from wafer_viewer.store.importers import import_dataset, open_stack
-    from wafer_viewer.store.klarf import write_klarf
-    from wafer_viewer.store.klarf_reading import read_klarf
-    from wafer_viewer.store.npz import read_npz
-    from wafer_viewer.store.readers import read_surface
-    from wafer_viewer.store.training import write_training_set
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
+    from wafer_viewer.store.formats.exporters import export, write_surface
+    from wafer_viewer.store.formats.npz_file import read_npz
+    from wafer_viewer.store.formats.readers import read_surface
+    from wafer_viewer.store.records.certificates import read_certificate
+    from wafer_viewer.store.records.defect_recipes import read_defect_recipe, save_defect_recipe
+    from wafer_viewer.store.records.golden_dies import open_golden, save_golden
+    from wafer_viewer.store.tables.klarf_reader import read_klarf
+    from wafer_viewer.store.tables.klarf_writer import write_klarf
+    from wafer_viewer.store.tables.training_set import write_training_set
 
 __all__ = [
     "AreaVolume",

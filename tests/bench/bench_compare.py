@@ -26,8 +26,8 @@ from tests.bench.tables import met, show
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import Comparison, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import write_mosaic
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 QUICK_PX = 2048
 SHIFT_UM, HIGHER_UM, TILT_MRAD, PAD_UM, PAD_PX, NOISE_UM = (7.3, -4.1), 1.2, 0.05, 3.0, 120, 0.05

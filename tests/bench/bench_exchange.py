@@ -23,9 +23,9 @@ sys.path.insert(0, str(ROOT))
 
 from tests.bench.big_mosaic import BLOCKS_PX, RESULT, big_dataset  # noqa: E402
 from wafer_viewer.model.file_formats import FORMATS, READ  # noqa: E402
-from wafer_viewer.store.dataset import Dataset  # noqa: E402
-from wafer_viewer.store.exporters import export  # noqa: E402
-from wafer_viewer.store.readers import read_surface  # noqa: E402
+from wafer_viewer.store.dataset.dataset import Dataset  # noqa: E402
+from wafer_viewer.store.formats.exporters import export  # noqa: E402
+from wafer_viewer.store.formats.readers import read_surface  # noqa: E402
 
 QUICK_PX = 1024
 SLOWEST_S = 600

@@ -26,7 +26,7 @@ from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic, Provenance
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 QUICK_PX = 2048
 CALIBRATION = Calibration(

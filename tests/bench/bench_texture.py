@@ -22,7 +22,7 @@ from tests.bench.texture_peers import PIXEL_UM, as_map
 from wafer_viewer.measure.roughness import roughness
 from wafer_viewer.measure.texture import texture
 from wafer_viewer.model.region import Region
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 ROUNDS = 5
 QUICK_PX, QUICK_SIDE_PX = 2048, 400

@@ -30,9 +30,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.stitching import bring_up_to_date, compare_pairs, draw_patch, register_pairs
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import patches
-from wafer_viewer.store.mosaic_layout import SHARD
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.mosaic.layout import SHARD
+from wafer_viewer.store.mosaic.zarr_mosaic import patches
 
 WAFER_UM = 300_000.0
 RUNS = 3

@@ -35,8 +35,8 @@ from wafer_viewer.rigs.virtual.optics import Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import DatasetWriter
 
 ROWS, COLS, PIXEL_UM, OVERLAP = 1080, 1440, 0.46729, 0.12
 RESULT, RECIPE, WORKERS = "bench", Recipe(), 2

@@ -21,10 +21,10 @@ from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, Scan
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.session.summary import save_summary, summarise
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.journal import Finished, JournalWriter
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.journal import Finished, JournalWriter
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 PIXEL_UM = 0.46729
 FIELD_ROWS, FIELD_COLS = 1080, 1440

@@ -31,8 +31,8 @@ from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scene import SCENES
 from wafer_viewer.rigs.virtual.sensor import Sensor
-from wafer_viewer.store.mosaic import ZarrMosaic, write_mosaic
-from wafer_viewer.store.npz import read_npz, write_npz
+from wafer_viewer.store.formats.npz_file import read_npz, write_npz
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, write_mosaic
 
 LEAST_PX, MOST_FALSE = 8, 2
 ON_DIES = "die", "die's edge", "trench"

@@ -34,7 +34,7 @@ from wafer_viewer.reconstruct.poses import solve_heights
 from wafer_viewer.reconstruct.register import register
 from wafer_viewer.reconstruct.seams import compare
 from wafer_viewer.reconstruct.stitch import Eyes, find_poses
-from wafer_viewer.store.mosaic import write_mosaic
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")
 STORE = "blend, pyramid and store"

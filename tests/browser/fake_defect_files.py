@@ -17,7 +17,7 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.session.defect_files import SAME_PLACE_UM, DefectFiles
 from wafer_viewer.session.defect_shelf import DefectShelf
 from wafer_viewer.session.other_tool import laid_over
-from wafer_viewer.store.klarf import write_klarf
+from wafer_viewer.store.tables.klarf_writer import write_klarf
 
 
 def a_shelf() -> DefectShelf:

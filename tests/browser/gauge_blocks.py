@@ -17,8 +17,8 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.rigs.virtual.rig import SETUP
 from wafer_viewer.session.stitching import bring_up_to_date
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 
 ROWS, COLS, PIXEL_UM = 480, 700, 1.1
 STEP_UM, NOISE_UM = 399.92, 0.4

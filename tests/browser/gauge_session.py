@@ -53,7 +53,7 @@ class FakeGauge(Recording):
         self._session = session
 
     def load_certificate(self, path: Path) -> Future[Certificate]:
-        from wafer_viewer.store.certificates import read_certificate
+        from wafer_viewer.store.records.certificates import read_certificate
 
         try:
             read = read_certificate(path)

@@ -11,10 +11,10 @@ from tests.browser.steps import eventually, notes, press, text_field, type_into
 from tests.measure.noisy_wafer import Planted, wafer
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.defect_recipes import defect_recipes
-from wafer_viewer.store.golden import open_golden
-from wafer_viewer.store.klarf_reading import read_klarf
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.defect_recipes import defect_recipes
+from wafer_viewer.store.records.golden_dies import open_golden
+from wafer_viewer.store.tables.klarf_reader import read_klarf
 
 pytestmark = [
     pytest.mark.browser,

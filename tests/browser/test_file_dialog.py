@@ -22,9 +22,9 @@ from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.exporters import export
-from wafer_viewer.store.golden import save_golden
-from wafer_viewer.store.readers import read_surface
+from wafer_viewer.store.formats.exporters import export
+from wafer_viewer.store.formats.readers import read_surface
+from wafer_viewer.store.records.golden_dies import save_golden
 
 pytestmark = [
     pytest.mark.browser,

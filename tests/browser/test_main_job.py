@@ -24,7 +24,7 @@ from tests.browser.steps import (
     type_into,
 )
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = [
     pytest.mark.browser,

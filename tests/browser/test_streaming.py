@@ -22,7 +22,7 @@ from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.session.painter import Painter, PaintRequest
 from wafer_viewer.session.questions import ReadOut
 from wafer_viewer.session.summary import load_summary
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = [
     pytest.mark.browser,

@@ -12,10 +12,10 @@ from playwright.sync_api import Page, expect
 from tests.browser.steps import eventually, notes, press, text_field
 from tests.measure.noisy_wafer import Planted, wafer
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import read_inspection
-from wafer_viewer.store.klarf_reading import read_klarf
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.inspection_file import read_inspection
+from wafer_viewer.store.tables.klarf_reader import read_klarf
 
 pytestmark = [
     pytest.mark.browser,

@@ -16,7 +16,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.steps import eventually, notes, press, title_is
 from tests.session.conftest import small_job
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = [
     pytest.mark.browser,

@@ -12,7 +12,7 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.measure.one_sided import REFUSED, site_ranges
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
-from wafer_viewer.store.npz import write_npz
+from wafer_viewer.store.formats.npz_file import write_npz
 
 SHAPE = 200, 300
 SITE_UM = 100 * PIXEL_UM

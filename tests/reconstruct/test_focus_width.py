@@ -19,7 +19,7 @@ from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.judge import TOO_WIDE
 from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.tune import settle
-from wafer_viewer.store.importers import open_stack
+from wafer_viewer.store.dataset.stack_import import open_stack
 
 SEEDS = (4, 11, 13, 17, 1002, 1003)
 """Where an unbounded width was 1.2 to 2.7 depths of field, and 0.7 to 33 % of the heights false, 8.9 % on average."""

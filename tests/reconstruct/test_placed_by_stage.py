@@ -19,7 +19,7 @@ from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.remarks import BY_STAGE_ALONE
 from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.session.placement import stitching_info
-from wafer_viewer.store.importers import import_dataset
+from wafer_viewer.store.dataset.stack_import import import_dataset
 
 SHAPE = (120, 140)
 PITCH = (95, 112)

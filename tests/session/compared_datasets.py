@@ -12,8 +12,8 @@ from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.stitching import bring_up_to_date
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 
 RECIPE = Recipe(stitching=Stitching(poses="stage"))
 SHIFT_UM, BUMP_UM = (6.0, -4.0), 2.0

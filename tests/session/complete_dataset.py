@@ -20,10 +20,10 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.offline import make_surface
 from wafer_viewer.session.subtraction import keep_difference
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import write_inspection
-from wafer_viewer.store.notebook import write_notebook
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.records.inspection_file import write_inspection
+from wafer_viewer.store.records.review_notes import write_notebook
 
 ROWS, COLS, N_FRAMES, PIXEL_UM = 80, 120, 12, 0.5
 UPPER, LOWER = Region.rectangle(5, -15, 15, 15), Region.rectangle(25, -15, 35, 15)

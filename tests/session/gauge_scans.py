@@ -9,8 +9,8 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 
 RIG, RESULT = "Virtual rig", "default"
 UPPER, LOWER = Region.rectangle(-150, -50, -10, 50), Region.rectangle(10, -50, 150, 50)

@@ -7,9 +7,9 @@ from pathlib import Path
 from tests.truth.field_grid import Made
 from wafer_viewer.model.acquisition.plan import FocusSweep, Job, ScanPlan
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 
 REGISTERED = Recipe(stitching=Stitching(poses="registered", blend="confidence"))
 RESULT = "default"

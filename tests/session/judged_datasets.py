@@ -18,9 +18,9 @@ from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.summary import save_summary, summarise
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 RESULT = "default"
 RECIPE = replace(SETTLED, stitching=Stitching(search_um=20.0, stage_error_um=2.0, z_error_um=1.0, tilt_error=1e-4))

@@ -19,8 +19,8 @@ import pytest
 from tests.session import crew_tasks
 from wafer_viewer.compute.task_runner import crew_for
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.importers import import_dataset
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.stack_import import import_dataset
 
 pytestmark = pytest.mark.slow
 

@@ -11,7 +11,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import Face, SurfaceName, show_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.subtraction import face_of, opened, subtract
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 NAME = "difference-after"
 

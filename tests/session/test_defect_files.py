@@ -27,10 +27,10 @@ from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.other_tool import compared, lattice_for
 from wafer_viewer.session.seat import seat
 from wafer_viewer.session.state import Snapshot
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import read_inspection, write_inspection
-from wafer_viewer.store.klarf import write_klarf
-from wafer_viewer.store.klarf_reading import read_klarf
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
+from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.tables.klarf_writer import write_klarf
 
 FOUND = inspection(defect(1, "1,1", 300.0, 400.0), defect(2, "1,1", 500.0, 300.0))
 

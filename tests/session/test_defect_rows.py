@@ -25,7 +25,7 @@ from wafer_viewer.session.defect_rows import in_order
 from wafer_viewer.session.defect_work import inspect_dataset
 from wafer_viewer.session.given_dies import GivenDies
 from wafer_viewer.session.offline import Hire
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 DULL = DefectRecipe(sensitivity=0.25)
 

@@ -35,9 +35,9 @@ from wafer_viewer.session.like_place import Seen, SideBySide
 from wafer_viewer.session.paint_request import Source
 from wafer_viewer.session.painter import Painter, paint_from_store
 from wafer_viewer.session.state import DatasetEntry, Snapshot
-from wafer_viewer.store.golden import save_golden
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+from wafer_viewer.store.records.golden_dies import save_golden
 
 WAFER = Wafer(rows=310, cols=420, noise_um=0.05, noise_grey=2.0)
 GRID = replace(WAFER.grid, cols=4, rows=4)

@@ -17,9 +17,9 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.library import Library
 from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.state import Snapshot
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import read_inspection, write_inspection
-from wafer_viewer.store.lock import Lock
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
 
 FOUND = inspection(defect(1, "0,0", 100.0, 80.0), defect(2, "1,0", 400.0, 300.0))
 

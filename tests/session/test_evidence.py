@@ -11,8 +11,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.evidence import focus_curve
 from wafer_viewer.session.questions import Questions
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.importers import import_dataset
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.stack_import import import_dataset
 
 ROWS, COLS, FRAMES = 64, 96, 9
 BEST = {1: 3, 2: 5}

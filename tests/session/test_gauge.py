@@ -24,16 +24,16 @@ from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.scanning import writer_of
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import RigStatus, Snapshot
-from wafer_viewer.store.calibrations import (
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.calibrations import (
     CALIBRATIONS,
     CalibrationChange,
     calibration_changes,
     calibration_in_force,
     record_change,
 )
-from wafer_viewer.store.certificates import read_certificate
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.gauge_log import signed_checks
+from wafer_viewer.store.records.certificates import read_certificate
+from wafer_viewer.store.records.gauge_checks import signed_checks
 
 CERTIFICATE = Path(__file__).parents[2] / "assets" / "gauge" / "step.toml"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = pytest.mark.slow
 

@@ -17,12 +17,12 @@ from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.session.summary import load_summary
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import read_inspection
-from wafer_viewer.store.integrity import UNKNOWN, check_files
-from wafer_viewer.store.mosaic_layout import FILLS, levels_of
-from wafer_viewer.store.notebook import read_notebook, write_notebook
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.integrity import UNKNOWN, check_files
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.mosaic.layout import FILLS, levels_of
+from wafer_viewer.store.records.inspection_file import read_inspection
+from wafer_viewer.store.records.review_notes import read_notebook, write_notebook
 
 FLIPS = 6
 """Bits flipped in each file, one at a time."""

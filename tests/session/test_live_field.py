@@ -12,8 +12,8 @@ from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import DatasetWriter
 
 ROWS, COLS, FRAMES = 64, 96, 14
 

@@ -13,7 +13,7 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.notebook import NotebookKeeper, NotebookVerbs
 from wafer_viewer.session.papers import Papers
 from wafer_viewer.session.state import Snapshot
-from wafer_viewer.store.notebook import read_notebook
+from wafer_viewer.store.records.review_notes import read_notebook
 
 VIEW = SavedView(position_mm=(0.0, -3.0, 2.0), look_at_mm=(0.0, 0.0, 0.0), range_um=(-1.5, 9.0))
 

@@ -13,7 +13,7 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.record_book import RecordBook
 from wafer_viewer.session.state import Snapshot
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.result import Result
 
 
 class Desk:

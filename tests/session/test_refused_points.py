@@ -25,8 +25,8 @@ from wafer_viewer.session.paint_refused import PlacedField, placed_fields, point
 from wafer_viewer.session.paint_request import PaintRequest, Refused, Source, Statistics, unpack_points
 from wafer_viewer.session.painting import paint
 from wafer_viewer.session.stitching import bring_up_to_date
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.npz import read_npz, write_npz
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 
 PIXEL, ROWS, COLS = 0.5, 60, 80
 HOLE = np.s_[10:20, 30:50]

@@ -21,8 +21,8 @@ from wafer_viewer.session.messages import Move
 from wafer_viewer.session.reopening import KEPT_IN, NAME
 from wafer_viewer.session.session import Session
 from wafer_viewer.session.state import Typed
-from wafer_viewer.store.lock import Lock
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 
 HALF = Typed('{"exposures_us": "quick"}', "The exposures read 'quick'.")
 
@@ -235,7 +235,7 @@ def test_who_comes_after_the_first_has_ended_remembers_again(program, second):
 def test_a_program_that_was_killed_holds_nothing(program):
     held = program.folder / KEPT_IN
     held.mkdir()
-    take = "import sys, pathlib; from wafer_viewer.store.lock import Lock; Lock.take(pathlib.Path(sys.argv[1]))"
+    take = "import sys, pathlib; from wafer_viewer.store.dataset.lock import Lock; Lock.take(pathlib.Path(sys.argv[1]))"
     wait = "; print('held', flush=True); sys.stdin.read()"
     with subprocess.Popen([sys.executable, "-c", take + wait, held], stdin=-1, stdout=-1) as other:
         assert other.stdout.readline() == b"held\n"

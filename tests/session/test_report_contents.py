@@ -22,10 +22,10 @@ from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.finding_numbers import numbers_of
 from wafer_viewer.session.reporting import make_report, report_of
-from wafer_viewer.store import digests
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.digests import digests_of_result
-from wafer_viewer.store.report import report_html
+from wafer_viewer.store.dataset import digests
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.digests import digests_of_result
+from wafer_viewer.store.records.report_file import report_html
 
 FACE = Region.rectangle(-50, -30, -10, 30)
 KINDS = (

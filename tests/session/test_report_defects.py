@@ -12,9 +12,9 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.report import ReportOrder, Section
 from wafer_viewer.session.reporting import contents, report_of
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.defects import write_inspection
-from wafer_viewer.store.report import report_html
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.inspection_file import write_inspection
+from wafer_viewer.store.records.report_file import report_html
 
 ORDER = ReportOrder(parts=("defects",))
 

@@ -28,11 +28,11 @@ from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session import report_results, reporting
 from wafer_viewer.session.reporting import contents, gather, make_report, report_of
 from wafer_viewer.session.summary import save_summary, summarise
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.notebook import write_notebook
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
-from wafer_viewer.store.report import report_html
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+from wafer_viewer.store.records.report_file import report_html
+from wafer_viewer.store.records.review_notes import write_notebook
 
 UPPER, LOWER = Region.rectangle(-60, -30, -20, 30), Region.rectangle(20, -30, 60, 30)
 

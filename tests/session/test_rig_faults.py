@@ -7,7 +7,7 @@ import pytest
 from wafer_viewer.rigs.config import RigConfig
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.session.session import Session
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from wafer_viewer.session.drafting import plan_of
 from wafer_viewer.session.messages import FieldComplete, Paused, Scan, ScanEnded, ScanFault, Taken
 from wafer_viewer.session.scan_watch import Steering, clipped_fraction, order_of_fields
 from wafer_viewer.session.scanning import take, writer_of
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 
 class Grey:

@@ -16,8 +16,8 @@ from wafer_viewer.model.measurement.sections import OtherSurface, SectionAsked
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.measuring import Measuring
 from wafer_viewer.session.sections import Sections
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import write_mosaic
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 LINE = Region.line(-15, 0, 15, 0)
 FIELDS = FieldGrid(rows=1, cols=1, field_width_um=40, field_height_um=30).centred_on(0, 0).fields()

@@ -8,8 +8,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.summary import load_summary, save_summary, summarise
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 
 def flat(z_um, *, x0_um=0.0, y0_um=0.0, shape=(40, 60), noise_um=0.0):

@@ -15,8 +15,8 @@ from wafer_viewer.session.offline import file_or_mosaic, measured_surface
 from wafer_viewer.session.offline import make_surface as make_again
 from wafer_viewer.session.reporting import contents, report_of
 from wafer_viewer.session.surface_import import import_surface
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.exporters import export
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.formats.exporters import export
 
 
 def imported(tmp_path, ending=".x3p", **provenance):

@@ -5,17 +5,17 @@ from __future__ import annotations
 import pytest
 
 from tests.store.samples import Source, make_surface
-from wafer_viewer.store import mosaic_layout
-from wafer_viewer.store.mosaic import write_mosaic
+from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 
 @pytest.fixture(scope="module")
 def small_shards():
     """Shards of 64 pixels, so that a small surface has many of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mosaic_layout, "SHARD", 64)
-        patch.setattr(mosaic_layout, "CHUNK", 16)
-        patch.setattr(mosaic_layout, "COARSEST_PX", 40)
+        patch.setattr(layout, "SHARD", 64)
+        patch.setattr(layout, "CHUNK", 16)
+        patch.setattr(layout, "COARSEST_PX", 40)
         yield
 
 

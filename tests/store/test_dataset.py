@@ -15,10 +15,10 @@ from tests.store.samples import CALIBRATION, COLS, ROWS, SUMMARY, all_shots, mak
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store import pages
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.lock import holder_of
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset import frame_pages
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import holder_of
+from wafer_viewer.store.dataset.writer import DatasetWriter
 
 
 def scanned(path, shots=None, *, job=None, **about):
@@ -103,15 +103,15 @@ def test_the_disk_space_is_claimed_before_the_scan(tmp_path):
 
 
 def test_large_fields_become_big_tiffs(tmp_path):
-    shape = pages.PageShape(n_pages=3000, rows=1080, cols=1440, bits=8)
+    shape = frame_pages.PageShape(n_pages=3000, rows=1080, cols=1440, bits=8)
     tifffile.imwrite(
         tmp_path / "sparse.tif", shape=(shape.n_pages, shape.rows, shape.cols), dtype=shape.dtype, metadata=None
     )
     image = make_image(Shot(1, 1), 1080, 1440)
-    pages.PageWriter(tmp_path / "sparse.tif", shape).write(2999, image)
+    frame_pages.PageWriter(tmp_path / "sparse.tif", shape).write(2999, image)
     with tifffile.TiffFile(tmp_path / "sparse.tif") as file:
         assert file.is_bigtiff
-    np.testing.assert_array_equal(pages.map_pages(tmp_path / "sparse.tif", shape)[2999], image)
+    np.testing.assert_array_equal(frame_pages.map_pages(tmp_path / "sparse.tif", shape)[2999], image)
 
 
 def test_sixteen_bits_are_kept(tmp_path):
@@ -263,7 +263,7 @@ def test_one_writer_at_a_time(tmp_path):
 
 def test_the_lock_of_a_killed_process_is_taken_over(tmp_path):
     scanned(tmp_path / "a.wafer")
-    code = "import os, sys; from pathlib import Path; from wafer_viewer.store.lock import Lock; "
+    code = "import os, sys; from pathlib import Path; from wafer_viewer.store.dataset.lock import Lock; "
     code += "Lock.take(Path(sys.argv[1])); os.kill(os.getpid(), 9)"
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.wafer")], check=False)
     assert b"pid" in (tmp_path / "a.wafer/lock").read_bytes()

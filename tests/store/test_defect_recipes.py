@@ -14,7 +14,7 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.defect_recipes import (
+from wafer_viewer.store.records.defect_recipes import (
     defect_recipes,
     delete_defect_recipe,
     read_defect_recipe,

@@ -6,7 +6,7 @@ import csv
 import io
 
 from tests.store.inspections import defect, inspection
-from wafer_viewer.store.defects_csv import COLUMNS, defects_csv
+from wafer_viewer.store.tables.defects_csv import COLUMNS, defects_csv
 
 
 def test_a_line_for_each_with_its_u_and_whose_word_it_is():

@@ -12,9 +12,9 @@ from tests.store.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.store.exporters import EXPORTERS, caveats, export
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.npz import read_npz
+from wafer_viewer.store.formats.exporters import EXPORTERS, caveats, export
+from wafer_viewer.store.formats.npz_file import read_npz
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 TEXTS = [ending for ending in EXPORTERS if ending not in (".npz", ".glb")]
 

@@ -9,7 +9,7 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import AreaVolume, Distance, Findings, StepHeight, Texture
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
-from wafer_viewer.store.findings_csv import findings_csv
+from wafer_viewer.store.tables.measurements_csv import findings_csv
 
 SQUARE = Region.rectangle(0, 0, 10, 20)
 STEP = {

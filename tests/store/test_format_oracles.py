@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.store.test_formats import letter_f
-from wafer_viewer.store.exporters import EXPORTERS, export
-from wafer_viewer.store.readers import read_surface
+from wafer_viewer.store.formats.exporters import EXPORTERS, export
+from wafer_viewer.store.formats.readers import read_surface
 
 PLACE = {"pixel_um": 0.5, "x0_um": 1000.25, "y0_um": 2000.75}
 LOW, HIGH = (1000.25, 1971.25, 0.0), (1039.75, 2000.75, 40.915)

@@ -16,9 +16,9 @@ from tests.store.samples import CALIBRATION, assert_same_surface, make_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import FORMATS, MESHES, READ, every_for
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.store.exporters import EXPORTERS, density, export, losses
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.readers import READERS, is_surface_file, read_surface
+from wafer_viewer.store.formats.exporters import EXPORTERS, density, export, losses
+from wafer_viewer.store.formats.readers import READERS, is_surface_file, read_surface
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 NEARLY = {".gsf": 2e-6, ".csv": 6e-6, ".xyz": 6e-6}
 """How far heights of some um come back off, um, in formats that do not keep all digits."""

@@ -12,7 +12,7 @@ import pytest
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.spec import replace
-from wafer_viewer.store.golden import every_golden, golden_named, list_golden, open_golden, save_golden
+from wafer_viewer.store.records.golden_dies import every_golden, golden_named, list_golden, open_golden, save_golden
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.files import natural
-from wafer_viewer.store.journal import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
+from wafer_viewer.store.dataset.journal import FaultNoted, FrameKept, JournalReader, JournalWriter, Missed, Repaired
+from wafer_viewer.store.io.atomic_files import natural
 
 NUMBERS = st.floats(-1e6, 1e6)
 COUNTS = st.integers(0, 2**31)

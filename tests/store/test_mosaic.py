@@ -19,8 +19,8 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.numerics.grids.pyramid_level import halve
-from wafer_viewer.store import mosaic_layout
-from wafer_viewer.store.mosaic import (
+from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.zarr_mosaic import (
     ZarrMosaic,
     lay_out,
     patches,
@@ -28,7 +28,7 @@ from wafer_viewer.store.mosaic import (
     write_patch,
 )
 
-SIZES = mosaic_layout.CHUNK, mosaic_layout.SHARD
+SIZES = layout.CHUNK, layout.SHARD
 pytestmark = pytest.mark.usefixtures("small_shards")
 
 
@@ -244,11 +244,11 @@ def all_of(stored, level):
 def test_each_layer_is_an_image_of_the_format(stored):
     models = pytest.importorskip("ome_zarr_models.v05")
     root = zarr.open_group(stored.path, mode="r")
-    assert {name for name, _ in root.members()} == {*mosaic_layout.FILLS, "facts"}
-    for name in mosaic_layout.FILLS:
+    assert {name for name, _ in root.members()} == {*layout.FILLS, "facts"}
+    for name in layout.FILLS:
         image = models.Image.from_zarr(root[name])
         scales = [d.coordinateTransformations for d in image.attributes.ome.multiscales[0].datasets]
-        assert len(scales) == (stored.levels - 1 if name in mosaic_layout.SPANS else stored.levels)
+        assert len(scales) == (stored.levels - 1 if name in layout.SPANS else stored.levels)
 
 
 def test_other_programs_may_write_shards_that_we_read(stored, tmp_path, surface):

@@ -15,7 +15,7 @@ from tests.store.samples import Source, assert_same_surface
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin, Provenance
-from wafer_viewer.store.mosaic import Patch, ZarrMosaic, patches, rewrite_header, write_mosaic, write_patch
+from wafer_viewer.store.mosaic.zarr_mosaic import Patch, ZarrMosaic, patches, rewrite_header, write_mosaic, write_patch
 
 pytestmark = pytest.mark.usefixtures("small_shards")
 

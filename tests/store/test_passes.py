@@ -10,11 +10,11 @@ import pytest
 from tests.store.samples import make_frame, make_job, make_plan
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.plan import Shot
-from wafer_viewer.store import journal
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.passes import check_passes
-from wafer_viewer.store.record import JOURNAL
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset import journal
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.passes import check_passes
+from wafer_viewer.store.dataset.scan_record import JOURNAL
+from wafer_viewer.store.dataset.writer import DatasetWriter
 
 N, PERIOD_US = 40, 17_000
 WITHOUT_CHECKSUM = re.compile(rb',"crc32c":"[0-9a-f]{8}"}')

@@ -11,7 +11,7 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
-from wafer_viewer.store.poses import read_poses, write_poses, write_poses_csv
+from wafer_viewer.store.mosaic.poses_file import read_poses, write_poses, write_poses_csv
 
 NUMBERS = np.random.default_rng(1)
 

@@ -7,9 +7,9 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.measurements import Findings, Length, Profile
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import write_mosaic
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 
 @pytest.fixture

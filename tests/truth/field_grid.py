@@ -25,7 +25,7 @@ from tests.truth.grid_fields import simulated
 from tests.truth.grid_truth import PIXEL_UM, SMALL, Grid, Numbers, Truth, truth_of
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.npz import read_npz, write_npz
+from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 
 __all__ = ["PIXEL_UM", "SMALL", "Grid", "Made", "Truth", "make", "simulated", "truth_of"]
 HOME = Path(tempfile.gettempdir()) / "wafer-viewer-grids"

@@ -188,8 +188,8 @@ def import_(
     """
     from wafer_viewer.model.file_formats import Reading
     from wafer_viewer.session.surface_import import import_surface
-    from wafer_viewer.store.importers import import_dataset
-    from wafer_viewer.store.readers import is_surface_file
+    from wafer_viewer.store.dataset.stack_import import import_dataset
+    from wafer_viewer.store.formats.readers import is_surface_file
 
     require_sources(src)
     if len(src) == 1 and is_surface_file(src[0]):
@@ -224,10 +224,10 @@ def check(dataset: DatasetFolder) -> int:
         dataset: The dataset.
     """
     from wafer_viewer.model.errors import DatasetError
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.digests import digests_of_result, digests_of_scan
-    from wafer_viewer.store.integrity import check_files
-    from wafer_viewer.store.passes import check_passes
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
+    from wafer_viewer.store.dataset.integrity import check_files
+    from wafer_viewer.store.dataset.passes import check_passes
 
     with progress("Check") as tell:
         try:

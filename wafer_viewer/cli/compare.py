@@ -53,7 +53,7 @@ def compare(
 
 def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, out: Path | None) -> Comparison:
     from wafer_viewer.session.subtraction import compare_files, keep_difference
-    from wafer_viewer.store.exporters import export, losses, require_known
+    from wafer_viewer.store.formats.exporters import export, losses, require_known
 
     if out is not None and not out.suffix:
         if Path(one.path).suffix != ".wafer" or out.name != str(out):

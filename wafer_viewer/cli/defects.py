@@ -105,7 +105,7 @@ def _recipe(
     path: Path | None, wafer: Wafer, src: Path, sensitivity: float | None, limits: DefectLimits
 ) -> DefectRecipe:
     """The recipe of a file, else that kept beside the dataset for its product, which is told; flags go before it."""
-    from wafer_viewer.store.defect_recipes import read_defect_recipe
+    from wafer_viewer.store.records.defect_recipes import read_defect_recipe
 
     own = read_defect_recipe(path) if path is not None else _of_product(wafer, src)
     dial = own.sensitivity if sensitivity is None else sensitivity
@@ -113,7 +113,7 @@ def _recipe(
 
 
 def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
-    from wafer_viewer.store.defect_recipes import readable_recipes
+    from wafer_viewer.store.records.defect_recipes import readable_recipes
 
     product = product_of(wafer.job) if wafer.job is not None else ""
     kept, problems = readable_recipes(src.absolute().parent) if product else ((), ())
@@ -128,7 +128,7 @@ def _of_product(wafer: Wafer, src: Path) -> DefectRecipe:
 
 def _golden(path: Path | None, against: str, recipe: DefectRecipe, src: Path) -> GoldenDie | None:
     """The golden die of a file, else the one that the recipe names, beside the dataset."""
-    from wafer_viewer.store.golden import FOLDER, golden_named, open_golden
+    from wafer_viewer.store.records.golden_dies import FOLDER, golden_named, open_golden
 
     if path is not None and against == "form":
         raise MeasureError("A golden die is compared die by die: leave --golden or --against form out.")
@@ -145,7 +145,7 @@ def _files(wafer: Wafer, found: Inspection, asked: dict[Handover, Path | None]) 
 
 def _require_readable(other: Path | None) -> None:
     """A file that is refused is refused before the search, which takes its time."""
-    from wafer_viewer.store.klarf_reading import read_klarf
+    from wafer_viewer.store.tables.klarf_reader import read_klarf
 
     if other is not None:
         read_klarf(other)
@@ -161,7 +161,7 @@ def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any
 
 def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path | None) -> dict[str, str]:
     from wafer_viewer.measure.defects import golden_of_surface
-    from wafer_viewer.store.golden import save_golden
+    from wafer_viewer.store.records.golden_dies import save_golden
 
     if path is None:
         return {}

@@ -123,7 +123,7 @@ def measure_rr(
     """
     from wafer_viewer.measure.repeatability import gauge_rr, study_rr
     from wafer_viewer.session.repeat_study import studies_of
-    from wafer_viewer.store.study import read_study
+    from wafer_viewer.store.tables.study_csv import read_study
 
     if len(src) == 1 and src[0].suffix.lower() == ".csv":
         print_json(_rr_facts(gauge_rr(read_study(src[0]), method=method, tolerance=tolerance)))

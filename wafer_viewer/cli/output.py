@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from wafer_viewer.session.doctor import Check
     from wafer_viewer.session.preflight import Check as LookedAt
     from wafer_viewer.session.state import SurfaceInfo
-    from wafer_viewer.store.dataset import CheckReport, Dataset
-    from wafer_viewer.store.digests import Digest
-    from wafer_viewer.store.integrity import KindReport
-    from wafer_viewer.store.passes import PassReport
+    from wafer_viewer.store.dataset.dataset import CheckReport, Dataset
+    from wafer_viewer.store.dataset.digests import Digest
+    from wafer_viewer.store.dataset.integrity import KindReport
+    from wafer_viewer.store.dataset.passes import PassReport
 
 NAMED = 20
 """Missing or damaged frames that are named one by one."""
@@ -135,7 +135,7 @@ def print_files(kinds: Iterable[KindReport]) -> None:
 
 
 def _without_checksum(title: str) -> str:
-    from wafer_viewer.store.integrity import UNKNOWN
+    from wafer_viewer.store.dataset.integrity import UNKNOWN
 
     unknown, older = "of no kind that Wafer Viewer writes", "without a checksum (made by an older version)"
     return unknown if title == UNKNOWN else older

@@ -57,7 +57,7 @@ def reconstruct(
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
     from wafer_viewer.session.offline import Hire, surface_of
-    from wafer_viewer.store.exporters import require_known
+    from wafer_viewer.store.formats.exporters import require_known
 
     require_sources(src)
     require_known(out)
@@ -163,7 +163,7 @@ def convert(
     """
     from wafer_viewer.model.file_formats import Reading
     from wafer_viewer.session.offline import file_or_mosaic
-    from wafer_viewer.store.exporters import density, require_known
+    from wafer_viewer.store.formats.exporters import density, require_known
 
     require_known(out)
     if every is not None and max_points is not None:
@@ -177,7 +177,7 @@ def convert(
 
 def _write(surface: Mosaic, out: Path, every: int | None = None) -> None:
     """Write a surface to a file; what it cannot hold goes to standard error."""
-    from wafer_viewer.store.exporters import density, export, losses
+    from wafer_viewer.store.formats.exporters import density, export, losses
 
     every = every or density(surface, out)
     with progress("Writing") as tell:

@@ -19,7 +19,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from wafer_viewer.compute.dask_cluster import SETTINGS
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.store.files import writing
+from wafer_viewer.store.io.atomic_files import writing
 
 AUTHORITY, CERTIFICATE, KEY, CONFIGURATION = "authority.pem", "certificate.pem", "key.pem", "dask.yaml"
 VALID_DAYS = 3650

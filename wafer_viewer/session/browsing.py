@@ -254,7 +254,7 @@ class Browsing:
         return self._looking.submit(self._look, path)
 
     def _look(self, path: Path) -> bytes:
-        from wafer_viewer.store.previews import preview
+        from wafer_viewer.store.dataset.previews import preview
 
         if not self.allowed(path):
             return b""
@@ -273,7 +273,7 @@ class Browsing:
 
     def remember(self, kind: KindName, path: Path) -> None:
         """Note what was taken, so that it is offered first the next time."""
-        from wafer_viewer.store.files import write_text
+        from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
             kept = self._remembered()
@@ -348,7 +348,7 @@ def kind_of(ending: str) -> str:
 
 
 def _key(order: Order) -> Callable[[FileEntry], tuple[bool, float, list[str | int]]]:
-    from wafer_viewer.store.files import natural
+    from wafer_viewer.store.io.atomic_files import natural
 
     def key(entry: FileEntry) -> tuple[bool, float, list[str | int]]:
         name = natural(entry.path.name)

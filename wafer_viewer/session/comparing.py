@@ -154,7 +154,7 @@ def _of(name: SurfaceName, heights: Any) -> SurfaceName:
 
 def _surfaces_of(path: Path, field: int, same: bool) -> list[SurfaceName]:
     """The surfaces of a dataset that can be compared: stitched ones; of the same dataset, the same field of others."""
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     try:
         dataset = Dataset.open(path)
@@ -170,7 +170,7 @@ def _surfaces_of(path: Path, field: int, same: bool) -> list[SurfaceName]:
 
 def _outdated(folder: Path, comparison: Comparison) -> bool:
     from wafer_viewer.session.subtraction import made_at
-    from wafer_viewer.store.result import COMPARISON
+    from wafer_viewer.store.dataset.result import COMPARISON
 
     made = (folder / COMPARISON).stat().st_mtime
     try:

@@ -144,7 +144,7 @@ class Conductor:
 
     def start_scan(self, name: str | None) -> Future[Path]:
         """Take the plan into a new dataset."""
-        from wafer_viewer.store.files import require_space
+        from wafer_viewer.store.io.atomic_files import require_space
 
         self.rig.require_idle("start another")
         job, plan = self.drafting.ready()
@@ -299,7 +299,7 @@ def _sample_of(now: Snapshot) -> Sample | None:
 
 def _made(folder: Path) -> Path:
     """The data folder, made at need."""
-    from wafer_viewer.store.files import writing
+    from wafer_viewer.store.io.atomic_files import writing
 
     if folder.exists() and not folder.is_dir():
         raise DatasetError(f"{folder} is a file: choose a folder for the datasets.")

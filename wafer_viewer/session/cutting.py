@@ -45,7 +45,7 @@ def require_known(ending: str) -> None:
 
 def write_sections(sections: Sequence[Section], path: Path) -> None:
     """Write sections to a file, whole or not at all; its ending picks the format."""
-    from wafer_viewer.store.files import replacing
+    from wafer_viewer.store.io.atomic_files import replacing
 
     content = file_of(sections, path.suffix)
     with replacing(path) as beside:
@@ -53,7 +53,7 @@ def write_sections(sections: Sequence[Section], path: Path) -> None:
 
 
 def _table(sections: Sequence[Section]) -> bytes:
-    from wafer_viewer.store.profile_csv import profiles_csv
+    from wafer_viewer.store.tables.profile_csv import profiles_csv
 
     return profiles_csv(sections, __version__).encode()
 

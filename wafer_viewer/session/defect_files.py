@@ -35,8 +35,8 @@ class DefectFilesKeeper:
 
     def refresh(self) -> None:
         """List recipes and golden dies anew."""
-        from wafer_viewer.store.defect_recipes import readable_recipes
-        from wafer_viewer.store.golden import FOLDER, every_golden
+        from wafer_viewer.store.records.defect_recipes import readable_recipes
+        from wafer_viewer.store.records.golden_dies import FOLDER, every_golden
 
         recipes, problems = readable_recipes(self._folder)
         golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
@@ -44,7 +44,7 @@ class DefectFilesKeeper:
 
     def save_recipe(self, recipe: DefectRecipe) -> Path:
         """Keep a recipe under its product and name."""
-        from wafer_viewer.store.defect_recipes import save_defect_recipe
+        from wafer_viewer.store.records.defect_recipes import save_defect_recipe
 
         path = save_defect_recipe(self._folder, recipe)
         self.refresh()
@@ -52,14 +52,14 @@ class DefectFilesKeeper:
 
     def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
         """Give a kept recipe another name."""
-        from wafer_viewer.store.defect_recipes import rename_defect_recipe
+        from wafer_viewer.store.records.defect_recipes import rename_defect_recipe
 
         rename_defect_recipe(self._folder, recipe, name)
         self.refresh()
 
     def delete_recipe(self, recipe: DefectRecipe) -> None:
         """Remove a kept recipe."""
-        from wafer_viewer.store.defect_recipes import delete_defect_recipe
+        from wafer_viewer.store.records.defect_recipes import delete_defect_recipe
 
         delete_defect_recipe(self._folder, recipe)
         self.refresh()
@@ -71,7 +71,7 @@ class DefectFilesKeeper:
 
     def add_golden(self, path: Path) -> GoldenHeader:
         """Keep a copy of a golden die from a file as the next version of its name; one of the shelf stays as it is."""
-        from wafer_viewer.store.golden import ENDING, FOLDER, header_of, open_golden, save_golden
+        from wafer_viewer.store.records.golden_dies import ENDING, FOLDER, header_of, open_golden, save_golden
 
         folder = self._folder / FOLDER
         if path.absolute().parent == folder.absolute():

@@ -18,15 +18,15 @@ Handover = Literal["klarf", "csv", "training"]
 
 def write_klarf(wafer: Wafer, found: Inspection, path: Path) -> Path:
     """KLARF 1.2."""
-    from wafer_viewer.store.klarf import write_klarf
+    from wafer_viewer.store.tables.klarf_writer import write_klarf
 
     return write_klarf(found, path, wafer.sample, center_um=wafer.center_um)
 
 
 def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
     """A table for a spreadsheet."""
-    from wafer_viewer.store.defects_csv import defects_csv
-    from wafer_viewer.store.files import write_text
+    from wafer_viewer.store.io.atomic_files import write_text
+    from wafer_viewer.store.tables.defects_csv import defects_csv
 
     write_text(path, defects_csv(found))
     return path
@@ -34,7 +34,7 @@ def write_csv(wafer: Wafer, found: Inspection, path: Path) -> Path:
 
 def write_training(wafer: Wafer, found: Inspection, path: Path) -> Path:
     """A folder of cut-outs with the classes given by the rules and by people."""
-    from wafer_viewer.store.training import write_training_set
+    from wafer_viewer.store.tables.training_set import write_training_set
 
     return write_training_set(found, wafer.surface, path)
 
@@ -78,7 +78,7 @@ def keep_golden(
     cannot be written to; MeasureError where there are no dies, or too few of them.
     """
     from wafer_viewer.measure.defects import golden_of_surface
-    from wafer_viewer.store.golden import FOLDER, save_golden
+    from wafer_viewer.store.records.golden_dies import FOLDER, save_golden
 
     wafer, found = _inspected(dataset, result, same_surface=True)
     if found.grid is None:
@@ -91,7 +91,7 @@ def _inspected(dataset: Path, result: str, *, same_surface: bool) -> tuple[Wafer
     """The surface and what was found on it; same_surface: it must be the one that was inspected."""
     from wafer_viewer.session.defect_offline import wafer_of
     from wafer_viewer.session.defect_work import mosaic_mark
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     wafer = wafer_of(dataset, result)
     if (found := wafer.before) is None:

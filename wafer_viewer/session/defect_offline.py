@@ -20,7 +20,7 @@ from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.session.defect_work import NOT_BY_DIES
 from wafer_viewer.session.given_dies import GivenDies, dies_or_why
 from wafer_viewer.session.offline import Hire, is_dataset, measured_surface
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 CLUSTER_PAYS_PX = 60_000_000
 """Of a surface: from there on workers of one's own are sooner done, though they take a while to start."""
@@ -43,7 +43,7 @@ class Wafer:
 
 def wafer_of(src: Path, result: str) -> Wafer:
     """The stitched surface of a dataset, or that of a file. Raises DatasetError where there is none."""
-    from wafer_viewer.store.defects import read_inspection
+    from wafer_viewer.store.records.inspection_file import read_inspection
 
     surface, calibrated = measured_surface(src, 0, result)
     if not is_dataset(src):
@@ -70,7 +70,7 @@ def inspected(
     can be said.
     """
     from wafer_viewer.measure.defects import inspect
-    from wafer_viewer.store.defects import carry_over
+    from wafer_viewer.store.records.inspection_file import carry_over
 
     known = replace(recipe, product=recipe.product or wafer.sample.product)
     grid, no_dies = None, NOT_BY_DIES

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.compute.task_runner import Crew, Done, Here
 from wafer_viewer.model.progress import ShouldStop, never
-from wafer_viewer.store.files import remove
-from wafer_viewer.store.planes import read_planes, write_planes
+from wafer_viewer.store.io.atomic_files import remove
+from wafer_viewer.store.mosaic.array_bundle import read_planes, write_planes
 
 if TYPE_CHECKING:
     from wafer_viewer.measure.defect_cells import CellResult, Work

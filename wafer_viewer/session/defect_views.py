@@ -196,7 +196,7 @@ def _known(path: Path) -> Job | None:
 
 @lru_cache(maxsize=2048)
 def _job_of(path: Path) -> Job:
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     return Dataset.open(path).scan.job
 

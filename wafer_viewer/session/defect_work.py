@@ -20,8 +20,8 @@ from wafer_viewer.session.library import today
 
 if TYPE_CHECKING:
     from wafer_viewer.model.surface.height_map import Mosaic
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.result import Result
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.result import Result
 
 Against = Literal["dies", "form"]
 """Each die with the others, or with a golden one; or all of the surface with a form fitted to it."""
@@ -51,8 +51,8 @@ def inspect_dataset(
     Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
     from wafer_viewer.measure.defects import inspect
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.golden import FOLDER, golden_named
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
     data = Dataset.open(dataset)
     kept = data.result(result)

@@ -42,7 +42,7 @@ class DefectKeeper:
 
     def open(self) -> None:
         """Read what was found on the surface being looked at; the search on another one is given up."""
-        from wafer_viewer.store.defects import read_inspection
+        from wafer_viewer.store.records.inspection_file import read_inspection
 
         of = self._looked_at
         if self._work and of != self._of:
@@ -121,7 +121,7 @@ class DefectKeeper:
 
     def _take_over(self, found: Inspection) -> None:
         """Keep it, with what people thought of the same places before."""
-        from wafer_viewer.store.defects import carry_over, write_inspection
+        from wafer_viewer.store.records.inspection_file import carry_over, write_inspection
 
         before = self._history.value
         inspection = found if before is None else carry_over(before, found)
@@ -129,7 +129,7 @@ class DefectKeeper:
         self._history.restart(inspection)
 
     def _save(self) -> None:
-        from wafer_viewer.store.defects import write_inspection
+        from wafer_viewer.store.records.inspection_file import write_inspection
 
         if (inspection := self._history.value) is not None:
             write_inspection(self._library.result.path, inspection)

@@ -176,7 +176,7 @@ class Drafting:
 
     def save(self, path: Path | None) -> Path:
         """Write the job to PLAN.toml: beside the datasets when no path is given."""
-        from wafer_viewer.store.files import write_text
+        from wafer_viewer.store.io.atomic_files import write_text
 
         job = self._job()
         target = path or self._folder / f"{suggested_name(job)}{PLAN_ENDING}"

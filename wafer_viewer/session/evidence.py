@@ -16,8 +16,8 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.placement import as_stitched
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.result import Result
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.result import Result
 
 
 def focus_curve(
@@ -39,7 +39,7 @@ def focus_curve(
     Raises DatasetError when no field holds the place or its frames are not there.
     """
     from wafer_viewer.reconstruct import why
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
     kept = data.result(result)

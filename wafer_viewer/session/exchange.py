@@ -22,7 +22,7 @@ class Exchange:
 
     def is_surface(self, path: Path) -> bool:
         """Whether a path names a surface file, and no dataset and no images."""
-        from wafer_viewer.store.readers import is_surface_file
+        from wafer_viewer.store.formats.readers import is_surface_file
 
         return is_surface_file(Path(path))
 

@@ -44,7 +44,7 @@ class Source:
 def source_of(src: Path, field_number: int, result: str) -> Source:
     """The surface of a dataset (0: the mosaic) or of a file. Raises DatasetError when it cannot be read."""
     from wafer_viewer.session.offline import is_dataset, measured_surface
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     surface, calibrated = measured_surface(src, field_number, result)
     if is_dataset(src):

@@ -55,7 +55,7 @@ class GaugeKeeper:
 
     def load_certificate(self, path: Path) -> Certificate:
         """Take up the certificate in a file."""
-        from wafer_viewer.store.certificates import read_certificate
+        from wafer_viewer.store.records.certificates import read_certificate
 
         certificate = read_certificate(path)
         self.put_certificate(certificate)
@@ -91,7 +91,7 @@ class GaugeKeeper:
 
     def sign(self, operator: str) -> GaugeRecord:
         """Keep the check under a name: in the log of the data folder, and as a result of the open dataset."""
-        from wafer_viewer.store.gauge_log import sign
+        from wafer_viewer.store.records.gauge_checks import sign
 
         state, shown = self.state, self._library.shown
         if state.signed is not None:
@@ -167,7 +167,7 @@ class GaugeKeeper:
         )
 
     def _records(self, certificate: Certificate | None) -> tuple[GaugeRecord, ...]:
-        from wafer_viewer.store.gauge_log import signed_checks
+        from wafer_viewer.store.records.gauge_checks import signed_checks
 
         if certificate is None:
             return ()

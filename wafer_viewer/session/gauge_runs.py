@@ -14,10 +14,10 @@ from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session import gauge_check as work
 from wafer_viewer.session.gauge_state import Faces
 from wafer_viewer.session.offline import is_dataset
-from wafer_viewer.store.certificates import read_certificate
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.gauge_log import sign, signed_checks
-from wafer_viewer.store.lock import Lock
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.records.certificates import read_certificate
+from wafer_viewer.store.records.gauge_checks import sign, signed_checks
 
 
 class History(Spec, frozen=True, kw_only=True):

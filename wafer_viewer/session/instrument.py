@@ -173,7 +173,7 @@ class Instrument:
 
     def _calibration(self, event: RigReady) -> Calibration | None:
         """What the rig came with, or what it was corrected to since."""
-        from wafer_viewer.store.calibrations import calibration_in_force
+        from wafer_viewer.store.records.calibrations import calibration_in_force
 
         try:
             return calibration_in_force(self._desk.now.data_folder, event.name, event.calibration)

@@ -19,8 +19,8 @@ from wafer_viewer.session.notices import Notices
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.result import Result
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.result import Result
 
 FILE = "verdict.json"
 Subject = tuple[Path, str, int]
@@ -70,7 +70,7 @@ class Judge:
 
 def kept_verdict(result: Result) -> WaferVerdict | None:
     """The verdict that was kept on this very surface of a result, if there is one."""
-    from wafer_viewer.store.checksums import load_json
+    from wafer_viewer.store.io.checksums import load_json
 
     path = result.path / FILE
     if not (path.exists() and result.has_mosaic):
@@ -85,7 +85,7 @@ def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
     Raises MeasureError where the job has no feature with a place, DatasetError without a stitched surface.
     """
     from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
-    from wafer_viewer.store.checksums import save_json
+    from wafer_viewer.store.io.checksums import save_json
 
     job, mosaic = data.scan.job, result.mosaic()
     require_features(job)

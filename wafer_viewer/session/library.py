@@ -14,9 +14,9 @@ from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.state import DatasetEntry, FieldState, OpenDataset, SurfaceInfo
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.lock import Lock
-    from wafer_viewer.store.result import Result
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.lock import Lock
+    from wafer_viewer.store.dataset.result import Result
 
 ENDING = ".wafer"
 DEFAULT_RESULT = "default"
@@ -60,7 +60,7 @@ class Library:
 
     def open(self, path: Path, *, taking: bool = False) -> None:
         """Open a dataset, to write where no other process does. taking: our own rig holds it and writes frames."""
-        from wafer_viewer.store.dataset import Dataset
+        from wafer_viewer.store.dataset.dataset import Dataset
 
         dataset = Dataset.open(path)
         self.close()
@@ -97,7 +97,7 @@ class Library:
 
     def hold(self) -> str | None:
         """Take the dataset's lock; returns why it can only be read, or None."""
-        from wafer_viewer.store.lock import Lock
+        from wafer_viewer.store.dataset.lock import Lock
 
         self.let_go()
         try:
@@ -186,7 +186,7 @@ def free_name(folder: Path, wish: str) -> str:
 
 def _entry(path: Path) -> DatasetEntry | None:
     """A line of the list; None for a folder that only looks like a dataset, or one being made."""
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     try:
         dataset = Dataset.open(path)

@@ -24,7 +24,7 @@ class NotebookKeeper:
 
     def open(self) -> None:
         """Read the notebook of the result being looked at; an empty one without a dataset."""
-        from wafer_viewer.store.notebook import read_notebook
+        from wafer_viewer.store.records.review_notes import read_notebook
 
         shown = self._desk.now.dataset
         self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
@@ -80,7 +80,7 @@ class NotebookKeeper:
         self._save()
 
     def _save(self) -> None:
-        from wafer_viewer.store.notebook import write_notebook
+        from wafer_viewer.store.records.review_notes import write_notebook
 
         write_notebook(self._library.result.path, self._history.value)
         self._show()

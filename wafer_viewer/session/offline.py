@@ -23,11 +23,11 @@ from wafer_viewer.session.state import SurfaceInfo
 from wafer_viewer.session.stitching import bring_up_to_date
 from wafer_viewer.session.summary import summarise
 from wafer_viewer.session.tasks import reconstruct_field
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.importers import open_stack
-from wafer_viewer.store.lock import Lock
-from wafer_viewer.store.poses import write_poses_csv
-from wafer_viewer.store.readers import is_surface_file, read_surface
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.stack_import import open_stack
+from wafer_viewer.store.formats.readers import is_surface_file, read_surface
+from wafer_viewer.store.mosaic.poses_file import write_poses_csv
 
 Warn = Callable[[str], None]
 READ_SHARE = 0.3

@@ -31,7 +31,7 @@ def laid_over(
 
     Raises DatasetError for what `read_klarf` refuses, dies of another pitch, and a distance that is none.
     """
-    from wafer_viewer.store.klarf_reading import read_klarf
+    from wafer_viewer.store.tables.klarf_reader import read_klarf
 
     if within_um <= 0:
         raise DatasetError(f"The same place is within {within_um:g} um: give more than 0.")

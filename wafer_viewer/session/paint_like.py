@@ -135,7 +135,7 @@ def _of_golden(folder: Path, like: LikePlace, surface: Mosaic, patch: Patch, own
 
 def _golden(folder: Path, like: LikePlace, surface: Mosaic) -> GoldenDie:
     """The stored golden die. Raises DatasetError where it is gone, MeasureError where it does not fit."""
-    from wafer_viewer.store.golden import FOLDER, golden_named
+    from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
     golden = golden_named(folder / FOLDER, like.golden, like.product)
     if like.grid is None:

@@ -63,7 +63,7 @@ def placed_fields(source: Source) -> list[PlacedField]:
     A comparison and a surface from a file have none. Raises DatasetError when the dataset cannot be read.
     """
     from wafer_viewer.session.sheets import FieldOutline
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     dataset = Dataset.open(source.dataset)
     result, by_number = dataset.result(source.result), {field.number: field for field in dataset.fields}

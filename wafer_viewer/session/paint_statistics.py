@@ -20,7 +20,7 @@ from wafer_viewer.session.paint_refused import count_refused
 from wafer_viewer.session.paint_request import Brushed, PaintRequest, Statistics
 from wafer_viewer.session.shelf import Shelf, Window, at_level, levelled
 from wafer_viewer.session.summary import unmeasured_reasons
-from wafer_viewer.store.mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 MOST_POINTS = 8_000_000
 """More points than these are read as means of blocks: the painter has tiles to make as well."""

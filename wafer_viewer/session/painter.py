@@ -132,7 +132,7 @@ def _fields(source: Source) -> list[PlacedField]:
 
 @lru_cache(maxsize=12)
 def _surface(source: Source) -> Mosaic:
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     if source.show < 0:
         from wafer_viewer.session.subtraction import face_of
@@ -146,7 +146,7 @@ def _surface(source: Source) -> Mosaic:
 @lru_cache(maxsize=2)
 def _stacks(source: Source) -> list[FieldStack]:
     from wafer_viewer.session.placement import as_stitched
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     dataset = Dataset.open(source.dataset)
     if source.show:

@@ -51,7 +51,7 @@ class Papers:
         return written
 
     def _keep_picture(self, png: bytes) -> Path:
-        from wafer_viewer.store.files import replacing
+        from wafer_viewer.store.io.atomic_files import replacing
 
         path = free_path(self._library.shown.path, PICTURE, ".png")
         with replacing(path) as beside:

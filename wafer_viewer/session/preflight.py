@@ -12,7 +12,7 @@ from wafer_viewer.model.acquisition.plan import Job, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.session.state import LatestFrame, Snapshot
-from wafer_viewer.store.files import size
+from wafer_viewer.store.io.atomic_files import size
 
 State = Literal["ok", "attention", "stop"]
 ROOM_FOR_SURFACES = 0.25

@@ -108,8 +108,8 @@ class RecordBook:
 
     def export(self, path: Path) -> Path:
         """Write the list as CSV."""
-        from wafer_viewer.store.files import write_text
-        from wafer_viewer.store.findings_csv import findings_csv
+        from wafer_viewer.store.io.atomic_files import write_text
+        from wafer_viewer.store.tables.measurements_csv import findings_csv
 
         write_text(path, findings_csv(Findings(items=self._items.value)))
         return path

@@ -17,8 +17,8 @@ from wafer_viewer.session.judging import verdict_of
 from wafer_viewer.session.releases import blank, free_place, prepared, released, revised
 from wafer_viewer.session.revision import datasets_of, try_job
 from wafer_viewer.session.summary import load_summary
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.lock import Lock
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
 
 
 def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:

@@ -90,7 +90,7 @@ def require_as_released(before: Job | None, after: Job | None) -> None:
 
 def write_released(folder: Path, job: Job) -> Path:
     """Keep a released job under its product and revision. Raises PlanError where that revision is there already."""
-    from wafer_viewer.store.files import write_text, writing
+    from wafer_viewer.store.io.atomic_files import write_text, writing
 
     path = free_place(folder, job)
     with writing(path.parent):

@@ -21,7 +21,7 @@ from wafer_viewer.model.spec import decode, encode
 from wafer_viewer.session.state import Snapshot, Typed
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.lock import Holder, Lock
+    from wafer_viewer.store.dataset.lock import Holder, Lock
 
 KEPT_IN, NAME = ".wafer-viewer", "session.json"
 VERSION = 1
@@ -81,8 +81,8 @@ class Reopening:
 
         A folder that cannot be written to is no reason: what is open is not remembered then, as the log says.
         """
-        from wafer_viewer.store.files import writing
-        from wafer_viewer.store.lock import Lock, holder_of
+        from wafer_viewer.store.dataset.lock import Lock, holder_of
+        from wafer_viewer.store.io.atomic_files import writing
 
         folder = self._path.parent
         try:
@@ -131,7 +131,7 @@ class Reopening:
 
     def write(self) -> None:
         """Write now what waits to be written."""
-        from wafer_viewer.store.files import write_text
+        from wafer_viewer.store.io.atomic_files import write_text
 
         with self._writing:
             kept, self._waiting = self._waiting, None

@@ -16,7 +16,7 @@ from wafer_viewer.session.drafting import read_job
 from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.revision import datasets_of, judged_places
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
 
 NOBODY = "not named"
 """The appraiser of scans whose operator was not given."""

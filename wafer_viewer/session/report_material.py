@@ -17,8 +17,8 @@ from wafer_viewer.session.report_words import regions
 from wafer_viewer.session.state import SurfaceInfo
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.result import Result
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.result import Result
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Material:
     @property
     def pictures(self) -> list[Path]:
         """The pictures beside the dataset, in the order of their numbers."""
-        from wafer_viewer.store.files import natural
+        from wafer_viewer.store.io.atomic_files import natural
 
         path = self.dataset.path
         return sorted(path.parent.glob(f"{path.stem}-picture-*.png"), key=lambda p: natural(p.name))
@@ -76,9 +76,9 @@ class Material:
 def gather(folder: Path, result_name: str) -> Material:
     """Read what a report needs of a dataset. Raises DatasetError when the folder is none."""
     from wafer_viewer.session.summary import load_summary
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.defects import read_inspection
-    from wafer_viewer.store.notebook import read_notebook
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.records.inspection_file import read_inspection
+    from wafer_viewer.store.records.review_notes import read_notebook
 
     dataset = Dataset.open(folder)
     result = dataset.result(result_name)

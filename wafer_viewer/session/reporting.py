@@ -86,7 +86,7 @@ def make_report(
 
     Raises DatasetError when the folder is no dataset or `out` cannot be written, ComputeError when the work is stopped.
     """
-    from wafer_viewer.store.report import write_report
+    from wafer_viewer.store.records.report_file import write_report
 
     write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
     return out
@@ -225,7 +225,7 @@ def _left_out(material: Material) -> Iterator[str]:
 
 
 def _checksums(material: Material) -> Section:
-    from wafer_viewer.store.digests import digests_of_result, digests_of_scan
+    from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
 
     digests = (*digests_of_scan(material.dataset.path), *digests_of_result(material.result))
     made = material.result.mosaic().provenance.software_version if material.result.has_mosaic else ""

@@ -26,8 +26,8 @@ from wafer_viewer.session.judging import kept_verdict
 from wafer_viewer.session.library import DEFAULT_RESULT, ENDING, today
 from wafer_viewer.session.offline import Hire, make_surface
 from wafer_viewer.session.revision_words import added, feature_changes, recipe_changes, taken_off
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.result import Result
 
 if TYPE_CHECKING:
     from wafer_viewer.compute.task_runner import Crew

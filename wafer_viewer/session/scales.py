@@ -10,8 +10,8 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeRecord, ScaleCorrection
 from wafer_viewer.session.gauge_check import now
 from wafer_viewer.session.library import today
-from wafer_viewer.store.calibrations import CalibrationChange, calibration_in_force, record_change
-from wafer_viewer.store.gauge_log import signed_checks
+from wafer_viewer.store.records.calibrations import CalibrationChange, calibration_in_force, record_change
+from wafer_viewer.store.records.gauge_checks import signed_checks
 
 
 def offered(record: GaugeRecord, in_force: Calibration) -> ScaleCorrection:

@@ -19,8 +19,8 @@ from wafer_viewer.session.messages import Scan, ScanFault, Taken
 from wafer_viewer.session.preflight import Check, Preflight, preflight
 from wafer_viewer.session.scan_watch import Steering
 from wafer_viewer.session.scanning import take, writer_of
-from wafer_viewer.store.calibrations import calibration_in_force
-from wafer_viewer.store.dataset import Dataset
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.calibrations import calibration_in_force
 
 
 @dataclass(frozen=True, slots=True)

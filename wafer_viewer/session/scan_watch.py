@@ -14,8 +14,8 @@ from wafer_viewer.model.acquisition.focus_stack import Frame, Image
 from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.session.messages import FieldComplete, Paused, ScanFault, Taken
 from wafer_viewer.session.state import LatestFrame, ScanProgress
-from wafer_viewer.store.files import writing
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import writing
 
 REPORT_EVERY_S = 0.12
 RATE_KNOWN_AFTER = 10

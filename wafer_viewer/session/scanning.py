@@ -12,9 +12,9 @@ from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.messages import Scan, ScanEnded
 from wafer_viewer.session.scan_watch import ScanWatch, Steering
-from wafer_viewer.store.calibrations import calibration_in_force
-from wafer_viewer.store.files import writing
-from wafer_viewer.store.writer import DatasetWriter
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import writing
+from wafer_viewer.store.records.calibrations import calibration_in_force
 
 
 def writer_of(scan: Scan, rig: Rig) -> DatasetWriter:

@@ -48,7 +48,7 @@ class Sections:
     def _of_other(self, asked: SectionAsked, other: OtherSurface) -> Section:
         """The same line on another surface, read from a zero laid through it in the same way."""
         from wafer_viewer.session.library import today
-        from wafer_viewer.store.dataset import Dataset
+        from wafer_viewer.store.dataset.dataset import Dataset
 
         dataset = Dataset.open(Path(other.folder))
         calibrated = dataset.calibration_problem(today()) is None

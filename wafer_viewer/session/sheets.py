@@ -24,10 +24,10 @@ from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance
 from wafer_viewer.reconstruct.growing import Known
 from wafer_viewer.reconstruct.place import Lattice, layout, planned_lattice
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.mosaic import ZarrMosaic
-from wafer_viewer.store.mosaic_layout import MosaicHeader
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.mosaic.layout import MosaicHeader
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 OPEN_SURFACES = 1024
 """Mapped, not read: a mosaic that grows asks for all of them each time."""
@@ -118,7 +118,7 @@ class Sheets:
 
     def mosaic_is_good(self) -> bool:
         """Whether no file of the mosaic on disk is damaged; all of it is read."""
-        from wafer_viewer.store.integrity import is_mosaic_good
+        from wafer_viewer.store.dataset.integrity import is_mosaic_good
 
         return is_mosaic_good(self.kept.mosaic_path)
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.blend import StitchedMosaic
     from wafer_viewer.reconstruct.growing import Known
     from wafer_viewer.session.sheets import Sheets, Window
-    from wafer_viewer.store.mosaic import Patch
+    from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
 LOOK_SHARE = 0.4
 """Of the whole job, how much of the progress bar the overlaps take."""
@@ -167,7 +167,7 @@ def compare_pairs(
 
 def _draw(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands) -> None:
     """Windows of the mosaic, or all of it beside the one that is there; each task writes shards of its own."""
-    from wafer_viewer.store.mosaic import patches
+    from wafer_viewer.store.mosaic.zarr_mosaic import patches
 
     drawing = sheets.kept.begin_drawing(poses)
     with _canvas(sheets, poses, recipe, fresh=windows is None) as canvas:
@@ -184,8 +184,8 @@ def _draw(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window
 @contextmanager
 def _canvas(sheets: Sheets, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
     """The mosaic to draw on; a fresh one lies beside the other until it is whole."""
-    from wafer_viewer.store.files import replacing
-    from wafer_viewer.store.mosaic import lay_out, rewrite_header
+    from wafer_viewer.store.io.atomic_files import replacing
+    from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
 
     source = sheets.source(poses, sheets.provenance(poses, recipe))
     if not fresh:
@@ -199,7 +199,7 @@ def _canvas(sheets: Sheets, poses: Poses, recipe: Recipe, *, fresh: bool) -> Gen
 
 def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas: Path, patch: Patch) -> None:
     """A worker's task: blend and write one patch of the mosaic."""
-    from wafer_viewer.store.mosaic import write_patch
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_patch
 
     write_patch(canvas, _source(dataset, result, recipe, drawing, drawing.stat().st_mtime_ns), patch)
 
@@ -209,7 +209,7 @@ def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int
     """The mosaic to be drawn, kept from patch to patch; `mark` tells one drawing from the next."""
     from wafer_viewer.model.surface.height_map import Provenance
     from wafer_viewer.session.sheets import Sheets
-    from wafer_viewer.store.poses import read_poses
+    from wafer_viewer.store.mosaic.poses_file import read_poses
 
     poses = read_poses(drawing)
     return Sheets.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
@@ -224,7 +224,7 @@ def describe_mosaic(
     """A worker's task: say how a mosaic looks that was stitched elsewhere."""
     from wafer_viewer.session.sheets import Sheets
     from wafer_viewer.session.summary import save_summary, summarise
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
     kept = data.result(result)

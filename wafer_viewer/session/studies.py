@@ -30,7 +30,7 @@ class Studies:
         those of their job.
         """
         from wafer_viewer.measure.repeatability import gauge_rr
-        from wafer_viewer.store.study import read_study
+        from wafer_viewer.store.tables.study_csv import read_study
 
         path = Path(path).expanduser()
         if path.is_dir():

@@ -17,11 +17,11 @@ from wafer_viewer.model.surface.comparison import Align, Comparison, Face, Surfa
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
 from wafer_viewer.reconstruct.difference import Difference, Sums
 from wafer_viewer.session.library import ENDING, today
-from wafer_viewer.store.checksums import save_json
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.files import remove, replacing
-from wafer_viewer.store.lock import Lock
-from wafer_viewer.store.result import COMPARISON, MOSAIC
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.result import COMPARISON, MOSAIC
+from wafer_viewer.store.io.atomic_files import remove, replacing
+from wafer_viewer.store.io.checksums import save_json
 
 PREFIX = "difference-"
 ALIGN_SHARE = 0.15
@@ -32,7 +32,7 @@ THREADS = 2
 def opened(name: SurfaceName) -> Mosaic:
     """The surface of a name. Raises DatasetError when it is not there."""
     from wafer_viewer.reconstruct.read_as import read_as
-    from wafer_viewer.store.readers import read_surface
+    from wafer_viewer.store.formats.readers import read_surface
 
     path = Path(name.path)
     if path.suffix != ENDING:
@@ -96,7 +96,7 @@ def subtract(
     Raises MeasureError when they cannot be compared, ComputeError when the work is stopped, DatasetError when it cannot
     be written.
     """
-    from wafer_viewer.store.mosaic import write_mosaic
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     data = Dataset.open(dataset)
     target, number = data.result(result), 1 + max((c.number for c in comparisons_of(data).values()), default=0)

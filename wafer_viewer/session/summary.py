@@ -10,12 +10,12 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state import SurfaceInfo
-from wafer_viewer.store.checksums import sealed_text, verified_text
-from wafer_viewer.store.files import write_text
-from wafer_viewer.store.mosaic import ZarrMosaic
-from wafer_viewer.store.mosaic_facts import Facts, facts_of
-from wafer_viewer.store.mosaic_layout import SURFACE
-from wafer_viewer.store.result import Result
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.checksums import sealed_text, verified_text
+from wafer_viewer.store.mosaic.layout import SURFACE
+from wafer_viewer.store.mosaic.statistics import Facts, facts_of
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
 
 SUMMARY = "surface.json"
 COLOUR_RANGE_PERCENT = (0.5, 99.5)

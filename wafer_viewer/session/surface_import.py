@@ -14,10 +14,10 @@ from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.library import DEFAULT_RESULT
 from wafer_viewer.session.summary import save_summary, summarise
-from wafer_viewer.store.dataset import Dataset
-from wafer_viewer.store.files import replacing
-from wafer_viewer.store.journal import Finished, JournalWriter
-from wafer_viewer.store.record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.journal import Finished, JournalWriter
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.io.atomic_files import replacing
 
 READ_SHARE = 0.4
 """Of an import, how much of the progress bar reading the file takes."""
@@ -38,7 +38,7 @@ def import_surface(
     says: what the file does not say. Raises DatasetError, with nothing written, for all that `read_surface` refuses, a
     place that is taken or cannot be written to, and when it is stopped.
     """
-    from wafer_viewer.store.readers import read_surface
+    from wafer_viewer.store.formats.readers import read_surface
 
     if out.exists():
         raise DatasetError(f"{out} exists already. Nothing was written. Choose another name.")
@@ -51,7 +51,7 @@ def import_surface(
 
 
 def _write(folder: Path, surface: HeightMap, source: str, progress: Progress, should_stop: ShouldStop) -> None:
-    from wafer_viewer.store.mosaic import write_mosaic
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     calibration, job = surface.provenance.calibration, _job(surface)
     taken = datetime.datetime.now().astimezone().isoformat(timespec="seconds")

@@ -18,7 +18,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Recipe
 
 if TYPE_CHECKING:
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
 LIVE_BITS = 8
 LIVE_LOOK_EVERY_S = 0.02
@@ -41,7 +41,7 @@ def reconstruct_field(
     What `auto` chooses in the first field that has much to see is kept for the others: a scan is judged alike.
     """
     from wafer_viewer.reconstruct.field import reconstruct, speaks_for_scan
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
     kept = data.result(result)
@@ -60,7 +60,7 @@ def reconstruct_live(
     False, and no surface, where there is none yet, the frames are of a kind that must wait, or not all of them came.
     """
     from wafer_viewer.reconstruct.live import LiveField
-    from wafer_viewer.store.dataset import Dataset
+    from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
     kept = data.result(result)
@@ -102,7 +102,7 @@ def import_images(
     should_stop: ShouldStop = never,
 ) -> Path:
     """Make a dataset of images taken elsewhere; `options` are those of `import_dataset`."""
-    from wafer_viewer.store.importers import import_dataset
+    from wafer_viewer.store.dataset.stack_import import import_dataset
 
     import_dataset(tuple(srcs), out, progress=progress, should_stop=should_stop, **options)
     return out
@@ -126,8 +126,8 @@ def export_surface(
     from wafer_viewer.model.surface.comparison import Face
     from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
     from wafer_viewer.session.subtraction import face_of
-    from wafer_viewer.store.dataset import Dataset
-    from wafer_viewer.store.exporters import export
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.formats.exporters import export
 
     data = Dataset.open(dataset)
     kept = data.result(result)
@@ -144,7 +144,7 @@ def warm_up() -> None:
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.field import warm_up as compile_kernels
     from wafer_viewer.reconstruct.stitch import stitch
-    from wafer_viewer.store.mosaic import write_mosaic
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     compile_kernels()
     heights = [reconstruct(_tiny_stack(x_um), threads=1) for x_um in (0.0, 40.0)]

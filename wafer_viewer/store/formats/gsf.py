@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.about import OURS, about, title, told_by
-from wafer_viewer.store.formats.reading import Asked, heights_only, scaled
-from wafer_viewer.store.formats.strips import Strips
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
+from wafer_viewer.store.formats.reader_support import Asked, heights_only, scaled
+from wafer_viewer.store.formats.surface_strips import Strips
 
 MAGIC = b"Gwyddion Simple Field 1.0\n"
 _LARGEST_HEADER = 1_000_000

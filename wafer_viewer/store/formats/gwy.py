@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
-from wafer_viewer.store.formats.about import OURS, about, title, told_by
+from wafer_viewer.store.formats.embedded_metadata import OURS, about, title, told_by
 from wafer_viewer.store.formats.gwy_tree import MAGIC, Tree, parsed
-from wafer_viewer.store.formats.reading import UNITS_UM, Asked, heights_only, require_some, scaled
-from wafer_viewer.store.formats.strips import Strips
+from wafer_viewer.store.formats.reader_support import UNITS_UM, Asked, heights_only, require_some, scaled
+from wafer_viewer.store.formats.surface_strips import Strips
 
 _M = 1e-6
 _LARGEST_BYTES = 2**32 - 1

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.about import OURS, heading, told_by
-from wafer_viewer.store.formats.lattice import Block, Points, surface_of_points
-from wafer_viewer.store.formats.points import AT_A_TIME, count, points_of, records, text_records, units_of
-from wafer_viewer.store.formats.reading import Asked
-from wafer_viewer.store.formats.strips import Strips
+from wafer_viewer.store.formats.embedded_metadata import OURS, heading, told_by
+from wafer_viewer.store.formats.point_gridding import Block, Points, surface_of_points
+from wafer_viewer.store.formats.point_records import AT_A_TIME, count, points_of, records, text_records, units_of
+from wafer_viewer.store.formats.reader_support import Asked
+from wafer_viewer.store.formats.surface_strips import Strips
 
 _POINT = np.dtype([("xyz", "<f4", 3)])
 _LARGEST_HEADER = 1_000_000

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.about import about, told_by
-from wafer_viewer.store.formats.reading import Asked, heights_only, same, scaled
-from wafer_viewer.store.formats.strips import Strips
+from wafer_viewer.store.formats.embedded_metadata import about, told_by
+from wafer_viewer.store.formats.reader_support import Asked, heights_only, same, scaled
+from wafer_viewer.store.formats.surface_strips import Strips
 
 if TYPE_CHECKING:
     from tifffile import TiffPage

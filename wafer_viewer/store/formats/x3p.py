@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.store.formats.about import about, caveats, told_by
-from wafer_viewer.store.formats.reading import Asked, heights_only
-from wafer_viewer.store.formats.strips import STRIP_ROWS, Strips
+from wafer_viewer.store.formats.embedded_metadata import about, caveats, told_by
+from wafer_viewer.store.formats.reader_support import Asked, heights_only
+from wafer_viewer.store.formats.surface_strips import STRIP_ROWS, Strips
 
 MAIN, DATA, CHECKSUM = "main.xml", "bindata/data.bin", "md5checksum.hex"
 REVISION = "ISO5436 - 2000"

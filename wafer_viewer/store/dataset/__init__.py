@@ -1,0 +1,1 @@
+"""The dataset folder: frames, journal, record, lock, results."""

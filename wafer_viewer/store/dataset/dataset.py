@@ -1,0 +1,320 @@
+"""Reading a dataset: the folder ``NAME.wafer`` with its plan, frames, journal and results."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack, Image
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, Shot
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.store.dataset.frame_pages import map_pages, tags_crc32c
+from wafer_viewer.store.dataset.journal import (
+    FaultNoted,
+    Finished,
+    FrameKept,
+    JournalReader,
+    Missed,
+    PassBegun,
+    PassEnded,
+)
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.dataset.scan_record import JOURNAL, RESULTS, ScanRecord, frames_file, read_record
+from wafer_viewer.store.io.checksums import KnownGood, file_mark, mend_of
+from wafer_viewer.store.io.progress import watched
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.integrity import KindReport
+
+_good_stacks = KnownGood()
+"""By the file of frames and its state, and the checksum of what the journal says of them."""
+FILES_SHARE = 0.5
+"""Of a check, how much of the progress bar all files but the frames take."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What `Dataset.check` found: pages whose checksum holds, slots without a frame, pages that changed since."""
+
+    n_good: int
+    missing: tuple[Shot, ...]
+    damaged: tuple[Shot, ...]
+    faults: tuple[str, ...]
+    """Files of frames that cannot be read, a sentence each."""
+    files: tuple[KindReport, ...] = ()
+    """All other files by their kind."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether every slot has a frame with the right checksum, and no file is damaged."""
+        return not (self.missing or self.damaged or self.faults or any(kind.damaged for kind in self.files))
+
+
+class Dataset:
+    """A dataset opened for reading, also while another process writes to it: `refresh` reads what came since."""
+
+    def __init__(self, path: Path, scan: ScanRecord) -> None:
+        self.path, self.scan = path, scan
+        self._journal = JournalReader(path / JOURNAL)
+        self._frames: dict[Shot, FrameKept] = {}
+        self._provisional: dict[Shot, FrameKept] = {}
+        """Frames of the pass under way, which count once it has ended."""
+        self._is_provisional = False
+        self._missed: dict[Shot, Missed] = {}
+        self._faults: list[str] = []
+        self._ended = False
+        self.refresh()
+
+    @classmethod
+    def open(cls, path: str | Path) -> Dataset:
+        """Open a folder. Raises DatasetError when it is no dataset, a damaged one or one of a newer program."""
+        folder = Path(path)
+        return cls(folder, read_record(folder))
+
+    def refresh(self) -> None:
+        """Read the journal's new lines."""
+        for line in self._journal.new_lines():
+            match line:
+                case FrameKept():
+                    (self._provisional if self._is_provisional else self._frames).setdefault(line.shot, line)
+                case Missed():
+                    self._missed[line.shot] = line
+                    self._provisional.pop(line.shot, None)
+                case PassEnded():
+                    self._frames = self._provisional | self._frames
+                    self._provisional, self._is_provisional = {}, False
+                case FaultNoted():
+                    self._faults.append(line.what)
+                case PassBegun():
+                    self._provisional, self._is_provisional = {}, line.provisional
+                    self._ended = False
+                case Finished():
+                    self._ended = True
+                case _:
+                    pass
+
+    @property
+    def name(self) -> str:
+        """The folder's name without its ending."""
+        return self.path.stem
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """The fields, as planned."""
+        return self.scan.plan.fields
+
+    @property
+    def n_exposures(self) -> int:
+        """Frames taken at each z."""
+        return self.scan.n_exposures
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a virtual rig took the frames."""
+        return self.scan.simulated
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What went wrong during the scan, in order."""
+        return tuple(self._faults)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every frame is there, or the scan ended without those that are missing."""
+        return self._ended or not self.missing()
+
+    def field(self, number: int) -> Field:
+        """The field with a running number. Raises DatasetError when there is none."""
+        found = next((f for f in self.fields if f.number == number), None)
+        if found is None:
+            raise DatasetError(
+                f"{self.path.name} has {len(self.fields)} fields and no field {number}: choose one of them."
+            )
+        return found
+
+    def calibration_problem(self, today: str) -> str | None:
+        """Why lengths read 'uncalibrated', or None when they are calibrated. `today` is an ISO 8601 day."""
+        return self.scan.calibration_problem(today)
+
+    def kept(self) -> set[Shot]:
+        """The slots that have a frame, those of the pass under way left out."""
+        return set(self._frames)
+
+    def arrived(self) -> set[Shot]:
+        """The slots that have a frame, be it one of the pass under way, which counts once that has ended."""
+        return self._frames.keys() | self._provisional.keys()
+
+    def ever_missed(self) -> set[Shot]:
+        """The slots that were empty, or had a frame that was not kept, at any time."""
+        return set(self._missed)
+
+    def missing(self) -> set[Shot]:
+        """The slots without a frame: still to come, or missed."""
+        return {shot for field in self.fields for shot in self._shots(field)} - self._frames.keys()
+
+    def missed(self) -> dict[Shot, str]:
+        """The slots that stayed empty when their turn came, and why."""
+        return {shot: line.why for shot, line in self._missed.items() if shot not in self._frames}
+
+    def complete_fields(self) -> set[int]:
+        """Numbers of the fields that have all their frames, those of the pass under way left out."""
+        return {f.number for f in self.fields if all(shot in self._frames for shot in self._shots(f))}
+
+    def stack(self, field_number: int, exposure: int | None = None, *, verify: bool = True) -> FieldStack:
+        """The focus stack of a field, memory-mapped; z as recorded, times the calibrated z scale.
+
+        exposure: one of them alone; without it the stack holds them all, the first as its images and the others as its
+        brackets, at the mean of their z. Frames of a pass under way are among them.
+
+        verify: compare every frame with its checksum in the journal, for which all of them are read; once for a file
+        that does not change.
+
+        Raises DatasetError when the field, its file or the exposure is missing, a frame is damaged, or fewer than three
+        frames are there.
+        """
+        field = self.field(field_number)
+        wanted = range(self.n_exposures) if exposure is None else (self._exposure(exposure),)
+        lines = [self._lines(field_number, e) for e in wanted]
+        pages = map_pages(frames_file(self.path, field), self.scan.pages)
+        first, *others = (self._bracket(pages, e, of_one) for e, of_one in zip(wanted, lines, strict=True))
+        self._require_frames(field, int(first.present.sum()))
+        there = [line for of_one in lines for line in of_one if line is not None]
+        checksum = _checksum(there)
+        if verify:
+            self._require_good(field, pages, there, checksum)
+        return FieldStack(
+            field=field,
+            images=first.images,
+            z_um=np.mean([self._z_um(field, of_one) for of_one in lines], axis=0),
+            present=first.present,
+            pixel_um=self.scan.pixel_um,
+            calibration=self.scan.calibration,
+            simulated=self.simulated,
+            checksum=checksum,
+            source=f"{self.path.name}, field {field_number}",
+            exposure_us=first.exposure_us,
+            brackets=tuple(others),
+            depth_of_field_um=self.scan.plan.depth_of_field_um,
+        )
+
+    def check(self, progress: Progress | None = None, should_stop: ShouldStop | None = None) -> CheckReport:
+        """Read every page and compare its checksum with the journal's; test those of all other files."""
+        from wafer_viewer.store.dataset.integrity import check_files
+
+        files = check_files(self.path, _part(progress, 0.0, FILES_SHARE), should_stop)
+        progress = _part(progress, FILES_SHARE, 1.0)
+        tags = self.scan.tags_crc32c()
+        good, damaged, faults = 0, list[Shot](), list[str]()
+        for field in watched(self.fields, len(self.fields), "The check", progress, should_stop):
+            try:
+                self._require_good_tags(field, tags.get(field.number))
+                bad = self._damaged(field)
+            except DatasetError as fault:
+                faults.append(str(fault))
+                continue
+            damaged += bad
+            good += sum(shot in self._frames for shot in self._shots(field)) - len(bad)
+        missing = sorted(self.missing(), key=lambda s: (s.field, s.k, s.exposure))
+        return CheckReport(good, tuple(missing), tuple(damaged), tuple(faults), files)
+
+    def results(self) -> tuple[str, ...]:
+        """Names of the reconstructions."""
+        return tuple(sorted(kept.name for kept in self._results() if not kept.is_difference))
+
+    def differences(self) -> tuple[str, ...]:
+        """Names of the results that are two surfaces compared, the oldest first."""
+        found = [kept for kept in self._results() if kept.is_difference]
+        return tuple(kept.name for kept in sorted(found, key=lambda kept: kept.path.stat().st_mtime))
+
+    def result(self, name: str = "default") -> Result:
+        """A reconstruction by its name, made when something is first saved to it."""
+        return Result.of(self.path / RESULTS, name)
+
+    def _results(self) -> list[Result]:
+        """Everything in the folder of results but what is still being written."""
+        folder = self.path / RESULTS
+        there = [p for p in folder.iterdir() if p.is_dir()] if folder.is_dir() else []
+        return [Result(p) for p in there if not p.name.startswith(".")]
+
+    def _lines(self, field_number: int, exposure: int) -> list[FrameKept | None]:
+        n_frames = self.scan.plan.sweep.n_frames
+        frames = self._provisional | self._frames
+        return [frames.get(Shot(field_number, k, exposure)) for k in range(n_frames)]
+
+    def _bracket(self, pages: Image, exposure: int, lines: list[FrameKept | None]) -> Bracket:
+        present = np.array([line is not None for line in lines])
+        return Bracket(pages[exposure :: self.n_exposures], present, self.scan.plan.exposures_us[exposure])
+
+    def _exposure(self, exposure: int) -> int:
+        if not 0 <= exposure < self.n_exposures:
+            raise DatasetError(
+                f"{self.path.name} has {self.n_exposures} exposures at each z and no number {exposure}: "
+                f"choose 0 to {self.n_exposures - 1}."
+            )
+        return exposure
+
+    def _shots(self, field: Field) -> list[Shot]:
+        n_frames = self.scan.plan.sweep.n_frames
+        return [Shot(field.number, k, e) for k in range(n_frames) for e in range(self.n_exposures)]
+
+    def _z_um(self, field: Field, lines: list[FrameKept | None]) -> np.ndarray:
+        planned = [self.scan.plan.sweep.z_um(field, k) for k in range(len(lines))]
+        z_um = [line.z_um if line is not None else z for line, z in zip(lines, planned, strict=True)]
+        return np.array(z_um) * self.scan.z_scale
+
+    def _require_frames(self, field: Field, n_present: int) -> None:
+        if n_present < MIN_FRAMES:
+            raise DatasetError(
+                f"Field {field.number} of {self.path.name} has {n_present} of {self.scan.plan.sweep.n_frames} frames "
+                f"and at least {MIN_FRAMES} are needed: continue the scan."
+            )
+
+    def _require_good_tags(self, field: Field, expected: int | None) -> None:
+        """Raise DatasetError when the bytes round the pages changed; older datasets have no checksum of them."""
+        path = frames_file(self.path, field)
+        if expected is not None and tags_crc32c(path, self.scan.pages) != expected:
+            raise DatasetError(f"{path} is damaged, the checksum of its tags differs: restore it from a copy.")
+
+    def _damaged(self, field: Field) -> list[Shot]:
+        lines = [self._frames[shot] for shot in self._shots(field) if shot in self._frames]
+        return self._bad(map_pages(frames_file(self.path, field), self.scan.pages), lines) if lines else []
+
+    def _bad(self, pages: Image, lines: Iterable[FrameKept]) -> list[Shot]:
+        """The slots of lines of the journal whose checksum is not that of their page."""
+        page_of = self.scan.page_of
+        return [
+            line.shot for line in lines if zlib.crc32(pages[page_of(line.shot.k, line.shot.exposure)]) != line.crc32
+        ]
+
+    def _require_good(self, field: Field, pages: Image, lines: Iterable[FrameKept], checksum: str) -> None:
+        """Raise DatasetError when a page is not what the journal has a checksum of; a file is read once."""
+        path = frames_file(self.path, field)
+        key = file_mark(path), checksum
+        if key in _good_stacks:
+            return
+        if bad := self._bad(pages, lines):
+            raise DatasetError(
+                f"{path} is damaged, the checksum of frame {bad[0].k} differs"
+                f"{f', and of {len(bad) - 1} others' if len(bad) > 1 else ''}: {mend_of(path)}."
+            )
+        _good_stacks.add(key)
+
+
+def _part(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """Progress of a part of the work, as a share of all of it."""
+    return None if progress is None else lambda done: progress(begin + (end - begin) * done)
+
+
+def _checksum(lines: Iterable[FrameKept]) -> str:
+    """One checksum of a stack from those of its pages, which were taken when the frames came in."""
+    digest = hashlib.sha256()
+    for line in lines:
+        digest.update(f"{line.shot.k} {line.z_um!r} {line.crc32:08x}\n".encode())
+    return digest.hexdigest()

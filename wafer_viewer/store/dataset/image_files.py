@@ -1,0 +1,180 @@
+"""Images taken elsewhere: a folder, a multi-page TIFF, a list of files; each picture read when it is asked for.
+
+Colour becomes luminance (Rec. 709 weights on the stored values), 8 and 16 bits are kept, files are taken in the order
+people count in: 2 before 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.io.atomic_files import natural
+
+REC_709 = np.array([0.2126, 0.7152, 0.0722])
+"""Weights of red, green and blue in luminance, ITU-R BT.709."""
+NOTHING_WRITTEN = "Nothing was written."
+TIFF_ENDINGS = (".tif", ".tiff")
+_PLAIN_PHOTOMETRICS = (1, 2, 6)
+"""Grey with black 0, RGB, and YCbCr, which comes decoded: the kinds of TIFF whose values are what they say."""
+Paths = str | Path | Sequence[str | Path]
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One image by the name a person knows it by; `read` gives it grey, [row, col], uint8 or uint16."""
+
+    name: str
+    read: Callable[[], Image]
+
+
+def pictures(src: Paths) -> list[Picture]:
+    """The pictures of a folder, a file, or a list of files, in natural order; all pages of a multi-page TIFF.
+
+    Raises DatasetError when there are none, or a file cannot be read as an image.
+    """
+    found = [picture for path in image_files(src) for picture in pictures_of(path)]
+    if not found:
+        raise DatasetError(f"Import stopped: no images were given. {NOTHING_WRITTEN} Name a folder, a file or several.")
+    return found
+
+
+def image_files(src: Paths) -> list[Path]:
+    """The image files of a folder, or those named, in natural order."""
+    if not isinstance(src, str | Path):
+        return sorted((file for one in src for file in image_files(one)), key=lambda p: natural(str(p)))
+    path = Path(src)
+    if path.is_dir():
+        return _files_in(path)
+    if not path.exists():
+        raise DatasetError(f"Import stopped at {path}: it does not exist. {NOTHING_WRITTEN} Check the path.")
+    if path.suffix.lower() not in READERS:
+        raise DatasetError(
+            f"Import stopped at {path.name}: it is not an image. {NOTHING_WRITTEN} Take one of {_endings()}."
+        )
+    return [path]
+
+
+def damaged(name: str, fault: Exception | None = None) -> DatasetError:
+    """The error for a file that is cut off or no image at all."""
+    detail = f" ({str(fault).splitlines()[0].rstrip('.')})" if fault is not None and str(fault) else ""
+    return DatasetError(
+        f"Import stopped at {name}: it is damaged, or not an image{detail}. {NOTHING_WRITTEN} "
+        "Remove it or copy it again."
+    )
+
+
+def _files_in(folder: Path) -> list[Path]:
+    found = sorted((p for p in folder.iterdir() if p.suffix.lower() in READERS), key=lambda p: natural(p.name))
+    visible = [p for p in found if not p.name.startswith(".")]
+    if not visible:
+        raise DatasetError(
+            f"Import stopped at {folder}: the folder holds no images. {NOTHING_WRITTEN} "
+            f"Give one with {_endings()} files."
+        )
+    return visible
+
+
+def pictures_of(path: Path) -> list[Picture]:
+    """The pictures of one file: all pages of a TIFF, one of any other kind."""
+    if path.suffix.lower() not in TIFF_ENDINGS:
+        return [Picture(path.name, partial(_read_file, path))]
+    n_pages = _page_count(path)
+    names = [path.name] if n_pages == 1 else [f"{path.name}, page {k + 1}" for k in range(n_pages)]
+    return [Picture(name, partial(_read_page, path, k, name)) for k, name in enumerate(names)]
+
+
+def _page_count(path: Path) -> int:
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            return len(file.pages)
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError) as fault:
+        raise damaged(path.name, fault) from fault
+
+
+def _read_page(path: Path, page: int, name: str) -> Image:
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(path) as file:
+            one: Any = file.pages[page]
+            if one.photometric not in _PLAIN_PHOTOMETRICS:
+                return as_grey(_read_with_pillow(path, page), name)
+            values, color_first = one.asarray(), one.axes.startswith("S")
+    except (tifffile.TiffFileError, OSError, ValueError, IndexError, RuntimeError) as fault:
+        raise damaged(name, fault) from fault
+    return as_grey(np.moveaxis(values, 0, -1) if color_first else values, name)
+
+
+def _read_file(path: Path) -> Image:
+    try:
+        return as_grey(READERS[path.suffix.lower()](path), path.name)
+    except (OSError, ValueError, RuntimeError, SyntaxError) as fault:
+        raise damaged(path.name, fault) from fault
+
+
+def _read_png(path: Path) -> NDArray[Any]:
+    """Pillow narrows colour PNG of 16 bits to 8, this does not."""
+    import imagecodecs
+
+    return imagecodecs.png_decode(path.read_bytes())
+
+
+def _read_with_pillow(path: Path, page: int = 0) -> NDArray[Any]:
+    """Palettes, CMYK and the like are brought to RGB of 8 bits."""
+    import PIL.Image
+
+    with PIL.Image.open(path) as image:
+        image.seek(page)
+        grey = image.mode in ("L", "I;16", "I;16B", "I;16L")
+        return np.asarray(image if grey else image.convert("RGB"))
+
+
+def _read_tiff(path: Path) -> NDArray[Any]:
+    return _read_page(path, 0, path.name)
+
+
+READERS: dict[str, Callable[[Path], NDArray[Any]]] = {
+    ".tif": _read_tiff,
+    ".tiff": _read_tiff,
+    ".png": _read_png,
+    ".jpg": _read_with_pillow,
+    ".jpeg": _read_with_pillow,
+    ".bmp": _read_with_pillow,
+    ".pgm": _read_with_pillow,
+    ".webp": _read_with_pillow,
+}
+"""How a file is read, by its ending; another kind of image is one more line here."""
+
+
+def as_grey(values: NDArray[Any], name: str) -> Image:
+    """Luminance of [row, col] or [row, col, channel] values; a fourth channel is transparency and is left out.
+
+    Raises DatasetError when the values are neither 8 nor 16 bits.
+    """
+    if values.dtype.kind not in "bu" or values.dtype.itemsize > 2 or values.ndim not in (2, 3):
+        raise DatasetError(
+            f"Import stopped at {name}: its values are {values.dtype} of shape {values.shape}. {NOTHING_WRITTEN} "
+            "Save it as a grey or colour image of 8 or 16 bits."
+        )
+    native = values.astype(np.uint8) * np.uint8(255) if values.dtype.kind == "b" else values
+    native = native.astype(native.dtype.newbyteorder("="), copy=False)
+    if native.ndim == 2:
+        return np.ascontiguousarray(native)
+    if native.shape[2] < 3:
+        return np.ascontiguousarray(native[:, :, 0])
+    return np.rint(native[:, :, :3] @ REC_709).astype(native.dtype)
+
+
+def _endings() -> str:
+    return ", ".join(READERS)

@@ -1,0 +1,189 @@
+"""Integrity of a dataset: every file on disk by its kind, and whether its checksum holds.
+
+Frames are left to `Dataset.check`, which compares them with the journal. A file of a kind that is not listed here is
+named as unknown, so that a new kind of file cannot go unchecked unnoticed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.store.dataset.result import DRAWING
+from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL
+from wafer_viewer.store.io.atomic_files import natural
+from wafer_viewer.store.io.checksums import (
+    Checksum,
+    archive_state,
+    damaged,
+    line_state,
+    mend_of,
+    require_json,
+    text_state,
+)
+from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.missing_shards import missing, missing_files
+from wafer_viewer.store.mosaic.statistics import facts_state
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+from wafer_viewer.store.mosaic.zarr_shards import Shards
+
+Examine = Callable[[Path], Checksum]
+UNKNOWN = "Unknown files"
+STITCHED = "Stitched surfaces"
+
+
+@dataclass(frozen=True, slots=True)
+class FileKind:
+    """Files of one kind: their paths in the folder of a dataset, and how their checksum is tested."""
+
+    title: str
+    pattern: re.Pattern[str]
+    examine: Examine | None
+    """None: no number depends on them, or another check covers them."""
+
+
+@dataclass(frozen=True, slots=True)
+class KindReport:
+    """Files of one kind by the state of their checksum; damaged: a sentence for each, with the mend."""
+
+    title: str
+    n_good: int
+    n_without: int
+    damaged: tuple[str, ...]
+
+
+def check_files(
+    dataset: Path, progress: Progress | None = None, should_stop: ShouldStop | None = None
+) -> tuple[KindReport, ...]:
+    """Test the checksums of all files of a dataset but its frames.
+
+    Parameters
+    ----------
+    dataset
+        The folder ``NAME.wafer``; nothing in it need be readable.
+    progress, should_stop
+        Called with the share done, and asked whether to end.
+
+    Returns
+    -------
+    tuple of KindReport
+        In the order of `KINDS`, kinds without files left out; unknown files last.
+
+    Raises
+    ------
+    DatasetError
+        When the folder does not exist or the work is stopped.
+    """
+    if not dataset.is_dir():
+        raise DatasetError(f"{dataset} does not exist: check the path.")
+    files = sorted((p for p in dataset.rglob("*") if p.is_file()), key=lambda path: natural(str(path)))
+    states: dict[str, list[Checksum | str]] = defaultdict(list)
+    for path in watched(files, len(files), "The check", progress, should_stop):
+        kind = kind_of(path.relative_to(dataset).as_posix())
+        if kind is None:
+            states[UNKNOWN].append(Checksum.NONE)
+        elif kind.examine is not None:
+            states[kind.title].append(_state(path, kind.examine))
+    for mosaic in sorted(dataset.glob("results/*/mosaic.zarr")):
+        states[STITCHED] += _missing(mosaic)
+    order = [*dict.fromkeys(kind.title for kind in KINDS), UNKNOWN]
+    return tuple(_report(title, states[title]) for title in order if title in states)
+
+
+def kind_of(path: str) -> FileKind | None:
+    """The kind of a file by its path in the folder of a dataset, None for an unknown one."""
+    return next((kind for kind in KINDS if kind.pattern.fullmatch(path)), None)
+
+
+def is_mosaic_good(mosaic: Path) -> bool:
+    """Whether no file of a mosaic is damaged; all of them are read."""
+    prefix = f"results/x/{mosaic.name}"
+    for path in (p for p in mosaic.rglob("*") if p.is_file()):
+        kind = kind_of(f"{prefix}/{path.relative_to(mosaic).as_posix()}")
+        if kind is not None and kind.examine is not None and isinstance(_state(path, kind.examine), str):
+            return False
+    return not _missing(mosaic)
+
+
+def _missing(mosaic: Path) -> list[Checksum | str]:
+    """A sentence for each file of a mosaic that was written and is gone; none of one whose writing was broken off."""
+    if (mosaic.parent / DRAWING).exists():
+        return []
+    try:
+        return [str(missing(path)) for path in dict.fromkeys(missing_files(ZarrMosaic.open(mosaic)))]
+    except DatasetError:
+        return []  # the damaged file has a sentence of its own
+
+
+def _report(title: str, states: list[Checksum | str]) -> KindReport:
+    faults = tuple(state for state in states if isinstance(state, str))
+    return KindReport(title, states.count(Checksum.GOOD), states.count(Checksum.NONE), faults)
+
+
+def _state(path: Path, examine: Examine) -> Checksum | str:
+    """The state of a checksum; of a damaged file the sentence that names it and the mend."""
+    try:
+        state = examine(path)
+    except DatasetError as fault:
+        return str(fault)
+    except OSError as fault:
+        return f"{path} cannot be read: {fault.strerror}."
+    return str(damaged(path)) if state is Checksum.DAMAGED else state
+
+
+def _json_state(path: Path) -> Checksum:
+    content = path.read_bytes()
+    state = text_state(content)
+    if state is not Checksum.DAMAGED:
+        require_json(content, str(path))
+    return state
+
+
+def _journal_state(path: Path) -> Checksum:
+    """Good only where every line has its checksum and the last is whole."""
+    content = path.read_bytes()
+    *lines, rest = content.split(b"\n")
+    for number, line in enumerate(lines, 1):
+        if line_state(line) is Checksum.DAMAGED:
+            raise DatasetError(f"{path} is damaged in line {number}, its checksum differs: {mend_of(path)}.")
+        require_json(line, f"{path}, line {number},")
+    if rest:
+        raise DatasetError(f"{path} ends within a line, which is ignored: continue the scan, or {mend_of(path)}.")
+    return Checksum.NONE if any(line_state(line) is Checksum.NONE for line in lines) else Checksum.GOOD
+
+
+def _shard_state(path: Path) -> Checksum:
+    Shards(np.dtype(np.uint8), 0, layout.CHUNK, layout.SHARD).require_good(path)
+    return Checksum.GOOD
+
+
+def _kind(title: str, pattern: str, examine: Examine | None) -> FileKind:
+    return FileKind(title, re.compile(pattern), examine)
+
+
+_RESULT = r"results/[^/]+/"
+KINDS = (
+    _kind("Scan record", r"scan\.json", _json_state),
+    _kind("Journal", re.escape(JOURNAL), _journal_state),
+    _kind("Recipes", _RESULT + r"(recipe|settled)\.json", _json_state),
+    _kind("Surfaces of fields", _RESULT + r"surfaces/[^/]+\.npz", archive_state),
+    _kind("Poses", _RESULT + r"poses(-being-drawn)?\.npz", archive_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/(.+/)?zarr\.json", _json_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/facts/c/\d+/\d+/0", facts_state),
+    _kind(STITCHED, _RESULT + r"mosaic\.zarr/\w+/\d+/c/\d+/\d+", _shard_state),
+    _kind("Summaries of surfaces", _RESULT + r"surface\.json", _json_state),
+    _kind("Results", _RESULT + r"(findings|defects|verdict|comparison)\.json", _json_state),
+    _kind("Notebooks", _RESULT + r"notebook\.json", _json_state),
+    _kind("Frames", rf"{FRAMES}/[^/]+\.tif", None),  # compared with the journal
+    _kind("Pictures of results", _RESULT + r"thumbnails/\d+\.jpg", None),  # looked at, never measured on
+    _kind("Lock", r"lock", None),  # names the process that writes; the lock of the operating system counts
+    _kind("Left by a process that ended", r"(.+/)?\.[^/]+\.part(/.*)?", None),  # never read
+)

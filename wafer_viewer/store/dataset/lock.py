@@ -1,0 +1,133 @@
+"""Who may write to a dataset: one process at a time, named in the file ``lock``.
+
+The operating system's lock on the file is what counts, so a process that was killed holds nothing; the text in it
+names the holder, and an empty file means that nobody does. A holder on another machine is believed, as it cannot be
+asked.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+import socket
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.io.atomic_files import writing
+
+_TRIES, _PAUSE_S = 5, 0.02
+"""`holder_of` holds the file for a moment itself, so one refusal is no proof."""
+
+
+class Holder(msgspec.Struct, frozen=True):
+    """The process that holds a dataset."""
+
+    pid: int
+    host: str
+    since: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}, since {self.since}"
+
+
+class Lock:
+    """The held lock of a dataset; `release` gives it back."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    @classmethod
+    def take(cls, folder: Path) -> Lock:
+        """Hold a dataset. Raises DatasetError naming the holder when another process has it."""
+        with writing(folder / "lock"):
+            descriptor = os.open(folder / "lock", os.O_RDWR | os.O_CREAT, 0o644)
+        held = not _hold_patiently(descriptor)
+        holder = _read(descriptor)
+        if held or _elsewhere(holder):
+            os.close(descriptor)
+            raise DatasetError(_refusal(folder, holder, held))
+        _write(descriptor, msgspec.json.encode(Holder(os.getpid(), socket.gethostname(), _now())))
+        return cls(descriptor)
+
+    def release(self) -> None:
+        """Give the dataset back; twice does no harm."""
+        if self._descriptor >= 0:
+            _write(self._descriptor, b"")
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+def holder_of(folder: Path) -> Holder | None:
+    """The process that holds a dataset now, or None when it is free."""
+    try:
+        descriptor = os.open(folder / "lock", os.O_RDWR)
+    except OSError:
+        return None
+    try:
+        holder = _read(descriptor)
+        return holder if _elsewhere(holder) or not _hold(descriptor) else None
+    finally:
+        os.close(descriptor)
+
+
+def _refusal(folder: Path, holder: Holder | None, held: bool) -> str:
+    who = holder or "another process"
+    if held:
+        return f"{folder.name} is being written by {who}: wait until it is done, or open it to read only."
+    return f"{folder.name} is held by {who}: when that process is gone, delete the file {folder / 'lock'}."
+
+
+def _hold_patiently(descriptor: int) -> bool:
+    for _ in range(_TRIES - 1):
+        if _hold(descriptor):
+            return True
+        time.sleep(_PAUSE_S)
+    return _hold(descriptor)
+
+
+def _elsewhere(holder: Holder | None) -> bool:
+    return holder is not None and holder.host != socket.gethostname()
+
+
+def _read(descriptor: int) -> Holder | None:
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    try:
+        return msgspec.json.decode(os.read(descriptor, 4096), type=Holder)
+    except msgspec.DecodeError:
+        return None
+
+
+def _write(descriptor: int, text: bytes) -> None:
+    os.ftruncate(descriptor, 0)
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    os.write(descriptor, text)
+
+
+def _now() -> str:
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _hold(descriptor: int) -> bool:
+        os.lseek(descriptor, 1 << 20, os.SEEK_SET)  # past the text, which others may read
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    def _hold(descriptor: int) -> bool:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+        return True

@@ -1,0 +1,117 @@
+"""Small pictures of files for lists: of an image, a folder of images, or a dataset; nothing large is read for one."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.store.dataset.image_files import READERS, TIFF_ENDINGS, as_grey, image_files
+
+SIDE_PX = 96
+"""The longer side of a preview: twice as many as are drawn, for screens of high density."""
+JPEG_QUALITY = 80
+MAX_FILE_BYTES = 64_000_000
+MAX_TIFF_BYTES = 4_000_000_000
+"""A TIFF is not read whole: one page of it is."""
+MAX_PIXELS = 40_000_000
+STRETCH_PERCENT = 0.5, 99.5
+"""Greys between these shares of the pixels use the whole range: a dark picture would show nothing this small."""
+DATASET_ENDING = ".wafer"
+
+
+def preview(path: Path) -> bytes:
+    """Return a small picture of a file or folder as JPEG; no bytes where there is none to show.
+
+    Parameters
+    ----------
+    path : Path
+        An image, a multi-page TIFF, a folder of images, or a dataset NAME.wafer.
+    """
+    try:
+        image = _image_of(path)
+    except (WaferViewerError, OSError, ValueError, RuntimeError, SyntaxError, KeyError, IndexError, EOFError):
+        return b""
+    return b"" if image is None else _jpeg(image)
+
+
+def _image_of(path: Path) -> NDArray[Any] | None:
+    if path.name.endswith(DATASET_ENDING) and path.is_dir():
+        return _of_dataset(path)
+    if path.is_dir():
+        files = image_files(path)
+        path = files[len(files) // 2]
+    if not path.is_file():
+        return None
+    ending = path.suffix.lower()
+    if ending in TIFF_ENDINGS:
+        return _middle_page(path)
+    if ending not in READERS or path.stat().st_size > MAX_FILE_BYTES or _n_pixels(path) > MAX_PIXELS:
+        return None
+    return as_grey(READERS[ending](path), path.name)
+
+
+def _middle_page(path: Path) -> NDArray[Any] | None:
+    import tifffile
+
+    if path.stat().st_size > MAX_TIFF_BYTES:
+        return None
+    with tifffile.TiffFile(path) as file:
+        page: Any = file.pages[len(file.pages) // 2]
+        if page.imagewidth * page.imagelength > MAX_PIXELS:
+            return None
+        values = np.asarray(page.asarray())
+    values = np.moveaxis(values, 0, -1) if page.axes.startswith("S") else values
+    return values if values.dtype.kind == "f" and values.ndim == 2 else as_grey(values, path.name)
+
+
+def _n_pixels(path: Path) -> int:
+    import PIL.Image
+
+    with PIL.Image.open(path) as image:  # reads the header alone
+        return image.width * image.height
+
+
+def _of_dataset(path: Path) -> NDArray[Any] | None:
+    """The all-in-focus picture of the stitched surface, else the middle frame of the first field that has any."""
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+
+    dataset = Dataset.open(path)
+    for name in dataset.results():
+        result = dataset.result(name)
+        if result.has_mosaic and isinstance(mosaic := result.mosaic(), ZarrMosaic):
+            level = next((n for n in range(mosaic.levels) if _small(mosaic, n)), mosaic.levels - 1)
+            rows, cols = mosaic.header.shape_of(level)
+            return mosaic.read("all_in_focus", level, slice(0, rows), slice(0, cols))
+    for field in dataset.fields:
+        frames = sorted({shot.k for shot in dataset.kept() if shot.field == field.number})
+        if frames:
+            return np.asarray(dataset.stack(field.number, verify=False).images[frames[len(frames) // 2]])
+    return None
+
+
+def _small(mosaic: Any, level: int) -> bool:
+    rows, cols = mosaic.header.shape_of(level)
+    return max(rows, cols) <= 4 * SIDE_PX
+
+
+def _jpeg(values: NDArray[Any]) -> bytes:
+    from PIL import Image
+
+    step = max(1, max(values.shape) // (4 * SIDE_PX))  # a percentile of all pixels costs more than shows
+    thin = np.asarray(values[::step, ::step], np.float32)
+    finite = thin[np.isfinite(thin)]
+    if not finite.size:
+        return b""
+    low, high = (float(v) for v in np.percentile(finite, STRETCH_PERCENT))
+    grey = np.nan_to_num((thin - low) / max(high - low, 1e-9)).clip(0, 1) * 255
+    picture = Image.fromarray(grey.astype(np.uint8))
+    picture.thumbnail((SIDE_PX, SIDE_PX))
+    out = io.BytesIO()
+    picture.save(out, "JPEG", quality=JPEG_QUALITY)
+    return out.getvalue()

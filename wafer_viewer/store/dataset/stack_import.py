@@ -1,0 +1,277 @@
+"""Stacks taken elsewhere: opened for one reconstruction, or imported as a dataset of one field or a grid of them.
+
+Nothing is known of how they were taken but what the person says, so they carry no calibration: their lengths read
+'uncalibrated'.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, depth_of_field_um
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.filename_patterns import Cell, Slot, stacks_by_cell
+from wafer_viewer.store.dataset.image_files import NOTHING_WRITTEN, Paths, Picture, pictures
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import replacing, require_space
+from wafer_viewer.store.io.progress import watched
+
+UNKNOWN_EXPOSURE_US = 1.0
+"""Stands where a plan asks for an exposure time and the images do not say theirs.
+
+The same for all exposures of a bracket, so that their ratio says nothing: fusion then measures how much brighter one is
+than the other, and never takes an invented ratio for a measured one.
+"""
+MAX_OVERLAP = 0.5
+MIN_WAVELENGTH_UM, MAX_WAVELENGTH_UM = 0.2, 2.0
+Stacks = dict[Cell, list[Slot]]
+P = TypeVar("P", Picture, Slot)
+
+
+def open_stack(
+    src: Paths,
+    z_step_um: float | None = None,
+    pixel_um: float | None = None,
+    z_start_um: float = 0.0,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
+) -> FieldStack:
+    """Read a folder of images, a multi-page TIFF or a list of files, the lowest frame first, into memory.
+
+    A negative z_step_um says that they were taken downward: their order is turned round. numerical_aperture: of the
+    objective, in air; its depth of field bounds the width of focus curves. Without it the pixel size does, and heights
+    beside walls cannot always be tested. wavelength_um: of the light, 0.55 um where it is not given.
+    Raises DatasetError when the step or the pixel size is missing, fewer than three images are found, or an image is
+    damaged or differs in size or depth from those before it.
+    """
+    step_um, pixel = _required(z_step_um, pixel_um)
+    found = _upward(pictures(src), step_um)
+    _require_frames(len(found), "the source")
+    images = _read_all(found, progress, should_stop)
+    return FieldStack(
+        field=Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=z_start_um),
+        images=images,
+        z_um=z_start_um + abs(step_um) * np.arange(len(found), dtype=np.float64),
+        present=np.ones(len(found), bool),
+        pixel_um=pixel,
+        checksum=hashlib.sha256(b"".join(b"%08x" % zlib.crc32(image.data) for image in images)).hexdigest(),
+        source=_source_name(src),
+        depth_of_field_um=_depth_um(numerical_aperture, wavelength_um, pixel),
+    )
+
+
+def import_dataset(
+    srcs: Paths,
+    out: str | Path,
+    z_step_um: float | None = None,
+    pixel_um: float | None = None,
+    pattern: str | None = None,
+    overlap_fraction: float = 0.1,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
+) -> Dataset:
+    """Copy images into a new dataset at `out`: one field, or with a pattern a grid of fields, row 0 at the top.
+
+    A pattern with ``{e}`` tells the exposures of a bracket apart; their times need not be known. numerical_aperture and
+    wavelength_um are those of `open_stack`.
+    The dataset appears once it is whole. Raises DatasetError, with nothing written, for all that `open_stack` refuses,
+    an overlap over 50 %, a place that is taken, cannot be written to or has not enough space, and when it is stopped.
+    """
+    target = Path(out)
+    step_um, pixel = _required(z_step_um, pixel_um)
+    depth_um = _depth_um(numerical_aperture, wavelength_um, pixel)
+    _require_overlap(overlap_fraction)
+    _require_free(target)
+    stacks = {cell: _upward(stack, step_um) for cell, stack in stacks_by_cell(srcs, pattern).items()}
+    for cell, stack in stacks.items():
+        what = "the source" if pattern is None else f"the field in row {cell[0]}, column {cell[1]}"
+        _require_frames(sum(None not in slot for slot in stack), what)
+    first = next(p for stack in stacks.values() for slot in stack for p in slot if p is not None).read()
+    job = _job(stacks, first, abs(step_um), pixel, overlap_fraction)
+    plan = _plan(job, first, pixel, depth_um)
+    require_space(target.parent, plan.n_frames * first.nbytes, target.name)
+    with replacing(target) as beside:
+        bits = 8 * first.dtype.itemsize
+        with DatasetWriter.create(beside, plan, job, imported_from=_source_name(srcs), bits=bits) as writer:
+            _copy(stacks, writer, progress, should_stop)
+    return Dataset.open(target)
+
+
+@dataclass(slots=True)
+class _Alike:
+    """Lets images pass as long as they are like the first one."""
+
+    first: Image | None = None
+    n_before: int = 0
+
+    def passed(self, picture: Picture) -> Image:
+        image = picture.read()
+        first = image if self.first is None else self.first
+        if _kind(image) != _kind(first):
+            before = "the one before it is" if self.n_before == 1 else f"the {self.n_before} before it are"
+            raise DatasetError(
+                f"Import stopped at {picture.name}: it is {_kind(image)}, {before} {_kind(first)}. {NOTHING_WRITTEN} "
+                "Take the file out or import it as a stack of its own."
+            )
+        self.first, self.n_before = first, self.n_before + 1
+        return image
+
+
+def _read_all(found: list[Picture], progress: Progress | None, should_stop: ShouldStop | None) -> Image:
+    alike = _Alike()
+    first = alike.passed(found[0])
+    dtype: np.dtype[Any] = first.dtype
+    images = np.empty((len(found), *first.shape), dtype)
+    images[0] = first
+    for k, picture in enumerate(watched(found[1:], len(found) - 1, "Reading the images", progress, should_stop), 1):
+        images[k] = alike.passed(picture)
+    return images
+
+
+def _copy(stacks: Stacks, writer: DatasetWriter, progress: Progress | None, should_stop: ShouldStop | None) -> None:
+    alike = _Alike()
+    slots = list(_slots(stacks, writer.record.plan))
+    for shot, field, picture in watched(slots, len(slots), "The import", progress, should_stop):
+        if picture is None:
+            writer.missed(shot, shot.k, "there was no such image")
+        else:
+            writer.frame(_frame(shot, field, writer.record.plan.sweep, alike.passed(picture)))
+    writer.finish()
+
+
+def _slots(stacks: Stacks, plan: ScanPlan) -> Iterator[tuple[Shot, Field, Picture | None]]:
+    for field, stack in zip(plan.fields, stacks.values(), strict=True):
+        for k, slot in enumerate(stack):
+            for exposure, picture in enumerate(slot):
+                yield Shot(field.number, k, exposure), field, picture
+
+
+def _frame(shot: Shot, field: Field, sweep: FocusSweep, image: Image) -> Frame:
+    return Frame(
+        shot=shot,
+        pulse_count=shot.k,
+        x_um=field.x_um,
+        y_um=field.y_um,
+        z_um=sweep.z_um(field, shot.k),
+        exposure_us=UNKNOWN_EXPOSURE_US,
+        device_time_us=0,
+        status=FrameStatus.OK,
+        image=image,
+    )
+
+
+def _job(stacks: Stacks, first: Image, z_step_um: float, pixel_um: float, overlap_fraction: float) -> Job:
+    grid = FieldGrid(
+        rows=1,
+        cols=1,
+        field_width_um=first.shape[1] * pixel_um,
+        field_height_um=first.shape[0] * pixel_um,
+        overlap_x_fraction=overlap_fraction,
+        overlap_y_fraction=overlap_fraction,
+    )
+    one = next(iter(stacks.values()))
+    return Job(
+        fields=tuple(_fields(sorted(stacks), grid)),
+        sweep=FocusSweep(z_step_um=z_step_um, n_frames=len(one)),
+        exposures_us=(UNKNOWN_EXPOSURE_US,) * len(one[0]),
+    )
+
+
+def _fields(cells: list[Cell], grid: FieldGrid) -> Iterator[Field]:
+    """A field for each cell there is; rows and columns are counted from 0, however the files are numbered."""
+    top, left = min(row for row, _ in cells), min(col for _, col in cells)
+    for number, (row, col) in enumerate(cells, 1):
+        x_um, y_um = (col - left) * grid.pitch_x_um, -(row - top) * grid.pitch_y_um
+        yield Field(number=number, row=row - top, col=col - left, x_um=x_um, y_um=y_um, z_start_um=0.0)
+
+
+def _plan(job: Job, first: Image, pixel_um: float, depth_um: float) -> ScanPlan:
+    return ScanPlan(
+        fields=job.fields,
+        sweep=job.sweep,
+        exposures_us=job.exposures_us,
+        strategy="import",
+        legs=(),
+        predicted_s=0.0,
+        prices=(),
+        rows=first.shape[0],
+        cols=first.shape[1],
+        pixel_um=pixel_um,
+        depth_of_field_um=depth_um,
+    )
+
+
+def _upward(stack: list[P], z_step_um: float) -> list[P]:
+    return stack[::-1] if z_step_um < 0 else stack
+
+
+def _required(z_step_um: float | None, pixel_um: float | None) -> tuple[float, float]:
+    if z_step_um is None:
+        raise DatasetError("The z step is missing: give it with --z-step-um, the images do not say it.")
+    if pixel_um is None:
+        raise DatasetError("The pixel size is missing: give it with --pixel-um, the images do not say it.")
+    if z_step_um == 0 or not np.isfinite(z_step_um):
+        raise DatasetError(
+            f"The z step is {z_step_um:g} um: give the distance between frames, under 0 if taken downward."
+        )
+    if not 0 < pixel_um < np.inf:
+        raise DatasetError(f"The pixel size is {pixel_um:g} um: it must be over 0.")
+    return z_step_um, pixel_um
+
+
+def _depth_um(numerical_aperture: float | None, wavelength_um: float | None, pixel_um: float) -> float:
+    """The depth of field; 0 where no aperture is given."""
+    if wavelength_um is not None and not MIN_WAVELENGTH_UM <= wavelength_um <= MAX_WAVELENGTH_UM:
+        raise DatasetError(
+            f"The wavelength is {wavelength_um:g} um: it must lie from {MIN_WAVELENGTH_UM} to {MAX_WAVELENGTH_UM} um."
+        )
+    if numerical_aperture is None:
+        return 0.0
+    if not 0 < numerical_aperture < 1:
+        raise DatasetError(
+            f"The numerical aperture is {numerical_aperture:g}: in air it lies between 0 and 1, as in 10x/0.28."
+        )
+    return depth_of_field_um(numerical_aperture, pixel_um, wavelength_um or WAVELENGTH_UM)
+
+
+def _require_overlap(fraction: float) -> None:
+    if not 0 <= fraction <= MAX_OVERLAP:
+        raise DatasetError(f"The overlap is {fraction:.0%} of a field: it must be between 0 % and {MAX_OVERLAP:.0%}.")
+
+
+def _require_free(target: Path) -> None:
+    if target.exists():
+        raise DatasetError(f"{target} exists already. {NOTHING_WRITTEN} Choose another name.")
+
+
+def _require_frames(n_frames: int, what: str) -> None:
+    if n_frames < MIN_FRAMES:
+        raise DatasetError(
+            f"Import stopped: {what} has {n_frames} frames and at least {MIN_FRAMES} are needed to find a focus peak. "
+            f"{NOTHING_WRITTEN} Give the whole stack."
+        )
+
+
+def _kind(image: Image) -> str:
+    return f"{image.shape[1]} x {image.shape[0]} px, {8 * image.dtype.itemsize} bit"
+
+
+def _source_name(src: Paths) -> str:
+    return Path(src).name if isinstance(src, str | Path) else ", ".join(Path(one).name for one in src)

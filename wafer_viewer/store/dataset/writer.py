@@ -1,0 +1,272 @@
+"""Writing a dataset: the place where a scan's frames go. A page first, then its line in the journal."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from wafer_viewer._version import __version__
+from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
+from wafer_viewer.model.acquisition.devices import PulseSummary
+from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
+from wafer_viewer.model.acquisition.plan import Job, Leg, ScanPlan, Shot
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.store.dataset import journal
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.frame_pages import PageWriter, create_pages, tags_crc32c
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.scan_record import FRAMES, JOURNAL, RESULTS, ScanRecord, frames_file, write_record
+from wafer_viewer.store.io.atomic_files import remove, require_space, writing
+
+OnFieldComplete = Callable[[int], None]
+
+
+class DatasetWriter:
+    """The one writer of a dataset, a `ScanSink`; it holds the dataset's lock until it is closed.
+
+    `on_field_complete` is called with a field's number once its last frame is kept.
+    """
+
+    def __init__(self, path: Path, record: ScanRecord, lock: Lock, on_field_complete: OnFieldComplete | None) -> None:
+        self.path, self.record = path, record
+        self.on_field_complete = on_field_complete
+        self._lock = lock
+        self._fields = {f.number: f for f in record.plan.fields}
+        self._files: dict[int, PageWriter] = {}
+        self._journal = journal.JournalWriter(path / JOURNAL)
+        self._kept = Dataset(path, record).kept()
+        self._provisional: set[Shot] | None = None
+        """Slots with a frame of the pass under way; None between passes, where a frame counts at once."""
+        self._kept_of_field = Counter(shot.field for shot in self._kept)
+
+    @classmethod
+    def create(
+        cls,
+        path: str | Path,
+        plan: ScanPlan,
+        job: Job,
+        *,
+        calibration: Calibration | None = None,
+        setup: OpticalSetup = OpticalSetup(),
+        rig: str = "",
+        simulated: bool = False,
+        imported_from: str = "",
+        bits: int = 8,
+        on_field_complete: OnFieldComplete | None = None,
+    ) -> Self:
+        """Make a dataset with all its disk space, and hold it.
+
+        Raises DatasetError when the path is taken, cannot be written to or has not enough space; then nothing stays.
+        """
+        folder = Path(path)
+        record = ScanRecord(
+            software_version=__version__,
+            taken=_now(),
+            rig=rig,
+            simulated=simulated,
+            imported_from=imported_from,
+            bits=bits,
+            setup=setup,
+            calibration=calibration,
+            job=job,
+            plan=plan,
+        )
+        _require_distinct_names(plan)
+        _make_folder(folder)
+        with contextlib.ExitStack() as undo:
+            undo.callback(remove, folder)
+            lock = Lock.take(folder)
+            _lay_out(folder, record)
+            made = cls(folder, record, lock, on_field_complete)
+            undo.pop_all()
+            return made
+
+    @classmethod
+    def resume(cls, path: str | Path, *, on_field_complete: OnFieldComplete | None = None) -> Self:
+        """Hold a dataset to continue its scan. Raises DatasetError when it is none or another process holds it."""
+        folder = Path(path)
+        record = Dataset.open(folder).scan
+        lock = Lock.take(folder)
+        with contextlib.ExitStack() as undo:
+            undo.callback(lock.release)
+            held = cls(folder, record, lock, on_field_complete)
+            undo.pop_all()
+            return held
+
+    @property
+    def kept(self) -> frozenset[Shot]:
+        """The slots that have a frame: what a scan that goes on may skip."""
+        return frozenset(self._kept)
+
+    @property
+    def n_arrived(self) -> int:
+        """How many slots have a frame, those of the pass under way among them."""
+        return len(self._kept) + len(self._provisional or ())
+
+    def pass_begun(self, number: int, leg: Leg) -> None:
+        """A leg starts: its frames count once it has ended."""
+        self._provisional = set()
+        begun = journal.PassBegun(number, leg.train.axis, leg.train.n_frames, _now(), provisional=True)
+        self._journal.write(begun)
+
+    def frame(self, frame: Frame) -> None:
+        """Keep a frame: its page, then its line. A slot that is kept is not written again.
+
+        Within a pass it counts once that has ended, unless its slot is missed before.
+
+        An image that did not come whole is noted as missed. Raises DatasetError when frame and plan disagree.
+        """
+        if frame.image is None or frame.status is not FrameStatus.OK:
+            self.missed(frame.shot, frame.pulse_count, f"the image was {frame.status.value}")
+        elif frame.shot not in self._kept and frame.shot not in (self._provisional or ()):
+            self._keep(frame, self._checked(frame.shot, frame.image))
+
+    def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
+        """A slot stayed empty, or its frame of the pass under way is not to be kept."""
+        if self._provisional is not None:
+            self._provisional.discard(shot)
+        self._journal.write(journal.Missed(shot, pulse_count, why))
+
+    def repaired(self, shot: Shot) -> None:
+        """A slot that stayed empty has its frame now."""
+        self._journal.write(journal.Repaired(shot))
+
+    def pass_ended(self, number: int, summary: PulseSummary) -> None:
+        """A leg is over: its frames count."""
+        self._journal.write(journal.PassEnded(number, summary, _now()))
+        shots, self._provisional = self._provisional or set[Shot](), None
+        self._count(shots)
+
+    def fault(self, what: str) -> None:
+        """Something a person should know."""
+        self._journal.write(journal.FaultNoted(what, _now()))
+
+    def finish(self) -> None:
+        """The scan came to its end: a slot that is empty now stays empty, and the dataset reads as finished."""
+        self._journal.write(journal.Finished(_now()))
+
+    def close(self) -> None:
+        """Give the dataset back; twice does no harm."""
+        self._journal.close()
+        self._lock.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _keep(self, frame: Frame, image: Image) -> None:
+        shot = frame.shot
+        self._file(shot.field).write(self.record.page_of(shot.k, shot.exposure), image)
+        self._journal.write(
+            journal.FrameKept(
+                shot=shot,
+                pulse_count=frame.pulse_count,
+                x_um=frame.x_um,
+                y_um=frame.y_um,
+                z_um=frame.z_um,
+                exposure_us=frame.exposure_us,
+                device_time_us=frame.device_time_us,
+                crc32=zlib.crc32(image.data),
+            )
+        )
+        if self._provisional is not None:
+            self._provisional.add(shot)
+        else:
+            self._count({shot})
+
+    def _count(self, shots: set[Shot]) -> None:
+        """Count frames as kept, and tell of the fields that they complete."""
+        self._kept |= shots
+        for number, n_new in Counter(shot.field for shot in shots).items():
+            self._kept_of_field[number] += n_new
+            if self._kept_of_field[number] == self.record.pages.n_pages and self.on_field_complete is not None:
+                self.on_field_complete(number)
+
+    def _checked(self, shot: Shot, image: Image) -> Image:
+        pages = self.record.pages
+        if shot.field not in self._fields or not 0 <= self.record.page_of(shot.k, shot.exposure) < pages.n_pages:
+            raise DatasetError(
+                f"{shot} is not in the plan of {self.path.name}: continue with the plan it was started with."
+            )
+        if image.shape != (pages.rows, pages.cols) or image.dtype.itemsize != pages.dtype.itemsize:
+            raise DatasetError(
+                f"The frame of {shot} is {image.shape[1]} x {image.shape[0]} px of {image.dtype}, "
+                f"{self.path.name} holds {pages.cols} x {pages.rows} px of {pages.dtype}: "
+                "set the camera as the plan was made for."
+            )
+        return np.ascontiguousarray(image, pages.dtype)
+
+    def _file(self, field_number: int) -> PageWriter:
+        if field_number not in self._files:
+            path = frames_file(self.path, self._fields[field_number])
+            self._files[field_number] = PageWriter(path, self.record.pages)
+        return self._files[field_number]
+
+
+def _make_folder(folder: Path) -> None:
+    if folder.exists():
+        raise DatasetError(f"{folder} exists already: choose another name, or continue its scan.")
+    with writing(folder):
+        folder.mkdir()
+
+
+def _lay_out(folder: Path, record: ScanRecord) -> None:
+    """Everything but frames; ``scan.json`` comes last, so that a folder half made is no dataset."""
+    pages = record.pages
+    require_space(folder, pages.file_bytes * len(record.plan.fields), folder.name)
+    with writing(folder):
+        (folder / FRAMES).mkdir()
+        (folder / RESULTS).mkdir()
+        (folder / JOURNAL).touch()
+    tags: list[int] = []
+    for field in record.plan.fields:
+        path = frames_file(folder, field)
+        create_pages(path, pages, record.pixel_um, _description(record, field.number))
+        tags.append(tags_crc32c(path, pages))
+    write_record(folder, replace(record, frame_tag_checksums=tuple(tags)))
+
+
+def _description(record: ScanRecord, field_number: int) -> str:
+    """What a reader of the TIFF alone should know, in its first page (ASCII)."""
+    about = {
+        "field": field_number,
+        "page": "k * n_exposures + exposure",
+        "n_exposures": record.n_exposures,
+        "z_step_um": record.plan.sweep.z_step_um,
+        "pixel_um": record.pixel_um,
+        "calibrated": record.calibration is not None,
+        "SIMULATED": record.simulated,
+        "software": f"Wafer Viewer {record.software_version}",
+    }
+    return msgspec.json.encode(about).decode()
+
+
+def _require_distinct_names(plan: ScanPlan) -> None:
+    """Fields with the same row and column would share a file."""
+    for what, names in (
+        ("place in the grid", [f.name for f in plan.fields]),
+        ("number", [f.number for f in plan.fields]),
+    ):
+        twice = [name for name, count in Counter(names).items() if count > 1]
+        if twice:
+            raise DatasetError(
+                f"Two fields have the same {what}, {twice[0]}: give each its own row, column and number."
+            )
+
+
+def _now() -> str:
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")

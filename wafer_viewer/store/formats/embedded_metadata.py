@@ -1,0 +1,93 @@
+"""What a file says beside its numbers: warnings for people, and for programs the lattice and where it comes from."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from typing import Any
+
+import msgspec
+
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, Provenance
+from wafer_viewer.store.formats.surface_strips import Strips
+
+OURS = "WaferViewer"
+"""What the text for programs is called where a format gives texts a name."""
+LINE_LETTERS = 200
+
+
+class About(msgspec.Struct, frozen=True):
+    """The lattice that a file was written on, and where its surface comes from."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    rows: int
+    cols: int
+    provenance: Provenance
+    kind: str = "height"
+
+
+def caveats(provenance: Provenance, today: str | None = None) -> tuple[str, ...]:
+    """What a reader of the numbers must know: 'SIMULATED', and 'uncalibrated' with the reason; empty when all is well.
+
+    today: an ISO 8601 day, the present one when left out.
+    """
+    day = today or datetime.date.today().isoformat()
+    calibration = provenance.calibration
+    problem = "no calibration" if calibration is None else calibration.problem(calibration.setup, day)
+    return (("SIMULATED",) if provenance.simulated else ()) + ((f"uncalibrated: {problem}",) if problem else ())
+
+
+def title(surface: HeightMap | Mosaic) -> str:
+    """A line for people: whose heights these are, and the caveats."""
+    return "; ".join((f"Heights by Wafer Viewer {surface.provenance.software_version}", *caveats(surface.provenance)))
+
+
+def heading(strips: Strips) -> list[str]:
+    """What stands above numbers in a text, a line each; the last ones are for programs, cut into pieces."""
+    surface, (rows, cols) = strips.surface, strips.shape
+    return [
+        f"Wafer Viewer {surface.provenance.software_version}: heights in um, stage coordinates",
+        *caveats(surface.provenance),
+        f"x = {surface.x0_um:.4f} + col * {strips.pixel_um:.8g}, y = {surface.y0_um:.4f} - row * {strips.pixel_um:.8g}",
+        f"{rows} rows, {cols} columns",
+        f"origin: {', '.join(f'{o.value} {o.name.lower()}' for o in Origin if o < Origin.NOT_COVERED)}",
+        f"input checksum: {surface.provenance.input_checksum or 'none'}",
+        *(f"{OURS}: {part}" for part in _in_short_lines(about(strips))),
+    ]
+
+
+def _in_short_lines(text: str) -> list[str]:
+    """JSON cut into lines without blanks: some programs end at a line, or a word, of more than some hundred letters."""
+    whole = text.replace(" ", "\\u0020")
+    return [whole[at : at + LINE_LETTERS] for at in range(0, len(whole), LINE_LETTERS)]
+
+
+def about(strips: Strips) -> str:
+    """The text for programs: JSON in one line, ASCII."""
+    surface, provenance = strips.surface, strips.surface.provenance
+    facts = {
+        "software": f"Wafer Viewer {provenance.software_version}",
+        "unit": "um",
+        "caveats": caveats(provenance),
+        "pixel_um": strips.pixel_um,
+        "x0_um": surface.x0_um,
+        "y0_um": surface.y0_um,
+        "rows": strips.shape[0],
+        "cols": strips.shape[1],
+        "provenance": json.loads(encode(provenance, "json")),
+    }
+    return json.dumps(facts, ensure_ascii=True, separators=(",", ":"))
+
+
+def told_by(text: str | None) -> About | None:
+    """What the text for programs says; None where there is none, or one that another version cannot read."""
+    try:
+        facts: Any = json.loads(text or "")
+        provenance = decode(json.dumps(facts["provenance"]), Provenance, OURS, "json")
+        return msgspec.convert({**facts, "provenance": provenance}, About)
+    except (ValueError, KeyError, TypeError, WaferViewerError):
+        return None

@@ -1,0 +1,214 @@
+"""Points of a file laid on the lattice that they were taken on; or, when asked, on one that a person gives.
+
+Points come in blocks and can be asked for twice, so that a file larger than memory can be read: once to find the
+lattice, where the file does not say it, and once to lay them down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.store.formats.embedded_metadata import About
+from wafer_viewer.store.formats.reader_support import Asked, heights_only
+
+Block = dict[str, NDArray[Any]]
+"""Points by the names of their columns: x, y, z, and what else there is."""
+Blocks = Callable[[], Iterator[Block]]
+MOST_LINES = 2_000_000
+"""Points with more different x or y than this lie on no lattice."""
+MOST_PIXELS = 400_000_000
+_OFF = 0.1
+"""How far from a pixel's centre a point of a lattice may lie, in pixels."""
+_SPARSE = 0.02
+"""A lattice has at least this share of its places taken."""
+_UNEVEN = 1e-3
+_TOO_FEW = 2
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Where pixels lie, in um."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    rows: int
+    cols: int
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The points of a file: how to go through them, their unit in um, and what the file says of itself."""
+
+    blocks: Blocks
+    unit_um: tuple[float, float, float]
+    about: About | None = None
+
+
+def surface_of_points(points: Points, asked: Asked) -> HeightMap:
+    """The surface that points lie on. Raises DatasetError for scattered ones, unless a person gives a pixel size."""
+    asked_um = asked.says.pixel_um
+    about = points.about
+    if about is not None:
+        lattice = Lattice(about.pixel_um, about.x0_um, about.y0_um, about.rows, about.cols)
+        _require_room(lattice, asked)
+        if (found := _laid(points, lattice, asked)) is not None:
+            return found
+    lattice = _found(points, asked)
+    if lattice is not None and (asked_um is None or abs(asked_um / lattice.pixel_um - 1) < _UNEVEN):
+        _require_room(lattice, asked)
+        if (found := _laid(points, lattice, asked)) is not None:
+            return found
+    if asked_um is None:
+        raise asked.refuse(
+            "has scattered points, on no regular lattice: say on what to grid them, as in --pixel-um 0.5."
+        )
+    return _gridded(points, asked_um, asked)
+
+
+def _laid(points: Points, lattice: Lattice, asked: Asked) -> HeightMap | None:
+    """The points on a lattice, each on its own place; None where one lies off it, outside, or on a place taken."""
+    layers = _Layers(lattice)
+    for block in points.blocks():
+        x_um, y_um, z_um = _um(block, points)
+        col, row = (x_um - lattice.x0_um) / lattice.pixel_um, (lattice.y0_um - y_um) / lattice.pixel_um
+        at_col, at_row = np.rint(col).astype(np.int64), np.rint(row).astype(np.int64)
+        off = max(float(np.abs(col - at_col).max(initial=0)), float(np.abs(row - at_row).max(initial=0)))
+        inside = (at_col >= 0) & (at_col < lattice.cols) & (at_row >= 0) & (at_row < lattice.rows)
+        if off > _OFF or not inside.all() or not layers.put(at_row * lattice.cols + at_col, z_um, block):
+            return None
+    return layers.surface(points.about.provenance if points.about else None, asked)
+
+
+class _Layers:
+    """The layers of a surface while points are laid down; those that no file has take no memory."""
+
+    def __init__(self, lattice: Lattice) -> None:
+        self._lattice, self._n = lattice, lattice.rows * lattice.cols
+        self._z = np.full(self._n, np.nan, np.float32)
+        self._origin: NDArray[np.uint8] | None = None
+        self._confidence: NDArray[np.float32] | None = None
+        self._grey: NDArray[np.uint8] | None = None
+
+    def put(self, at: NDArray[np.int64], z_um: Floats, block: Block) -> bool:
+        """Put points down; False where two have one place."""
+        if np.isfinite(self._z[at]).any():
+            return False
+        self._z[at] = z_um
+        if len(at) != np.count_nonzero(np.diff(np.sort(at))) + 1 and len(at):
+            return False
+        if "origin" in block:
+            self._origin = np.full(self._n, Origin.NO_REASON, np.uint8) if self._origin is None else self._origin
+            self._origin[at] = block["origin"]
+        if "confidence" in block:
+            self._confidence = np.zeros(self._n, np.float32) if self._confidence is None else self._confidence
+            self._confidence[at] = block["confidence"]
+        if "grey" in block:
+            self._grey = np.zeros(self._n, np.uint8) if self._grey is None else self._grey
+            self._grey[at] = block["grey"]
+        return True
+
+    def surface(self, provenance: Provenance | None, asked: Asked) -> HeightMap:
+        """The surface of what was put down."""
+        shape, here = (self._lattice.rows, self._lattice.cols), self._lattice
+        place = here.pixel_um, here.x0_um, here.y0_um
+        more = [name for name, layer in (("confidence", self._confidence), ("grey", self._grey)) if layer is not None]
+        held = " and ".join(["heights", *more]) if more else "heights only"
+        plain = heights_only(asked, self._z.reshape(shape), *place, provenance, held)
+        known = np.isfinite(plain.z_um)
+        layers: dict[str, Any] = {}
+        if self._origin is not None and bool((self._origin[known.ravel()] < Origin.NOT_COVERED).all()):
+            layers["origin"] = self._origin.reshape(shape)
+            filled = layers["origin"] == Origin.FILLED
+            if filled.any():
+                layers["z_raw_um"] = np.where(filled, np.float32(np.nan), plain.z_um)
+        if self._confidence is not None:
+            layers["confidence"] = self._confidence.reshape(shape)
+        if self._grey is not None:
+            layers["all_in_focus"] = self._grey.reshape(shape)
+        return replace(plain, **layers)
+
+
+def _gridded(points: Points, pixel_um: float, asked: Asked) -> HeightMap:
+    """Scattered points on a lattice: each pixel takes the mean of those in it, and is unmeasured without any."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for block in points.blocks():
+        x_um, y_um, _ = _um(block, points)
+        low = np.minimum(low, [x_um.min(initial=np.inf), y_um.min(initial=np.inf)])
+        high = np.maximum(high, [x_um.max(initial=-np.inf), y_um.max(initial=-np.inf)])
+    if not np.isfinite(low).all():
+        raise asked.refuse("holds no height: write it again from a surface that has some.")
+    cols, rows = (int(n) for n in np.floor((high - low) / pixel_um + 0.5) + 1)
+    lattice = Lattice(pixel_um, float(low[0]), float(high[1]), rows, cols)
+    _require_room(lattice, asked)
+    sums, counts = np.zeros(rows * cols), np.zeros(rows * cols)
+    for block in points.blocks():
+        x_um, y_um, z_um = _um(block, points)
+        col, row = (np.floor(d / pixel_um + 0.5).astype(np.int64) for d in (x_um - low[0], high[1] - y_um))
+        sums += np.bincount(row * cols + col, z_um, rows * cols)
+        counts += np.bincount(row * cols + col, minlength=rows * cols)
+    z_um = np.divide(sums, counts, out=np.full(rows * cols, np.nan), where=counts > 0).astype(np.float32)
+    asked.notes.append(f"Its points were gridded on {pixel_um:g} um: each pixel is the mean of those in it.")
+    return heights_only(asked, z_um.reshape(rows, cols), pixel_um, lattice.x0_um, lattice.y0_um, None)
+
+
+def _found(points: Points, asked: Asked) -> Lattice | None:
+    """The lattice that points lie on; None where there is none."""
+    xs, ys, n_points = np.empty(0), np.empty(0), 0
+    for block in points.blocks():
+        x_um, y_um, _ = _um(block, points)
+        xs, ys, n_points = np.union1d(xs, x_um), np.union1d(ys, y_um), n_points + len(x_um)
+        if max(len(xs), len(ys)) > MOST_LINES:
+            return None
+    if not n_points:
+        raise asked.refuse("holds no height: write it again from a surface that has some.")
+    if min(len(xs), len(ys)) < _TOO_FEW:
+        raise asked.refuse("has its points on one line: give a file with a surface.")
+    along, across = _pitch(xs), _pitch(ys)
+    if along is None or across is None:
+        return None
+    cols, rows = along[1], across[1]
+    if n_points < _SPARSE * rows * cols:
+        return None
+    if abs(along[0] / across[0] - 1) > _UNEVEN:
+        asked.pixel_um(along[0], across[0])
+    pixel_um = (xs[-1] - xs[0] + ys[-1] - ys[0]) / (cols + rows - 2)
+    return Lattice(float(pixel_um), float(xs[0]), float(ys[-1]), rows, cols)
+
+
+def _pitch(values: Floats) -> tuple[float, int] | None:
+    """The pitch of the places that sorted values lie on, and how many there are; None where they are irregular."""
+    steps = np.diff(values)
+    smallest = float(steps.min())
+    pitch = float(np.median(steps[steps < 1.5 * smallest]))  # rounded texts scatter a little about it
+    places = np.rint(steps / pitch)
+    if places.min() < 1 or np.abs(steps / pitch - places).max() > 2 * _OFF * max(1.0, float(places.max())):
+        return None
+    index = np.concatenate([[0.0], np.cumsum(places)])
+    pitch = float((values[-1] - values[0]) / index[-1])
+    off = np.abs(values - values[0] - index * pitch).max()
+    return (pitch, int(index[-1]) + 1) if off <= _OFF * pitch else None
+
+
+def _require_room(lattice: Lattice, asked: Asked) -> None:
+    if lattice.rows * lattice.cols > MOST_PIXELS:
+        raise asked.refuse(
+            f"would have {lattice.rows} x {lattice.cols} pixels of {lattice.pixel_um:g} um: give a larger --pixel-um."
+        )
+
+
+def _um(block: Block, points: Points) -> tuple[Floats, Floats, Floats]:
+    """x, y and z of the points with a height, in um; the columns of a block are cut to them."""
+    known = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
+    if not known.all():
+        for name in block:
+            block[name] = block[name][known]
+    x, y, z = (block[name].astype(np.float64) * unit for name, unit in zip("xyz", points.unit_um, strict=True))
+    return x, y, z

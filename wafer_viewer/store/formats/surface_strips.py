@@ -1,0 +1,98 @@
+"""A surface read strip by strip, at full or lower density, so that files larger than memory can be written."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+
+STRIP_ROWS = 256
+"""Rows of full density that are in memory at a time: as many as a chunk of a mosaic has."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Strips:
+    """Every so manieth row and column of a surface, from the top edge down.
+
+    A writer that goes through it several times says which pass of how many it is in, for the progress that is told.
+    """
+
+    surface: HeightMap | Mosaic
+    every: int = 1
+    progress: Progress | None = None
+    should_stop: ShouldStop | None = None
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise DatasetError(f"Every {self.every}th pixel cannot be written: take 1 for all, 2 for every other, ….")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of what is written."""
+        rows, cols = self.surface.shape
+        return -(-rows // self.every), -(-cols // self.every)
+
+    @property
+    def pixel_um(self) -> float:
+        """From one written pixel to the next."""
+        return self.surface.pixel_um * self.every
+
+    @property
+    def low_y_um(self) -> float:
+        """Stage y of the last written row."""
+        return self.surface.y0_um - (self.shape[0] - 1) * self.pixel_um
+
+    def layer(self, name: str, part: int = 0, of: int = 1, *, upward: bool = False) -> Iterator[NDArray[Any]]:
+        """A layer, strip by strip; `upward` from the bottom edge, rows turned round."""
+        for rows in self._watched(part, of, upward):
+            strip = self._read(name, rows)
+            yield strip[::-1] if upward else strip
+
+    def maps(self, part: int = 0, of: int = 1) -> Iterator[HeightMap]:
+        """All layers, strip by strip."""
+        for rows in self._watched(part, of, upward=False):
+            whole = _window(self.surface, rows)
+            yield whole if self.every == 1 else thinned(whole, self.every)
+
+    def _watched(self, part: int, of: int, upward: bool) -> Iterator[slice]:
+        rows, step = self.surface.shape[0], max(1, STRIP_ROWS // self.every) * self.every
+        runs = [slice(top, min(top + step, rows)) for top in range(0, rows, step)]
+        tell, total = self.progress, len(runs)
+
+        def told(done: float) -> None:
+            if tell is not None:
+                tell((part + done) / of)
+
+        yield from watched(runs[::-1] if upward else runs, total, "Writing the surface", told, self.should_stop)
+
+    def _read(self, name: str, rows: slice) -> NDArray[Any]:
+        if isinstance(self.surface, ZarrMosaic):
+            strip = self.surface.read(name, 0, rows, slice(0, self.surface.shape[1]))
+        else:
+            strip = getattr(_window(self.surface, rows), name)
+        return strip[:: self.every, :: self.every]
+
+
+def thinned(surface: HeightMap, every: int) -> HeightMap:
+    """Every so manieth row and column of a map: heights that were measured, not means of them."""
+    sparse = slice(None, None, every)
+    names = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin")
+    layers = {name: getattr(surface, name)[sparse, sparse].copy() for name in names}  # a view would keep it all
+    return dataclasses.replace(surface, **layers, overlap_um=None, pixel_um=surface.pixel_um * every)
+
+
+def _window(surface: HeightMap | Mosaic, rows: slice) -> HeightMap:
+    if isinstance(surface, HeightMap):
+        return surface.crop(rows, slice(0, surface.shape[1]))
+    last_x_um = surface.x0_um + (surface.shape[1] - 1) * surface.pixel_um
+    top_um, bottom_um = (surface.y0_um - row * surface.pixel_um for row in (rows.start, rows.stop - 1))
+    return surface.window(Region.rectangle(surface.x0_um, bottom_um, last_x_um, top_um))

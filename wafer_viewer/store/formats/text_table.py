@@ -1,0 +1,165 @@
+"""CSV and XYZ: a line of text for each pixel with a height, below lines that begin with #."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.store.formats.embedded_metadata import OURS, About, heading, told_by
+from wafer_viewer.store.formats.point_gridding import Block, Points, surface_of_points
+from wafer_viewer.store.formats.point_records import units_of
+from wafer_viewer.store.formats.reader_support import Asked
+from wafer_viewer.store.formats.surface_strips import Strips
+
+_BYTES_AT_A_TIME = 16_000_000
+_COLUMN = re.compile(r"^([a-z ]+?)(?:[_\s/]*[\[(]?\s*([a-zµμ]+)\s*[\])]?)?$", re.IGNORECASE)
+_AXES = {"x": "x", "y": "y", "z": "z", "height": "z", "depth": "depth", "origin": "origin"}
+_DELIMITERS = (",", ";", "\t", " ")
+
+
+def write_csv(strips: Strips, path: Path) -> None:
+    """x_um, y_um, z_um and the code of its origin, below the names of the columns."""
+    _write(strips, path, ",", ("x_um,y_um,z_um,origin",), with_origin=True)
+
+
+def write_xyz(strips: Strips, path: Path) -> None:
+    """x, y and z in um, nothing else."""
+    _write(strips, path, " ", (), with_origin=False)
+
+
+def read_table(path: Path, asked: Asked) -> HeightMap:
+    """The surface that the points of a table lie on; x, y and z are the first three columns, or those so called."""
+    head = _head(path, asked)
+    points = Points(lambda: _blocks(path, head, asked), _units(head, asked), head.about)
+    return surface_of_points(points, asked)
+
+
+def _write(strips: Strips, path: Path, between: str, above: tuple[str, ...], *, with_origin: bool) -> None:
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"# {line}\n" for line in heading(strips))
+        file.writelines(f"{line}\n" for line in above)
+        for part in strips.maps():
+            xs = [f"{x:.4f}{between}" for x in part.x_um]
+            for row, y_um in enumerate(part.y_um):
+                file.write(_line(part, row, xs, f"{y_um:.4f}{between}", between if with_origin else ""))
+
+
+def _line(part: HeightMap, row: int, xs: list[str], y: str, before_origin: str) -> str:
+    """The points of a row, each with its line break."""
+    z_um = part.z_um[row]
+    cols = np.flatnonzero(np.isfinite(z_um))
+    ends = (
+        [f"{before_origin}{code}\n" for code in part.origin[row][cols].tolist()]
+        if before_origin
+        else ["\n"] * len(cols)
+    )
+    heights = z_um[cols].tolist()
+    return "".join([f"{xs[col]}{y}{z:.5f}{end}" for col, z, end in zip(cols.tolist(), heights, ends, strict=True)])
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """The columns by what they hold, their units, and what separates them."""
+
+    columns: dict[str, int]
+    units: dict[str, str]
+    delimiter: str
+    about: About | None
+    begin: int
+
+
+def _head(path: Path, asked: Asked) -> _Head:
+    comments, begin = dict[str, str](), 0
+    with path.open("rb") as file:
+        for raw in file:
+            line = raw.decode("utf-8-sig" if begin == 0 else "utf-8", "replace").strip()
+            if line and not line.startswith("#"):
+                break
+            begin += len(raw)
+            name, _, value = line.lstrip("# ").partition(":")
+            key = name.strip().lower()
+            comments[key] = comments.get(key, "") + value.strip()
+        else:
+            raise asked.refuse("holds no points: give a table with the columns x, y and z.")
+    delimiter = next((d for d in _DELIMITERS if d in line), " ")
+    cells = line.split(delimiter if delimiter != " " else None)
+    columns, units = _names(cells, asked)
+    begin += 0 if _is_number(cells[0]) else len(raw)
+    if (unit := comments.get("unit")) is not None:
+        _require_one(units, unit, asked)
+        units = units or dict.fromkeys("xyz", unit)
+    return _Head(columns, units, delimiter, told_by(comments.get(OURS.lower())), begin)
+
+
+def _names(cells: list[str], asked: Asked) -> tuple[dict[str, int], dict[str, str]]:
+    """Columns and units by the line of names; the first three columns where there is none."""
+    if _is_number(cells[0]):
+        if len(cells) < 3:
+            raise asked.refuse("has fewer than three columns: give a table with x, y and z.")
+        return {"x": 0, "y": 1, "z": 2}, {}
+    columns, units = dict[str, int](), dict[str, str]()
+    for at, cell in enumerate(cells):
+        match = _COLUMN.match(cell.strip().strip('"').strip())
+        axis = _AXES.get(match[1].strip().lower()) if match else None
+        if match and axis and axis not in columns:
+            columns[axis] = at
+            if match[2]:
+                units[axis] = match[2]
+    if "depth" in columns and "z" not in columns:
+        asked.require_heights_up("depth")
+        columns["z"], units["z"] = columns.pop("depth"), units.get("depth", "")
+    for axis in "xyz":
+        if axis not in columns:
+            raise asked.refuse(f"has no column {axis}: name its columns x_um, y_um and z_um.")
+    return columns, {axis: unit for axis, unit in units.items() if unit}
+
+
+def _units(head: _Head, asked: Asked) -> tuple[float, float, float]:
+    """The units of x, y and z in um, each by its own column."""
+    if not head.units:
+        return units_of(None, head.about, asked)
+    if missing := [axis for axis in "xyz" if axis not in head.units]:
+        raise asked.refuse(f"gives no unit for {' and '.join(missing)}: name its columns x_um, y_um, z_um.")
+    x_um, y_um = (asked.lateral_um(head.units[axis]) or 1.0 for axis in "xy")
+    return x_um, y_um, asked.z_scale_um(head.units["z"])
+
+
+def _require_one(units: dict[str, str], said: str, asked: Asked) -> None:
+    """Columns and a comment must not contradict each other."""
+    for axis, unit in units.items():
+        if asked.lateral_um(unit) != asked.lateral_um(said):
+            raise asked.refuse(f"says that its unit is {said} and that its {axis} is in {unit}: keep what is right.")
+
+
+def _blocks(path: Path, head: _Head, asked: Asked) -> Iterator[Block]:
+    n_bytes = path.stat().st_size - head.begin
+    wanted = {axis: head.columns[axis] for axis in ("x", "y", "z", "origin") if axis in head.columns}
+    starts = list(range(0, n_bytes, _BYTES_AT_A_TIME))
+    with path.open("rb") as file:
+        file.seek(head.begin)
+        for _ in asked.watch(starts):
+            lines = file.readlines(_BYTES_AT_A_TIME)
+            try:
+                numbers = np.loadtxt(
+                    chain(lines),
+                    delimiter=None if head.delimiter == " " else head.delimiter,
+                    usecols=list(wanted.values()),
+                    ndmin=2,
+                )
+            except ValueError as fault:
+                raise asked.refuse("has lines without numbers in the columns x, y and z: take them out.") from fault
+            yield {axis: numbers[:, at] for at, axis in enumerate(wanted)}
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""Atomic files, checksums and logs."""

@@ -1,0 +1,263 @@
+"""CRC-32C checksums that files carry themselves: they hold in a copy, and are written with the file or not at all.
+
+A JSON text and a line of a log end with the member ``"crc32c"``: eight hex digits over all bytes before them. An
+``.npz`` ends with ``crc32c=`` and such digits as the comment of the archive. Shards and chunks of a mosaic have the
+codec ``crc32c`` of Zarr. Files of older versions have no checksum and are read as they are. Any single flipped bit is
+found, in the checksum itself as well.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Hashable
+from enum import Enum
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.spec import Spec, decode, encode
+from wafer_viewer.store.io.atomic_files import write_text
+
+SURFACES = "surfaces"
+"""The folder of the surfaces of fields in a result."""
+_KEY = b'"crc32c":'
+_NEARLY_KEY = re.compile(b"|".join(_KEY[:i] + b"." + _KEY[i + 1 :] for i in range(len(_KEY))), re.DOTALL)
+"""The key with any one byte of it damaged."""
+_LINE_KEY, _LINE_END = b'"crc32c":"', b'"}'
+_SEAL = re.compile(rb',?\s*"crc32c": ?"([0-9a-f]{8})"[ \n}]*$')
+_TAIL_BYTES = 64
+_COMMENT = re.compile(rb"crc32c=([0-9a-f]{8})$")
+_COMMENT_BYTES = 15
+_END_OF_ARCHIVE, _END_BYTES = b"PK\5\6", 22
+_PIECE_BYTES = 1 << 24
+FileMark = tuple[Path, int, int, int]
+"""A file and its state: path, inode, size, time of change."""
+S = TypeVar("S", bound=Spec)
+
+
+class Checksum(Enum):
+    """State of the checksum of a file or a line."""
+
+    GOOD = "good"
+    DAMAGED = "damaged"
+    NONE = "no checksum"
+
+
+def crc32c(content: bytes, before: int = 0) -> int:
+    """CRC-32C of some bytes; `before`: that of the bytes in front of them."""
+    import google_crc32c
+
+    return google_crc32c.extend(before, content)
+
+
+# ------------------------------------------------------------------------------------------------ JSON
+
+
+def sealed_text(text: str) -> str:
+    """A JSON object, as indented text, with its checksum as the last member."""
+    body = text.rstrip().removesuffix("}").rstrip()
+    start = f'{body}{"" if body == "{" else ","}\n  "crc32c": "'
+    return f'{start}{crc32c(start.encode()):08x}"\n}}'
+
+
+def sealed_line(line: bytes) -> bytes:
+    """A JSON object on one line, with its checksum as the last member."""
+    start = line.removesuffix(b"}") + b',"crc32c":"'
+    return b'%s%08x"}' % (start, crc32c(start))
+
+
+def sealed_node(node: dict[str, Any]) -> str:
+    """The ``zarr.json`` of a group or an array, with its checksum as the last of its attributes."""
+    plain = {name: value for name, value in node.items() if name != "attributes"}
+    own = {name: value for name, value in node.get("attributes", {}).items() if name != "crc32c"}
+    text = json.dumps({**plain, "attributes": {**own, "crc32c": "0" * 8}}, indent=2)
+    start, end = text[: text.rindex("0" * 8)], text[text.rindex("0" * 8) + 8 :]
+    return f"{start}{crc32c(start.encode()):08x}{end}"
+
+
+def text_state(content: bytes) -> Checksum:
+    """State of the checksum of a JSON text."""
+    tail = max(0, len(content) - _TAIL_BYTES)
+    if (found := _SEAL.search(content, tail)) is not None:
+        return _compared(found[1], crc32c(content[: found.start(1)]))
+    return Checksum.DAMAGED if _NEARLY_KEY.search(content, tail) else Checksum.NONE
+
+
+def line_state(line: bytes) -> Checksum:
+    """State of the checksum of one line of a log: a few microseconds, for a journal may have a million."""
+    key = line[-20:-10]
+    if key == _LINE_KEY and line[-2:] == _LINE_END:
+        return _compared(line[-10:-2], crc32c(line[:-10]))
+    nearly = key[:5] == _LINE_KEY[:5] or key[5:] == _LINE_KEY[5:]  # one damaged byte leaves the other half
+    return Checksum.DAMAGED if nearly else Checksum.NONE
+
+
+def unsealed(content: bytes) -> bytes:
+    """A JSON text without its checksum, which is not tested."""
+    found = _SEAL.search(content, max(0, len(content) - _TAIL_BYTES))
+    return content if found is None else content[: found.start()] + b"}"
+
+
+def save_json(path: Path, spec: Spec) -> None:
+    """Write a spec with its checksum, whole or not at all."""
+    write_text(path, sealed_text(encode(spec, "json")))
+
+
+def load_json(path: Path, kind: type[S]) -> S:
+    """Read a spec. Raises DatasetError when the file cannot be read or its checksum differs."""
+    return decode(verified_text(path), kind, str(path), "json")
+
+
+def require_good_json(path: Path) -> None:
+    """Raise DatasetError when there is a file whose checksum differs: what people entered is not written over."""
+    if path.exists():
+        verified_text(path)
+
+
+class KnownGood:
+    """What this process has tested and found good, the last of it: states of files, which change with the files."""
+
+    def __init__(self, most: int = 8192) -> None:
+        self._most = most
+        self._keys: dict[Hashable, None] = {}
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._keys
+
+    def add(self, key: Hashable) -> None:
+        """Remember it, and forget the oldest where there are too many."""
+        while len(self._keys) >= self._most:
+            self._keys.pop(next(iter(self._keys)), None)
+        self._keys[key] = None
+
+
+_good_archives = KnownGood()
+
+
+def verified_text(path: Path) -> bytes:
+    """The JSON text of a file without its checksum. Raises DatasetError when it cannot be read or is damaged."""
+    try:
+        content = path.read_bytes()
+    except OSError as fault:
+        raise DatasetError(f"{path} cannot be read: {fault.strerror}.") from fault
+    if text_state(content) is Checksum.DAMAGED:
+        raise damaged(path)
+    return unsealed(content)
+
+
+def require_json(content: bytes, name: str) -> None:
+    """Raise DatasetError for what is not JSON, whatever is wrong with it."""
+    try:
+        msgspec.json.decode(content)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as fault:
+        raise DatasetError(f"{name} is not JSON ({fault}): restore it from a copy.") from fault
+
+
+# ------------------------------------------------------------------------------------------------ archives
+
+
+def seal_archive(path: Path) -> None:
+    """Put the checksum of a closed ``.npz`` behind it, as the comment of the archive."""
+    with path.open("r+b") as file:
+        file.seek(-2, os.SEEK_END)
+        file.write(_COMMENT_BYTES.to_bytes(2, "little"))
+        file.write(b"crc32c=")
+    crc = _crc_of_file(path, path.stat().st_size)
+    with path.open("ab") as file:
+        file.write(b"%08x" % crc)
+
+
+def archive_state(path: Path) -> Checksum:
+    """State of the checksum of an ``.npz``: all of the file is read."""
+    n_bytes = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(0, n_bytes - _END_BYTES))
+        tail = file.read()
+    if (found := _COMMENT.search(tail)) is not None:
+        return _compared(found[1], _crc_of_file(path, n_bytes - len(found[1])))
+    plain = tail.startswith(_END_OF_ARCHIVE) and tail.endswith(b"\0\0")
+    return Checksum.NONE if plain or _END_OF_ARCHIVE not in tail + _before(path, n_bytes) else Checksum.DAMAGED
+
+
+def require_good_archive(path: Path) -> None:
+    """Raise DatasetError when the checksum of an ``.npz`` differs; a file that did not change is read once."""
+    key = file_mark(path)
+    if key in _good_archives:
+        return
+    if archive_state(path) is Checksum.DAMAGED:
+        raise damaged(path)
+    _good_archives.add(key)
+
+
+def file_mark(path: Path) -> FileMark:
+    """A file and its state: another where the file was written to since."""
+    stat = path.stat()
+    return path, stat.st_ino, stat.st_size, stat.st_mtime_ns
+
+
+def _before(path: Path, n_bytes: int) -> bytes:
+    """The bytes in front of the last ones, as many as a comment and its archive's end have."""
+    with path.open("rb") as file:
+        file.seek(max(0, n_bytes - _END_BYTES - _COMMENT_BYTES))
+        return file.read(_COMMENT_BYTES)
+
+
+def _crc_of_file(path: Path, n_bytes: int) -> int:
+    if not n_bytes:
+        return 0
+    mapped, crc = np.memmap(path, np.uint8, "r", shape=(n_bytes,)), 0
+    for start in range(0, n_bytes, _PIECE_BYTES):
+        crc = crc32c(mapped[start : start + _PIECE_BYTES], crc)  # pyright: ignore[reportArgumentType]
+    return crc
+
+
+def _compared(digits: bytes, crc: int) -> Checksum:
+    return Checksum.GOOD if digits == b"%08x" % crc else Checksum.DAMAGED
+
+
+# ------------------------------------------------------------------------------------------------ what to do about it
+
+
+def damaged(path: Path) -> DatasetError:
+    """The error of a file whose checksum differs: its place, and the mend."""
+    return DatasetError(f"{path} is damaged, its checksum differs: {mend_of(path)}.")
+
+
+def mend_of(path: Path) -> str:
+    """The way to get a damaged file of a dataset back, as the end of a sentence."""
+    dataset = next((p.name for p in path.parents if p.suffix == ".wafer"), "NAME.wafer")
+    parts = path.parts
+    result = parts[len(parts) - parts[::-1].index("results")] if "results" in parts[:-1] else "default"
+    again = f"wafer-viewer stitch {dataset}" + (f" --result '{result}'" if result != "default" else "")
+    if result.startswith("difference-"):
+        return "compare the two surfaces again"
+    if any(part.endswith(".zarr") for part in parts) and _is_of_surface_file(path):
+        return "remove the dataset and import its surface file again"
+    if any(part.endswith(".zarr") for part in parts) or path.name == "poses.npz":
+        return f"stitch the fields again ({again})"
+    if path.parent.name == SURFACES or path.name in ("recipe.json", "settled.json"):
+        return f"make the surface again ({again} --again)"
+    if path.name.endswith(".golden.npz"):
+        return "make it again or use an older version"
+    return _OTHER_MENDS.get(path.name, "restore it from a copy")
+
+
+def _is_of_surface_file(path: Path) -> bool:
+    """Whether a file lies in a dataset that was made of a surface file: it has no frames to make anything of."""
+    dataset = next((parent for parent in path.parents if parent.suffix == ".wafer"), None)
+    return dataset is not None and dataset.is_dir() and not (dataset / "frames").exists()
+
+
+_OTHER_MENDS = {
+    "scan.json": "restore it from a copy; where you changed it by hand, take its last member, crc32c, out",
+    "verdict.json": "restore it from a copy, or remove it to have the wafer judged again",
+    "findings.json": "restore it from a copy, or remove it and measure again",
+    "defects.json": "restore it from a copy, or remove it and inspect again",
+    "notebook.json": "restore it from a copy, or remove it: saved views and judgements are in it",
+    "surface.json": "remove it: it is made again from the stitched surface",
+}

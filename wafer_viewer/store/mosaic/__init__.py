@@ -1,0 +1,1 @@
+"""The stitched surface as a Zarr pyramid."""

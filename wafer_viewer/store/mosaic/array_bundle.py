@@ -1,0 +1,31 @@
+"""Named arrays in one file, as one process leaves them for others: written once, read whole."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.io.atomic_files import replacing
+
+Planes = Mapping[str, NDArray[Any]]
+
+
+def write_planes(path: Path, planes: Planes) -> None:
+    """Write arrays, all or none. Raises DatasetError where the place cannot be written to."""
+    with replacing(path) as beside, beside.open("wb") as file:
+        np.savez(file, allow_pickle=False, **dict(planes))
+
+
+def read_planes(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a file. Raises DatasetError where it is gone or damaged."""
+    try:
+        with np.load(path) as members:
+            return {name: members[name] for name in members.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as fault:
+        raise DatasetError(f"{path} cannot be read: start the work again.") from fault

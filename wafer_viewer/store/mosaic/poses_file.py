@@ -1,0 +1,93 @@
+"""The poses of a result on disk: one npz of plain arrays, a prefix for each table in it."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import tokenize
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.field_poses import Form, Poses, Seams, Shifts
+from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.checksums import mend_of, require_good_archive, seal_archive
+
+POSES = "poses.npz"
+"""What the file is called in the folder of a result."""
+PLACES = (
+    *("stage_x_um", "stage_y_um", "x_um", "y_um", "z_um", "tilt_x", "tilt_y"),
+    *("u_x_um", "u_y_um", "u_z_um"),
+)
+_UNREADABLE = (
+    *(OSError, KeyError, ValueError, EOFError, TypeError),
+    *(zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
+_TABLES: dict[str, type[Any]] = {"shifts": Shifts, "seams": Seams, "form": Form}
+
+
+def write_poses(poses: Poses, path: Path) -> None:
+    """Keep poses, in place of earlier ones."""
+    with replacing(path) as beside:
+        with beside.open("wb") as file:
+            np.savez(file, allow_pickle=False, **_flat(poses, ""))
+        seal_archive(beside)
+
+
+def read_poses(path: Path) -> Poses:
+    """Read poses back. Raises DatasetError when the file is damaged."""
+    try:
+        require_good_archive(path)
+        with path.open("rb") as file, np.load(file) as arrays:
+            tables = {name: _built(kind, arrays, f"{name}.") for name, kind in _TABLES.items()}
+            return _built(Poses, arrays, "", **tables)
+    except _UNREADABLE as fault:
+        raise DatasetError(f"{path} holds no poses that can be read: {mend_of(path)}.") from fault
+
+
+def write_poses_csv(poses: Poses, path: Path) -> None:
+    """A line for each field: where the stage says it is, where it lies, and how sure that is (k = 1); um and um per um.
+
+    Raises DatasetError when the place cannot be written to.
+    """
+    columns = ("numbers", *PLACES, "group", "left_out")
+    lines = zip(*(getattr(poses, name).tolist() for name in columns), strict=True)
+    with replacing(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(("field", *PLACES, "group", "left_out"))
+        table.writerows(
+            (number, *(f"{v:.6g}" if abs(v) < 1 else f"{v:.4f}" for v in place), group, int(left_out))
+            for number, *place, group, left_out in lines
+        )
+
+
+def _flat(table: Any, prefix: str) -> dict[str, Any]:
+    """Each field of a table under its name, those of the tables in it with a prefix."""
+    flat: dict[str, Any] = {}
+    for item in dataclasses.fields(table):
+        value = getattr(table, item.name)
+        flat |= _flat(value, f"{prefix}{item.name}.") if item.name in _TABLES else {prefix + item.name: _array(value)}
+    return flat
+
+
+def _array(value: Any) -> Any:
+    return np.asarray(value, dtype=str) if isinstance(value, tuple) and not value else np.asarray(value)
+
+
+def _built(kind: type[Any], arrays: Any, prefix: str, **known: Any) -> Any:
+    """A table from its arrays, in the kinds of value that it declares."""
+    values = dict(known)
+    for item in dataclasses.fields(kind):
+        if item.name not in known:
+            values[item.name] = _value(arrays[prefix + item.name], str(item.type))
+    return kind(**values)
+
+
+def _value(array: Any, declared: str) -> Any:
+    if declared.startswith("tuple"):
+        return tuple(array.tolist())
+    return array.item() if declared in ("float", "bool") else array

@@ -1,0 +1,215 @@
+"""What a mosaic holds, in numbers, kept beside it as it is written, so that nobody need read it all for them.
+
+They are kept by blocks: the pixels of level 0 under one chunk of level 1. A chunk of the array of bytes ``facts``
+holds the blocks of one shard of it, uncompressed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.checksums import Checksum, mend_of
+from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.zarr_shards import checked, summed
+
+if TYPE_CHECKING:
+    from wafer_viewer.numerics.grids.pyramid_level import Layers
+
+FACTS = "facts"
+SAMPLES = 400_000
+"""About as many pixels are looked at where all of them would be too many."""
+FINEST_KEPT, COARSEST = 8, 64
+"""Steps from one of them to the next: a file of samples shall stay small beside what it tells of."""
+_CODES = 32
+"""Origins have smaller codes than this."""
+
+Blocks = NDArray[Any]
+"""Facts of blocks, [row, col] of records."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facts:
+    """Pixels by origin, int64 [code]; the span of heights, NaN where there is none; heights and differences of overlaps
+    at every so many pixels, without those that have none.
+    """
+
+    counts: NDArray[np.int64]
+    lowest_um: float
+    highest_um: float
+    heights_um: NDArray[np.float32]
+    overlaps_um: NDArray[np.float32]
+
+    @property
+    def has_heights(self) -> bool:
+        """Whether there is any height."""
+        return self.lowest_um <= self.highest_um
+
+
+def facts_of(layers: Layers) -> Facts:
+    """The facts of a surface whose layers are in memory, the differences of overlaps among them or not."""
+    return _joined(_blocks_of(layers, _step(layers["z_um"].shape, 1)))
+
+
+def _step(shape: tuple[int, ...], finest: int = FINEST_KEPT) -> int:
+    """Every how manieth pixel of a mosaic of a shape, along rows and columns, is looked at."""
+    return int(np.clip(np.sqrt(shape[0] * shape[1] / SAMPLES), finest, COARSEST))
+
+
+def _blocks_of(layers: Layers, step: int) -> Blocks:
+    """The facts of a window of level 0 that begins with a block, block by block."""
+    from wafer_viewer.numerics.filters.code_counts import count_codes
+
+    size = 2 * layout.CHUNK
+    rows, cols = layers["z_um"].shape
+    blocks = np.empty((-(-rows // size), -(-cols // size)), _record(step))
+    for row, col in np.ndindex(blocks.shape):
+        here = slice(row * size, (row + 1) * size), slice(col * size, (col + 1) * size)
+        z, overlap = layers["z_um"][here], layers.get("overlap_um")
+        block = blocks[row, col]
+        block["counts"] = count_codes(layers["origin"][here], _CODES)
+        block["lowest"] = np.fmin.reduce(z, axis=None, initial=np.inf)
+        block["highest"] = np.fmax.reduce(z, axis=None, initial=-np.inf)
+        _sample(z, step, block["heights"])
+        _sample(z[:0] if overlap is None else overlap[here], step, block["overlaps"])
+    return blocks
+
+
+def facts_array(shape: tuple[int, int]) -> dict[str, Any]:
+    """How Zarr makes the array of facts of a mosaic of a shape: a chunk of bytes for each shard of level 1."""
+    rows, cols = (math.ceil(size / 2 / layout.SHARD) for size in shape)
+    n_bytes = _per_shard() ** 2 * _record(_step(shape)).itemsize
+    from zarr.codecs import Crc32cCodec
+
+    return {
+        "shape": (rows, cols, n_bytes),
+        "chunks": (1, 1, n_bytes),
+        "dtype": "uint8",
+        "compressors": [Crc32cCodec()],
+        "fill_value": 0,
+    }
+
+
+def keep_facts(mosaic: Path, shape: tuple[int, int], top: int, left: int, layers: Layers) -> None:
+    """Keep the facts of a window of level 0 of a mosaic of a shape.
+
+    It begins at pixel (top, left), with a block, and lies under one shard of level 1.
+    """
+    size, n = 2 * layout.CHUNK, _per_shard()
+    row, col = top // size, left // size
+    path = mosaic / FACTS / "c" / str(row // n) / str(col // n) / "0"
+    blocks = _blocks_of(layers, _step(shape))
+    whole = _loaded(path, blocks.dtype) if path.exists() else _nothing((n, n), blocks.dtype)
+    whole[row % n : row % n + blocks.shape[0], col % n : col % n + blocks.shape[1]] = blocks
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as beside:
+        beside.write_bytes(summed(whole.tobytes()) if _has_checksums(mosaic) else whole.tobytes())
+
+
+def kept_facts(mosaic: Path, shape: tuple[int, int]) -> Facts:
+    """The facts of a whole mosaic of a shape. Raises DatasetError when they are missing or damaged."""
+    files = sorted((mosaic / FACTS).glob("c/*/*/0"))
+    if not files:
+        raise DatasetError(f"{mosaic / FACTS} is missing or empty: {mend_of(mosaic)}.")
+    record = _record(_step(shape))
+    return _joined(np.concatenate([_loaded(path, record).ravel() for path in files]))
+
+
+def blocks_with_heights(mosaic: Path, shape: tuple[int, int]) -> set[tuple[int, int]]:
+    """Rows and columns of the blocks, of two chunks of level 0 a side, that hold a height.
+
+    Raises DatasetError when a file of facts is damaged.
+    """
+    record, n = _record(_step(shape)), _per_shard()
+    found: set[tuple[int, int]] = set()
+    for path in (mosaic / FACTS).glob("c/*/*/0"):
+        top, left = int(path.parts[-3]) * n, int(path.parts[-2]) * n
+        blocks = _loaded(path, record)
+        found |= {(top + row, left + col) for row, col in np.argwhere(blocks["lowest"] <= blocks["highest"]).tolist()}
+    return found
+
+
+def facts_state(path: Path) -> Checksum:
+    """State of the checksum of one file of facts."""
+    try:
+        checked(path.read_bytes())
+    except ValueError:
+        with suppress(DatasetError):
+            return Checksum.DAMAGED if _has_checksums(path.parents[4]) else Checksum.NONE
+        return Checksum.DAMAGED
+    return Checksum.GOOD
+
+
+def _has_checksums(mosaic: Path) -> bool:
+    """Whether the chunks of facts of a mosaic have checksums: those of older versions do not."""
+    try:
+        made = json.loads((mosaic / FACTS / "zarr.json").read_bytes())
+        return any(codec["name"] == "crc32c" for codec in made["codecs"])
+    except (OSError, ValueError, KeyError, TypeError) as fault:
+        raise DatasetError(f"{mosaic / FACTS} is missing or damaged: {mend_of(mosaic)}.") from fault
+
+
+def _per_shard() -> int:
+    """Blocks along a side of a shard."""
+    return layout.SHARD // layout.CHUNK
+
+
+def _record(step: int) -> np.dtype[Any]:
+    """What is kept of a block."""
+    side = -(-2 * layout.CHUNK // step)
+    sample = ("<f4", (side, side))
+    return np.dtype(
+        [
+            ("counts", "<u4", (_CODES,)),
+            ("lowest", "<f4"),
+            ("highest", "<f4"),
+            ("heights", *sample),
+            ("overlaps", *sample),
+        ]
+    )
+
+
+def _nothing(shape: tuple[int, int], dtype: np.dtype[Any]) -> Blocks:
+    """Blocks without pixels."""
+    blocks = np.zeros(shape, dtype)
+    blocks["lowest"], blocks["highest"], blocks["heights"], blocks["overlaps"] = np.inf, -np.inf, np.nan, np.nan
+    return blocks
+
+
+def _sample(layer: NDArray[np.float32], step: int, out: NDArray[np.float32]) -> None:
+    some = layer[::step, ::step]
+    out[:] = np.nan
+    out[: some.shape[0], : some.shape[1]] = some
+
+
+def _loaded(path: Path, record: np.dtype[Any]) -> Blocks:
+    n = _per_shard()
+    try:
+        content = path.read_bytes()
+        older = len(content) == n * n * record.itemsize
+        return np.frombuffer(content if older else checked(content), record).reshape(n, n).copy()
+    except (OSError, ValueError) as fault:
+        raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+
+
+def _joined(blocks: Blocks) -> Facts:
+    blocks = blocks.ravel()
+    lowest, highest = float(blocks["lowest"].min()), float(blocks["highest"].max())
+    heights, overlaps = blocks["heights"].ravel(), blocks["overlaps"].ravel()
+    known = lowest <= highest
+    return Facts(
+        counts=blocks["counts"].sum(axis=0, dtype=np.int64),
+        lowest_um=lowest if known else float("nan"),
+        highest_um=highest if known else float("nan"),
+        heights_um=heights[np.isfinite(heights)],
+        overlaps_um=overlaps[np.isfinite(overlaps)],
+    )

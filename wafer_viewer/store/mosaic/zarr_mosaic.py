@@ -1,0 +1,314 @@
+"""A stitched surface on disk: a pyramid of levels in Zarr 3, one OME-NGFF 0.5 multiscale group for each layer.
+
+Level l has pixels of 2^l pixels of level 0. z_min_um and z_max_um are the span of what a pixel stands for; at level 0
+they would equal z_um, so their groups begin with level 1. The work is cut into patches that share no shard; each shard
+is replaced in one rename, so that others can read while patches are made again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property, partial
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import decode
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import (
+    HeightLayer,
+    HeightMap,
+    Heights,
+    Mosaic,
+    Origin,
+    Provenance,
+    pixel_window,
+)
+from wafer_viewer.model.surface.textured_surface import Pictured, picture_of
+from wafer_viewer.store.io.atomic_files import replacing, write_text, writing
+from wafer_viewer.store.io.checksums import Checksum, damaged, mend_of, sealed_node, text_state
+from wafer_viewer.store.io.progress import watched
+from wafer_viewer.store.mosaic import layout
+from wafer_viewer.store.mosaic.layout import (
+    FILLS,
+    GROUP,
+    OWN,
+    SPANS,
+    SURFACE,
+    MosaicHeader,
+    as_json,
+    header_of,
+    levels_of,
+    multiscale,
+    shards_of,
+)
+from wafer_viewer.store.mosaic.poses_file import POSES, read_poses
+from wafer_viewer.store.mosaic.statistics import FACTS, Facts, facts_array, keep_facts, kept_facts
+from wafer_viewer.store.mosaic.write_patches import Patch, patches
+from wafer_viewer.store.mosaic.zarr_shards import ShardedArray, codecs
+
+if TYPE_CHECKING:
+    from wafer_viewer.numerics.grids.pyramid_level import Layers
+
+__all__ = [
+    "Patch",
+    "ZarrMosaic",
+    "lay_out",
+    "patches",
+    "rewrite_header",
+    "write_mosaic",
+    "write_patch",
+]
+
+
+def write_mosaic(
+    path: Path,
+    source: Mosaic,
+    progress: Progress | None = None,
+    should_stop: ShouldStop | None = None,
+    threads: int = 1,
+) -> ZarrMosaic:
+    """Write a surface and its pyramid beside `path` and move it into place; memory for a few shards is enough.
+
+    Raises DatasetError when the place cannot be written to or the work is stopped; then the place is as it was.
+    """
+    with replacing(path) as beside:
+        lay_out(beside, source)
+        _write(beside, source, patches(source.shape), progress, should_stop, threads)
+    return ZarrMosaic.open(path)
+
+
+def lay_out(path: Path, source: Mosaic) -> MosaicHeader:
+    """Make the empty mosaic: its header and all arrays. Patches can be written to it in parallel from then on."""
+    import zarr
+
+    header = header_of(source)
+    with writing(path):
+        root = zarr.create_group(path, overwrite=True, zarr_format=3, attributes={OWN: as_json(header)})
+        root.create_array(FACTS, **facts_array(header.shape_of(0)))
+        for name, fill in FILLS.items():
+            group = root.create_group(name, attributes={"ome": multiscale(header, name)})
+            for level in levels_of(name, header):
+                group.create_array(
+                    str(level),
+                    shape=header.shape_of(level),
+                    dtype=shards_of(name, header).dtype,
+                    chunks=(layout.CHUNK, layout.CHUNK),
+                    shards=(layout.SHARD, layout.SHARD),
+                    compressors=codecs(),
+                    fill_value=fill,
+                    dimension_names=("y", "x"),
+                )
+        for node in path.rglob(GROUP):
+            node.write_text(sealed_node(json.loads(node.read_bytes())), encoding="utf-8")
+    return header
+
+
+def rewrite_header(path: Path, source: Mosaic) -> None:
+    """Let a mosaic say that it comes from where a source on its lattice does, after windows of it were made again.
+
+    Raises DatasetError when the source lies on another lattice.
+    """
+    old, new = ZarrMosaic.open(path).header, header_of(source)
+    if old.lattice != new.lattice:
+        raise DatasetError(f"{path} lies on another lattice than what it is to show: stitch the fields again.")
+    root = json.loads((path / GROUP).read_bytes())
+    root["attributes"][OWN] = as_json(new)
+    write_text(path / GROUP, sealed_node(root))
+
+
+def write_patch(path: Path, source: Mosaic, patch: Patch) -> None:
+    """Write one patch: from the level before, which a patch of level 1 writes first, from the source.
+
+    Doing it again makes the same. Raises DatasetError when the place cannot be written to.
+    """
+    from wafer_viewer.numerics.grids.pyramid_level import halve
+
+    stored = ZarrMosaic.open(path)
+    shape = patch.bottom - patch.top, patch.right - patch.left
+    whole: Layers = {name: np.full(shape, fill, shards_of(name, stored.header).dtype) for name, fill in FILLS.items()}
+    below = partial(_drawn, stored, source) if patch.level == 1 else partial(stored.layers, patch.level - 1)
+    for rows, cols in patch.below(stored.header.shape_of(patch.level - 1)):
+        top, left = rows.start // 2 - patch.top, cols.start // 2 - patch.left
+        for name, half in halve(below(rows, cols)).items():
+            whole[name][top : top + half.shape[0], left : left + half.shape[1]] = half
+    _write_layers(stored, patch.level, patch.top, patch.left, whole)
+
+
+def _write(
+    path: Path,
+    source: Mosaic,
+    work: Sequence[Patch],
+    progress: Progress | None,
+    should_stop: ShouldStop | None,
+    threads: int,
+) -> None:
+    """All patches, those of one level side by side."""
+    with ThreadPoolExecutor(threads) as pool:
+        each: Iterable[None] = (
+            done
+            for _, of_level in groupby(work, lambda patch: patch.level)
+            for done in pool.map(partial(write_patch, path, source), of_level)
+        )
+        try:
+            for _ in watched(each, len(work), "Writing the mosaic", progress, should_stop):
+                pass
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _drawn(stored: ZarrMosaic, source: Mosaic, rows: slice, cols: slice) -> Layers:
+    """A window of level 0 from the source, once it is written."""
+    x, y = partial(_at, source.x0_um, source.pixel_um), partial(_at, source.y0_um, -source.pixel_um)
+    part = source.window(Region.rectangle(x(cols.start), y(rows.start), x(cols.stop - 1), y(rows.stop - 1)))
+    layers: Layers = {name: getattr(part, name) for name in SURFACE if getattr(part, name) is not None}
+    layers.setdefault("overlap_um", np.full(part.shape, np.nan, np.float32))
+    _write_layers(stored, 0, rows.start, cols.start, layers)
+    with writing(stored.path):
+        keep_facts(stored.path, stored.shape, rows.start, cols.start, layers)
+    return layers
+
+
+def _write_layers(stored: ZarrMosaic, level: int, top: int, left: int, layers: Layers) -> None:
+    for name, layer in layers.items():
+        with writing(stored.path):
+            stored.array(name, level).write(layer, top, left)
+
+
+def _at(first_um: float, pixel_um: float, index: int) -> float:
+    return first_um + index * pixel_um
+
+
+class ZarrMosaic:
+    """A mosaic on disk; a window is read when it is asked for. Cheap to send to another process."""
+
+    def __init__(self, path: Path, header: MosaicHeader) -> None:
+        self.path, self.header = path, header
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a mosaic. Raises DatasetError when the folder holds none, or its header is damaged."""
+        try:
+            text = (path / GROUP).read_bytes()
+            if text_state(text) is Checksum.DAMAGED:
+                raise damaged(path / GROUP)
+            root = json.loads(text)
+            own = json.dumps(root["attributes"][OWN]).encode()
+        except (OSError, ValueError, KeyError, TypeError) as fault:
+            raise DatasetError(f"{path} is not a mosaic of Wafer Viewer, or is damaged: {mend_of(path)}.") from fault
+        return cls(path, decode(own, MosaicHeader, str(path / GROUP), "json"))
+
+    def __reduce__(self) -> tuple[Callable[..., ZarrMosaic], tuple[Path, MosaicHeader]]:
+        return type(self), (self.path, self.header)
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.header.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of pixel (0, 0) of level 0."""
+        return self.header.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of pixel (0, 0) of level 0."""
+        return self.header.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.header.shape_of(0)
+
+    @property
+    def levels(self) -> int:
+        """Number of levels."""
+        return self.header.levels
+
+    @property
+    def provenance(self) -> Provenance:
+        """Where it comes from."""
+        return self.header.provenance
+
+    @cached_property
+    def poses(self) -> Poses | None:
+        """Where its fields lie, from the result that it is part of; None where nobody says so."""
+        kept = self.path.parent / POSES
+        return read_poses(kept) if kept.exists() else None
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of a level that holds a region, all of it without one.
+
+        Raises MeasureError when the region lies outside, DatasetError when there is no such level.
+        """
+        rows, cols = self._window(region, level)
+        layers = {name: self.read(name, level, rows, cols) for name in SURFACE}
+        pixel_um, x0_um, y0_um = self._lattice(level, rows, cols)
+        return HeightMap(
+            **layers, refused=None, pixel_um=pixel_um, x0_um=x0_um, y0_um=y0_um, provenance=self.provenance
+        )
+
+    def one_layer(self, layer: HeightLayer, region: Region, level: int = 0) -> Heights:
+        """One layer of heights of what `window` returns, and nothing else; raises as `window` does."""
+        rows, cols = self._window(region, level)
+        z_um = self.read("z_raw_um" if layer == "unsmoothed" else "z_um", level, rows, cols)
+        if layer == "smoothed":
+            z_um[self.read("origin", level, rows, cols) != Origin.MEASURED] = np.nan
+        return Heights(z_um, *self._lattice(level, rows, cols))
+
+    def pictured(self, layer: HeightLayer, region: Region, level: int = 0) -> Pictured:
+        """One layer of heights with the picture of what `window` returns; raises as `window` does."""
+        rows, cols = self._window(region, level)
+        picture = picture_of(*(self.read(name, level, rows, cols) for name in ("all_in_focus", "origin")))
+        alone = self.one_layer(layer, region, level)
+        return Pictured(alone.z_um, alone.pixel_um, alone.x0_um, alone.y0_um, picture)
+
+    def span(self, region: Region | None, level: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(lowest, highest) height under each pixel of what `window` returns, NaN where unmeasured."""
+        rows, cols = self._window(region, level)
+        low, high = ("z_um", "z_um") if level == 0 else SPANS
+        return self.read(low, level, rows, cols), self.read(high, level, rows, cols)
+
+    def facts(self) -> Facts:
+        """What it holds, in numbers. Raises DatasetError when they are missing or damaged."""
+        return kept_facts(self.path, self.shape)
+
+    def layers(self, level: int, rows: slice, cols: slice) -> Layers:
+        """A part of all layers that a level has."""
+        names = [name for name in FILLS if level in levels_of(name, self.header)]
+        return {name: self.read(name, level, rows, cols) for name in names}
+
+    def read(self, name: str, level: int, rows: slice, cols: slice) -> NDArray[Any]:
+        """A part of one layer of a level. Raises DatasetError when the layer is missing or a shard of it is damaged."""
+        return self.array(name, level).read(rows, cols)
+
+    def array(self, name: str, level: int) -> ShardedArray:
+        """A layer at a level. Raises DatasetError when it is not there."""
+        return ShardedArray.open(
+            self.path / name / str(level), shards_of(name, self.header), self.header.shape_of(level)
+        )
+
+    def _lattice(self, level: int, rows: slice, cols: slice) -> tuple[float, float, float]:
+        """Pixel size of a part of a level, and stage x, y of its pixel (0, 0)."""
+        pixel_um, shift_um = self.pixel_um * 2**level, (2**level - 1) / 2 * self.pixel_um
+        x0_um, y0_um = self.x0_um + shift_um + cols.start * pixel_um, self.y0_um - shift_um - rows.start * pixel_um
+        return pixel_um, x0_um, y0_um
+
+    def _window(self, region: Region | None, level: int) -> tuple[slice, slice]:
+        if not 0 <= level < self.levels:
+            raise DatasetError(
+                f"{self.path.name} has levels 0 to {self.levels - 1} and no level {level}: take one of them."
+            )
+        if region is not None:
+            return pixel_window(self, region, level)
+        rows, cols = self.header.shape_of(level)
+        return slice(0, rows), slice(0, cols)

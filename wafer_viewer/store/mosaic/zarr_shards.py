@@ -1,0 +1,258 @@
+"""Arrays in shards: files of chunks encoded one by one, with an index of where each lies (``sharding_indexed``).
+
+Zarr's own library needs five times as long for them, and reads index and chunks through two openings of the file,
+between which another process may have put a new one in its place. Here a shard is replaced in one rename and read
+through one opening; chunks that do not change are copied as they are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.store.io.atomic_files import replacing
+from wafer_viewer.store.io.checksums import crc32c, damaged, mend_of
+
+ABSENT = 2**64 - 1
+"""Stands in the index for a chunk that holds nothing but the fill value."""
+_SUM_BYTES = 4
+Chunks = dict[tuple[int, int], bytes]
+"""Encoded chunks by row and column in their shard."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shards:
+    """How the shards of one array are made: its type, what stands where nothing is, and their sizes in pixels."""
+
+    dtype: np.dtype[Any]
+    fill: float
+    chunk_px: int
+    shard_px: int
+
+    def read(self, path: Path, rows: slice, cols: slice) -> NDArray[Any]:
+        """A part of the shard at `path`; the fill value where there is no file.
+
+        Raises DatasetError when the file is damaged.
+        """
+        out = np.full((rows.stop - rows.start, cols.stop - cols.start), self.fill, self.dtype)
+        try:
+            with path.open("rb") as file:
+                index = self._index(file)
+                for place, inside, outside in _crossing(rows, cols, self.chunk_px):
+                    if index[place][0] != ABSENT:
+                        out[outside] = self._decoded(_cut(file, *index[place]))[inside]
+        except FileNotFoundError:
+            return out
+        except (OSError, ValueError, RuntimeError) as fault:
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+        return out
+
+    def places(self, path: Path) -> set[tuple[int, int]]:
+        """Rows and columns of the chunks in the shard at `path` that hold something; none where there is no file.
+
+        Raises DatasetError when the index of the file is damaged.
+        """
+        try:
+            with path.open("rb") as file:
+                there = np.argwhere(self._index(file)[..., 0] != ABSENT).tolist()
+        except FileNotFoundError:
+            return set()
+        except (OSError, ValueError) as fault:
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+        return {(row, col) for row, col in there}
+
+    def require_good(self, path: Path) -> None:
+        """Test the checksums of the index and of all chunks. Raises DatasetError when one differs."""
+        for chunk in self._kept(path).values():
+            try:
+                checked(chunk)
+            except ValueError as fault:
+                raise damaged(path) from fault
+
+    def write(self, path: Path, layer: NDArray[Any], top: int, left: int, *, whole: bool) -> None:
+        """Put a layer into the shard at `path`, from (top, left) on, where a chunk begins, up to the end of one.
+
+        Other chunks stay as they are; whole: there are none, and what is at `path` does not count.
+        Raises DatasetError when the file is damaged.
+        """
+        size = self.chunk_px
+        places = [(r, c) for r in range(0, layer.shape[0], size) for c in range(0, layer.shape[1], size)]
+        chunks = {} if whole else self._kept(path)
+        for r, c in places:
+            place = (top + r) // size, (left + c) // size
+            chunks.pop(place, None)
+            if (encoded := self._encoded(layer[r : r + size, c : c + size])) is not None:
+                chunks[place] = encoded
+        if chunks:
+            self._save(path, chunks)
+        else:
+            path.unlink(missing_ok=True)
+
+    def _save(self, path: Path, chunks: Chunks) -> None:
+        n = self.shard_px // self.chunk_px
+        index = np.full((n, n, 2), ABSENT, "<u8")
+        offset = 0
+        for place, chunk in chunks.items():
+            index[place] = offset, len(chunk)
+            offset += len(chunk)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as beside, beside.open("wb") as file:
+            file.writelines(chunks.values())
+            file.write(summed(index.tobytes()))
+
+    def _kept(self, path: Path) -> Chunks:
+        """All chunks of a file as they are."""
+        try:
+            with path.open("rb") as file:
+                index = self._index(file)
+                there = np.argwhere(index[..., 0] != ABSENT).tolist()
+                return {(r, c): _cut(file, *index[r, c]) for r, c in there}
+        except FileNotFoundError:
+            return {}
+        except (OSError, ValueError) as fault:
+            raise DatasetError(f"{path} is damaged: {mend_of(path)}.") from fault
+
+    def _index(self, file: IO[bytes]) -> NDArray[np.uint64]:
+        """Offset and number of bytes of each chunk."""
+        n = self.shard_px // self.chunk_px
+        file.seek(-(16 * n * n + _SUM_BYTES), os.SEEK_END)
+        return np.frombuffer(checked(file.read()), "<u8").reshape(n, n, 2)
+
+    def _encoded(self, chunk: NDArray[Any]) -> bytes | None:
+        """A chunk as it lies in a file; None when it holds nothing but the fill value."""
+        if _holds_only(chunk, self.fill):
+            return None
+        size = self.chunk_px
+        if chunk.shape != (size, size):
+            chunk = np.pad(chunk, ((0, size - chunk.shape[0]), (0, size - chunk.shape[1])), constant_values=self.fill)
+        return summed(_compressor().encode(np.ascontiguousarray(chunk)))
+
+    def _decoded(self, chunk: bytes) -> NDArray[Any]:
+        flat = np.frombuffer(_compressor().decode(checked(chunk)), self.dtype)
+        return flat.reshape(self.chunk_px, self.chunk_px)
+
+
+@dataclass(frozen=True, slots=True)
+class ShardedArray:
+    """An array [row, col] of a Zarr hierarchy, read and written a part at a time."""
+
+    folder: Path
+    shards: Shards
+    shape: tuple[int, int]
+
+    @classmethod
+    def open(cls, folder: Path, shards: Shards, shape: tuple[int, int]) -> ShardedArray:
+        """The array in a folder. Raises DatasetError when there is none."""
+        if not (folder / "zarr.json").exists():
+            raise DatasetError(f"{folder} is missing or damaged: {mend_of(folder)}.")
+        return cls(folder, shards, shape)
+
+    def read(self, rows: slice, cols: slice) -> NDArray[Any]:
+        """A part of it. Raises DatasetError when a shard is damaged."""
+        out = np.empty((rows.stop - rows.start, cols.stop - cols.start), self.shards.dtype)
+        for part_r in cut(rows.start, rows.stop, self.shards.shard_px):
+            for part_c in cut(cols.start, cols.stop, self.shards.shard_px):
+                path, inside_r, inside_c = self._inside(part_r, part_c)
+                there = np.s_[part_r.start - rows.start : part_r.stop - rows.start]
+                across = np.s_[part_c.start - cols.start : part_c.stop - cols.start]
+                out[there, across] = self.shards.read(path, inside_r, inside_c)
+        return out
+
+    def write(self, layer: NDArray[Any], top: int, left: int) -> None:
+        """Put a layer into one shard, from pixel (top, left) of the array on: whole chunks, or up to its end.
+
+        Raises DatasetError when the shard has other chunks and is damaged, and when numbers would not fit in.
+        """
+        if not np.can_cast(layer.dtype, self.shards.dtype):
+            raise DatasetError(
+                f"{self.folder} holds {self.shards.dtype} and not {layer.dtype}: stitch fields of one kind of camera."
+            )
+        rows, cols = slice(top, top + layer.shape[0]), slice(left, left + layer.shape[1])
+        path, inside_r, inside_c = self._inside(rows, cols)
+        whole = self._fills(rows, self.shape[0]) and self._fills(cols, self.shape[1])
+        layer = layer.astype(self.shards.dtype, copy=False)
+        self.shards.write(path, layer, inside_r.start, inside_c.start, whole=whole)
+
+    def _inside(self, rows: slice, cols: slice) -> tuple[Path, slice, slice]:
+        """The file of a part of one shard, and the part in the shard's own pixels."""
+        size = self.shards.shard_px
+        row, col = rows.start // size, cols.start // size
+        inside_r, inside_c = (slice(run.start - n * size, run.stop - n * size) for run, n in ((rows, row), (cols, col)))
+        return self.folder / "c" / str(row) / str(col), inside_r, inside_c
+
+    def _fills(self, run: slice, size: int) -> bool:
+        """Whether a run of pixels is all that a shard has along an axis of a size."""
+        start = run.start // self.shards.shard_px * self.shards.shard_px
+        return run.start == start and run.stop == min(start + self.shards.shard_px, size)
+
+
+def cut(start: int, stop: int, size: int) -> Iterator[slice]:
+    """A run of pixels cut where shards of a size end."""
+    while start < stop:
+        end = min(stop, (start // size + 1) * size)
+        yield slice(start, end)
+        start = end
+
+
+@cache
+def _compressor() -> Any:
+    """LZ4 after a shuffle of bits: noisy heights shrink to two thirds of their size in 2 ns a pixel."""
+    import numcodecs.blosc
+
+    numcodecs.blosc.use_threads = False
+    return numcodecs.blosc.Blosc(cname="lz4", clevel=5, shuffle=numcodecs.blosc.BITSHUFFLE)
+
+
+def codecs() -> list[Any]:
+    """The same for Zarr's library."""
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    return [BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()]
+
+
+def summed(content: bytes) -> bytes:
+    """Bytes with their checksum behind them."""
+    return content + crc32c(content).to_bytes(_SUM_BYTES, "little")
+
+
+def checked(content: bytes) -> bytes:
+    """Bytes without their checksum. Raises ValueError when it is not theirs."""
+    body = content[:-_SUM_BYTES]
+    if crc32c(body).to_bytes(_SUM_BYTES, "little") != content[-_SUM_BYTES:]:
+        raise ValueError("the checksum is wrong")
+    return body
+
+
+def _cut(file: IO[bytes], offset: np.uint64, n_bytes: np.uint64) -> bytes:
+    file.seek(int(offset))
+    return file.read(int(n_bytes))
+
+
+def _holds_only(chunk: NDArray[Any], fill: float) -> bool:
+    if np.isnan(fill):
+        return bool(np.isnan(chunk[0, 0]) and np.isnan(chunk[-1, -1]) and np.isnan(chunk).all())
+    return bool(chunk[0, 0] == fill and chunk[-1, -1] == fill and (chunk == fill).all())
+
+
+def _crossing(
+    rows: slice, cols: slice, size: int
+) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
+    """The chunks under a part: their place, what of them belongs to it, and where in it that lies."""
+    for r in range(rows.start // size, -(-rows.stop // size)):
+        for c in range(cols.start // size, -(-cols.stop // size)):
+            (inside_r, outside_r), (inside_c, outside_c) = _shared(rows, r * size, size), _shared(cols, c * size, size)
+            yield (r, c), (inside_r, inside_c), (outside_r, outside_c)
+
+
+def _shared(part: slice, start: int, size: int) -> tuple[slice, slice]:
+    """Where a run of pixels from `start` on meets a part: in the numbers of the run, and in those of the part."""
+    first, last = max(part.start, start), min(part.stop, start + size)
+    return slice(first - start, last - start), slice(first - part.start, last - part.start)

@@ -1,0 +1,1 @@
+"""Files of calibrations, gauge checks, recipes and reports."""

@@ -1,0 +1,1 @@
+"""Tables and wafer maps for other programs: CSV, KLARF, training sets."""

@@ -1,0 +1,95 @@
+"""Judged defects as a training set: a folder of cut-outs, and a table of features with the classes of rules and people.
+
+``0007.npy`` holds the heights round defect 7 in um (float32, NaN unmeasured), ``0007.png`` the all-in-focus picture of
+the same pixels; ``features.csv`` has a line for each, ``README.txt`` says what the columns are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.store.io.atomic_files import replacing
+
+MARGIN, LEAST_PX, MOST_PX = 1.0, 32, 512
+"""Round a defect lies as much of its surroundings as it is long; at least and at most so many pixels across."""
+COLUMNS = (
+    *("number", "heights", "picture", "class", "class by rules", "judgement", "judged by", "judged at", "die"),
+    *("height_um", "mean_height_um", "major_um", "minor_um", "angle_deg", "area_um2", "volume_um3", "score"),
+    *("confidence", "scale_px", "evidence", "pixel_um", "x0_um", "y0_um", "simulated"),
+)
+_TOLD = """heights: NAME.npy, float32 [row, col], um, NaN where unmeasured; row 0 is the largest y.
+picture: NAME.png, the all-in-focus picture of the same pixels.
+class: the operator's word, or that of the rules where nobody gave one (judged by is empty then).
+(x0_um, y0_um): stage place of the centre of pixel (0, 0); pixel_um its size.
+"""
+
+
+def write_training_set(inspection: Inspection, surface: Mosaic, folder: str | Path) -> Path:
+    """Write the cut-outs of an inspection's defects, all of them, to a new folder; unmeasured areas are left out.
+
+    Raises DatasetError where the folder is there already or there is no defect, or it cannot be written.
+    """
+    place = Path(folder)
+    if place.exists():
+        raise DatasetError(f"{place} exists already: give the name of a new folder.")
+    if not inspection.found:
+        raise DatasetError("There are no defects to write a training set of.")
+    with replacing(place) as beside:
+        beside.mkdir()
+        rows = [_write_one(beside, surface, defect) for defect in inspection.found]
+        (beside / "features.csv").write_text(_table(rows), encoding="utf-8")
+        (beside / "README.txt").write_text(_TOLD, encoding="utf-8")
+    return place
+
+
+def _write_one(folder: Path, surface: Mosaic, defect: Defect) -> list[object]:
+    """The two files of a defect, and its line of the table."""
+    from PIL import Image
+
+    cut = _cut_out(surface, defect)
+    name = f"{defect.number:04d}"
+    np.save(folder / f"{name}.npy", np.asarray(cut.z_raw_um, np.float32))
+    Image.fromarray(cut.all_in_focus).save(folder / f"{name}.png")
+    return [*_names(defect, name), *_features(defect), *_lattice(cut), "SIMULATED" if defect.simulated else ""]
+
+
+def _cut_out(surface: Mosaic, defect: Defect) -> HeightMap:
+    x0, y0, x1, y1 = defect.outline.bounds_um
+    px = surface.pixel_um
+    across = (1 + MARGIN) * max(x1 - x0, y1 - y0)
+    half = min(max(across, LEAST_PX * px), MOST_PX * px) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return surface.window(Region.rectangle(x - half, y - half, x + half, y + half))
+
+
+def _names(defect: Defect, name: str) -> Iterator[object]:
+    yield from (defect.number, f"{name}.npy", f"{name}.png", defect.seen_as, defect.kind, defect.judgement)
+    yield from (defect.judged_by, defect.judged_at, defect.die)
+
+
+def _features(defect: Defect) -> Iterator[object]:
+    lengths = (defect.height.value_um, defect.mean_height_um, defect.major.value_um, defect.minor.value_um)
+    numbers = (*lengths, defect.angle_deg, defect.area.value, defect.volume.value, defect.score, defect.confidence)
+    yield from (f"{number:.6g}" for number in (*numbers, defect.scale_px))
+    yield defect.evidence
+
+
+def _lattice(cut: HeightMap) -> Iterator[str]:
+    yield from (f"{um:.6g}" for um in (cut.pixel_um, cut.x0_um, cut.y0_um))
+
+
+def _table(rows: list[list[object]]) -> str:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(COLUMNS)
+    table.writerows(rows)
+    return text.getvalue()
