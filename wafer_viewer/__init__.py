@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.field import reconstruct
     from wafer_viewer.reconstruct.stitch import stitch
     from wafer_viewer.reconstruct.why import focus_curve
-    from wafer_viewer.rigs.config import RigConfig
+    from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset.dataset import Dataset

@@ -42,7 +42,7 @@ MODULES = {
     "Radius": "model.measurement.measurements",
     "Recipe": "model.surface.recipe",
     "Region": "model.region",
-    "RigConfig": "rigs.config",
+    "RigConfig": "rigs.rig_config",
     "Roughness": "model.measurement.texture",
     "Sample": "model.acquisition.sample",
     "ScanPlan": "model.acquisition.plan",

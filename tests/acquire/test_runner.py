@@ -9,8 +9,8 @@ from wafer_viewer.acquire.runner import run_scan
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Shot
 from wafer_viewer.model.errors import MissedPulse, RigError
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.port import Interference
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+from wafer_viewer.rigs.virtual.serial_port import Interference
 
 
 def all_shots(plan):
@@ -229,6 +229,6 @@ def test_a_camera_that_goes_silent_ends_the_scan(virtual_rig, small_plan, record
 def test_a_scale_that_never_counts_is_a_missed_pulse(virtual_rig, small_plan, recorder, control, monkeypatch):
     rig = virtual_rig()
     plan = small_plan(rig)
-    monkeypatch.setattr("wafer_viewer.rigs.virtual.motion.Profile.crossing_s", lambda *_: None)
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.axis_motion.Profile.crossing_s", lambda *_: None)
     with pytest.raises(MissedPulse, match="0 of 20 pulses"):
         run_scan(plan, rig, recorder, control())

@@ -25,9 +25,9 @@ from wafer_viewer.measure.step import step_height
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import Size
-from wafer_viewer.rigs.virtual.scene import scene
+from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 from wafer_viewer.session.session import Session
 
 SCENE = scene("gauge_blocks")

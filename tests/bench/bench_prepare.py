@@ -32,8 +32,8 @@ from wafer_viewer.reconstruct.field import reconstruct
 from wafer_viewer.reconstruct.parts import source_of
 from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
 from wafer_viewer.reconstruct.search import STRIPE_ROWS, stripes
-from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import Sensor
 
 ROWS, COLS, MARGIN, PIXEL_UM, FALSE_UM = 480, 660, 30, 0.46729, 4.0

@@ -15,8 +15,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.scene import SCENES, Scene
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Scene
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor, tour_range
 
 T = TypeVar("T")

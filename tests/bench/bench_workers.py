@@ -31,8 +31,8 @@ from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import warm_up
-from wafer_viewer.rigs.virtual.optics import Optics
-from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.optics.optics import Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 from wafer_viewer.session.tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset

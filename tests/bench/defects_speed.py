@@ -28,7 +28,7 @@ from wafer_viewer.compute.task_runner import Cluster, Crew, Here
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
-from wafer_viewer.rigs.virtual.scene import Scene, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
 from wafer_viewer.session.defect_rows import RowHands
 from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic, write_mosaic
 

@@ -10,8 +10,8 @@ from wafer_viewer.measure.quality import quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.rigs.virtual.optics import Optics
-from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.optics.optics import Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
 FALSE_UM, PIXEL_UM = 4.0, 0.46729

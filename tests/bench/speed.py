@@ -42,8 +42,8 @@ from wafer_viewer.reconstruct.prepare import prepare
 from wafer_viewer.reconstruct.search import search_field
 from wafer_viewer.reconstruct.stitch import stitch
 from wafer_viewer.reconstruct.tune import settle
-from wafer_viewer.rigs.virtual.optics import Optics
-from wafer_viewer.rigs.virtual.scene import SCENES
+from wafer_viewer.rigs.virtual.optics.optics import Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
 ROWS, COLS, PIXEL_UM, WINDOW = 1080, 1440, 0.46729, 9

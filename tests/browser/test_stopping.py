@@ -14,7 +14,7 @@ from playwright.sync_api import Page, expect
 from tests.browser import fake_session as fake
 from tests.browser.steps import eventually, notes
 from wafer_viewer.model.errors import MotionStopped
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.session import Session
 
 pytestmark = [

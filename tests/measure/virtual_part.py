@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.rigs.virtual.scene import SCENES, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Window
 
 WALL_UM, DARK_GREY = 4.0, 18
 

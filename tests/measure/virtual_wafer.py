@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.rigs.virtual.scene import SCENES, Window
+from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES, Window
 from wafer_viewer.rigs.virtual.scenes.wafer import RADIUS_UM
 
 

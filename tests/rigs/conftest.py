@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.port import Interference
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
+from wafer_viewer.rigs.virtual.serial_port import Interference
 
 BAD_WIRE = Interference(lost_fraction=0.02, damaged_fraction=0.02, seed=3)
 KINDS = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.config import RigConfig, open_rig, read_config
+from wafer_viewer.rigs.rig_config import RigConfig, open_rig, read_config
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.port import Interference
+from wafer_viewer.rigs.virtual.serial_port import Interference
 
 
 def test_a_rigs_file_says_only_what_differs(tmp_path):

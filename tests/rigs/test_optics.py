@@ -12,8 +12,8 @@ from scipy.ndimage import laplace, uniform_filter
 from scipy.special import erf
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.scene import scene
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor, flat_field
 
 OPTICS = Optics()

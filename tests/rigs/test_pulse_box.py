@@ -13,13 +13,13 @@ import serial
 
 from wafer_viewer.model.acquisition.plan import PulseTrain
 from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.rigs.pulse_box import PulseBoxClient
+from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.firmware import VirtualPulseBox
-from wafer_viewer.rigs.virtual.mechanics import VirtualStage
-from wafer_viewer.rigs.virtual.port import VirtualPort
+from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
 from wafer_viewer.rigs.virtual.rig import virtual_limits
+from wafer_viewer.rigs.virtual.serial_port import VirtualPort
+from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 UPWARD = PulseTrain(axis="z", first_count=500, counts_per_frame=100, n_frames=8, direction=1)
 DOWNWARD = PulseTrain(axis="z", first_count=1_500, counts_per_frame=200, n_frames=5, direction=-1)
@@ -159,7 +159,7 @@ def test_a_trigger_during_readout_is_ignored_and_the_box_knows(switch_on):
 
 
 def test_it_needs_a_box_that_speaks_its_protocol(switch_on, monkeypatch):
-    monkeypatch.setattr("wafer_viewer.rigs.virtual.firmware.VERSION", "WPC/9")
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.pulse_box_firmware.VERSION", "WPC/9")
     with pytest.raises(RigError, match=r"WPC/9, not WPC/1.*update"):
         switch_on()
 
@@ -190,7 +190,7 @@ def test_a_silent_port_is_a_timeout():
 
 
 def test_records_that_left_the_ring_are_a_refusal_not_a_guess(switch_on, monkeypatch):
-    monkeypatch.setattr("wafer_viewer.rigs.virtual.firmware.RING_RECORDS", 4)
+    monkeypatch.setattr("wafer_viewer.rigs.virtual.pulse_box_firmware.RING_RECORDS", 4)
     rig = switch_on()
     rig.box.arm(UPWARD, on_command=True)
     for _ in range(8):

@@ -9,7 +9,7 @@ import pytest
 
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Leg, PulseTrain, ScanPlan, Shot
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.rehearsal import Rehearsal, rehearse
+from wafer_viewer.rigs.virtual.prerendering import Rehearsal, rehearse
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 
 LIMITS = virtual_limits(48, 64)

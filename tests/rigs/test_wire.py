@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.errors import WireError
+from wafer_viewer.rigs.pulse_box.wpc_protocol import ANSWER, COMMAND, Line, LineReader, WireClient, crc, decode, encode
 from wafer_viewer.rigs.virtual.clock import VirtualClock
-from wafer_viewer.rigs.virtual.port import Interference, VirtualPort
-from wafer_viewer.rigs.wire import ANSWER, COMMAND, Line, LineReader, WireClient, crc, decode, encode
+from wafer_viewer.rigs.virtual.serial_port import Interference, VirtualPort
 
 WORD = st.text("ABCDEFGHIJKLMNOPQRSTUVWXYZ", min_size=1, max_size=9)
 VALUE = st.text("abcXYZ0123456789_/-", min_size=1, max_size=12)

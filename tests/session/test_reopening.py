@@ -14,7 +14,7 @@ import pytest
 from tests.session.conftest import small_job
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.errors import DatasetError, PlanError, RigError
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import virtual_limits
 from wafer_viewer.session.conductor import Conductor
 from wafer_viewer.session.messages import Move

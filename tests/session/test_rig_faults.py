@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset

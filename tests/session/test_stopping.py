@@ -13,7 +13,7 @@ import pytest
 from wafer_viewer.compute.child_process import Answer, Ask, ChildEnd
 from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import MotionStopped
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import VirtualRig
 from wafer_viewer.session import instrument as instrument_module
 from wafer_viewer.session.desk import Desk as SessionDesk

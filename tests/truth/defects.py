@@ -26,8 +26,8 @@ from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.scene import Scene
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene
 from wafer_viewer.rigs.virtual.sensor import Sensor
 
 FIELD_PX = (1020, 1360)

@@ -44,7 +44,7 @@ from wafer_viewer.model.errors import PlanError, RigError
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.acquisition.plan import Job
-    from wafer_viewer.rigs.config import RigConfig
+    from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.preflight import Check
 
 DATA_FOLDER = Path("~/wafer-viewer")
@@ -295,7 +295,7 @@ def glossary(word: Word = "") -> int:
 
 def _config(rig: Path | None) -> RigConfig:
     """The rig's configuration; the virtual rig without a file."""
-    from wafer_viewer.rigs.config import RigConfig, read_config
+    from wafer_viewer.rigs.rig_config import RigConfig, read_config
 
     return RigConfig() if rig is None else read_config(rig)
 
@@ -303,7 +303,7 @@ def _config(rig: Path | None) -> RigConfig:
 @contextmanager
 def _opened(rig: Path | None) -> Generator[Rig]:
     """The rig, put at rest and let go at the end."""
-    from wafer_viewer.rigs.config import open_rig
+    from wafer_viewer.rigs.rig_config import open_rig
 
     device = open_rig(_config(rig))
     try:

@@ -13,7 +13,7 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.comparing import ComparingKeeper
 from wafer_viewer.session.defect_files import DefectFilesKeeper
 from wafer_viewer.session.defects import DefectKeeper

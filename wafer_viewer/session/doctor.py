@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.rigs.config import RigConfig, open_rig
+from wafer_viewer.rigs.rig_config import RigConfig, open_rig
 
 PACKAGES = ("numpy", "scipy", "numba", "distributed", "zarr", "tifffile", "viser", "serial")
 OPEN3D_LIBRARIES = {"usb-1.0": "libusb-1.0-0", "GL": "libgl1", "gomp": "libgomp1"}

@@ -12,7 +12,7 @@ from wafer_viewer.compute.child_process import Link
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.desk import Desk
 from wafer_viewer.session.messages import (
     At,

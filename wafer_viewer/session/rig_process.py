@@ -16,7 +16,7 @@ from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
 from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
-from wafer_viewer.rigs.config import RigConfig, open_rig
+from wafer_viewer.rigs.rig_config import RigConfig, open_rig
 from wafer_viewer.session.messages import (
     At,
     LoadSample,

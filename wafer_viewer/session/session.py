@@ -15,7 +15,7 @@ from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.asking import Asking
 from wafer_viewer.session.browsing import Browsing
 from wafer_viewer.session.comparing import ComparingVerbs

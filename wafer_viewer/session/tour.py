@@ -9,7 +9,7 @@ from __future__ import annotations
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.acquisition.sample import Sample
-from wafer_viewer.rigs.config import RigConfig
+from wafer_viewer.rigs.rig_config import RigConfig
 
 TOUR_FIELDS = 3
 TOUR_LOT = "TOUR"
@@ -25,7 +25,7 @@ def tour_of(rig: Rig, config: RigConfig) -> Job | None:
     if config.kind != "virtual":
         return None
     from wafer_viewer.rigs.virtual.rig import VIRTUAL_MOUNT
-    from wafer_viewer.rigs.virtual.scene import scene
+    from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 
     shown = scene(scene(config.scene).tour_scene or config.scene)
     size = {"field_width_um": rig.limits.field_width_um, "field_height_um": rig.limits.field_height_um}

@@ -12,7 +12,7 @@ from wafer_viewer.model.acquisition.rig_limits import CameraLimits
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 TRIGGER_DELAY_US = 12.0
 """From the pulse to the begin of the exposure."""

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar
 
 from wafer_viewer.model.errors import RigError, WaferViewerError
 from wafer_viewer.model.spec import Count, NonNegative, Spec, Within
-from wafer_viewer.rigs.virtual.port import Interference
+from wafer_viewer.rigs.virtual.serial_port import Interference
 
 Numbers = tuple[int, ...]
 WrapsAt = Annotated[int, Within(0)]

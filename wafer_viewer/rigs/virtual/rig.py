@@ -13,13 +13,13 @@ from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, CameraLimits, ObjectiveLimits, RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.progress import ShouldStop
-from wafer_viewer.rigs.pulse_box import PulseBoxClient
+from wafer_viewer.rigs.pulse_box.client import PulseBoxClient
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer, VirtualCamera
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.firmware import VirtualPulseBox
-from wafer_viewer.rigs.virtual.mechanics import VirtualStage
-from wafer_viewer.rigs.virtual.port import VirtualPort
+from wafer_viewer.rigs.virtual.pulse_box_firmware import VirtualPulseBox
+from wafer_viewer.rigs.virtual.serial_port import VirtualPort
+from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 Size = Literal["small", "full"]
 SIZES: dict[Size, tuple[int, int]] = {"small": (540, 720), "full": (1080, 1440)}
@@ -171,7 +171,7 @@ class VirtualRig:
 
         Any other sample, and None, is the scene of the rig's configuration. Return True where the scene changed.
         """
-        from wafer_viewer.rigs.virtual.scene import SCENES
+        from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 
         virtual = sample is not None and sample.mount == VIRTUAL_MOUNT and sample.product in SCENES
         wanted = sample.product if sample is not None and virtual else self._own_scene
@@ -185,7 +185,7 @@ class VirtualRig:
         """In real time, render the plan's frames beforehand in a process of its own; else there is nothing to do."""
         if not self._real_time:
             return
-        from wafer_viewer.rigs.virtual.rehearsal import Rehearsal, rehearse
+        from wafer_viewer.rigs.virtual.prerendering import Rehearsal, rehearse
 
         here = self._stage.position()
         order = Rehearsal(
@@ -208,7 +208,7 @@ class VirtualRig:
 
     def truth_for_tests(self, x_um: ArrayLike, y_um: ArrayLike) -> NDArray[np.float32]:
         """True heights in um at points of any shape. For tests only: no room of the program may look."""
-        from wafer_viewer.rigs.virtual.scene import scene
+        from wafer_viewer.rigs.virtual.scenes.catalogue import scene
 
         return scene(self._scene).truth(x_um, y_um)
 
@@ -242,8 +242,8 @@ class VirtualRig:
 
 def scene_renderer(name: str, limits: RigLimits) -> Renderer:
     """What the virtual camera sees of a scene."""
-    from wafer_viewer.rigs.virtual.optics import Optics
-    from wafer_viewer.rigs.virtual.scene import scene
+    from wafer_viewer.rigs.virtual.optics.optics import Optics
+    from wafer_viewer.rigs.virtual.scenes.catalogue import scene
     from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
 
     objective, camera = limits.objective, limits.camera
@@ -253,7 +253,7 @@ def scene_renderer(name: str, limits: RigLimits) -> Renderer:
 
 def scene_overview(name: str) -> Overview:
     """The picture and the layout of a scene's sample."""
-    from wafer_viewer.rigs.virtual.scene import scene
+    from wafer_viewer.rigs.virtual.scenes.catalogue import scene
     from wafer_viewer.rigs.virtual.sensor import overview
 
     sample = scene(name)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.errors import RigError
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.optics import FieldPicture, Optics
-from wafer_viewer.rigs.virtual.optics_blur import Plane
-from wafer_viewer.rigs.virtual.scene import Scene, Window
+from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
+from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
 
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 NOISE_SIGMA = 32  # counts of one standard deviation in the table of noise

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import grain
-from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
 HEIGHT_UM, SLOPE = 120.0, 0.30
 

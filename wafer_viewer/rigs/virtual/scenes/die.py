@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import chance
 from wafer_viewer.rigs.virtual.scenes.lettering import two_lines
 from wafer_viewer.rigs.virtual.scenes.shapes import bar, bars, blend, inside, rectangle
+from wafer_viewer.rigs.virtual.scenes.value_noise import chance
 
 WIDTH_UM, HEIGHT_UM = 456.0, 336.0
 BEVEL_UM, BEVEL_SLOPE = 5.0, 0.6

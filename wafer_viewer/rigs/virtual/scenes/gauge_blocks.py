@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import Integer, grain
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
 from wafer_viewer.rigs.virtual.scenes.shapes import inside
-from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.value_noise import Integer, grain
 
 STEP_UM = 399.88
 GAP_UM, CHAMFER_UM = 70.0, 45.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import grain
-from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets
+from wafer_viewer.rigs.virtual.scenes.value_noise import grain
 
 TILT_X, TILT_Y = 4e-3, 1.5e-3
 

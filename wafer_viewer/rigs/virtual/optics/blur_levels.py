@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.optics_blur import Plane, blurred
-from wafer_viewer.rigs.virtual.scene import Window
-from wafer_viewer.rigs.virtual.scenes.sheets import Sheets
+from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane, blurred
+from wafer_viewer.rigs.virtual.scenes.catalogue import Window
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Sheets
 
 LIGHT_A, LIGHT_B, COVER = range(3)
 FINE_SIGMA_PX = (0.98, 1.1, 1.25, 1.45, 1.7, 2.0, 2.4, 2.9, 3.5, 4.2)

@@ -8,9 +8,19 @@ from collections.abc import Callable
 
 from wafer_viewer.model.acquisition.devices import Pulse
 from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.rigs.pulse_box.wpc_protocol import (
+    ANSWER,
+    COMMAND,
+    EVENT,
+    HALT,
+    SEQUENCES,
+    VERSION,
+    Line,
+    LineReader,
+    encode,
+)
 from wafer_viewer.rigs.virtual.clock import Event, VirtualClock
-from wafer_viewer.rigs.virtual.mechanics import VirtualStage
-from wafer_viewer.rigs.wire import ANSWER, COMMAND, EVENT, HALT, SEQUENCES, VERSION, Line, LineReader, encode
+from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 RING_RECORDS = 2048
 SETTINGS = {

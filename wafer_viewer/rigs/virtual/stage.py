@@ -12,9 +12,9 @@ from wafer_viewer.model.acquisition.plan import Axis
 from wafer_viewer.model.acquisition.rig_limits import AxisLimits, RigLimits
 from wafer_viewer.model.errors import MotionStopped, RigError, RigTimeout
 from wafer_viewer.model.progress import ShouldStop
+from wafer_viewer.rigs.virtual.axis_motion import halt, standing, trapezoid
 from wafer_viewer.rigs.virtual.clock import VirtualClock
 from wafer_viewer.rigs.virtual.faults import Faults
-from wafer_viewer.rigs.virtual.motion import halt, standing, trapezoid
 
 LATERAL_ERROR_UM = 0.15
 AXIAL_ERROR_UM = 0.02

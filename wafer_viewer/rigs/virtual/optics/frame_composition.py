@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.numerics.jit import fast_kernel
-from wafer_viewer.rigs.virtual.noise import Integer
-from wafer_viewer.rigs.virtual.optics_blur import REACH_SIGMA, Plane
-from wafer_viewer.rigs.virtual.optics_levels import COVER, LATTICE_PX, LIGHT_A, LIGHT_B, WHITE, Law, Levels
-from wafer_viewer.rigs.virtual.optics_stretches import STRETCH_PX, Stretches
+from wafer_viewer.rigs.virtual.optics.blur_levels import COVER, LATTICE_PX, LIGHT_A, LIGHT_B, WHITE, Law, Levels
+from wafer_viewer.rigs.virtual.optics.gaussian_blur import REACH_SIGMA, Plane
+from wafer_viewer.rigs.virtual.optics.row_spans import STRETCH_PX, Stretches
+from wafer_viewer.rigs.virtual.scenes.value_noise import Integer
 
 ZERO, ONE = np.float32(0), np.float32(1)
 LEAST_COVER = np.float32(1e-4)

@@ -27,7 +27,7 @@ from wafer_viewer.model.progress import ShouldStop
 from wafer_viewer.model.spec import Spec, decode, encode
 from wafer_viewer.rigs.virtual.camera import TRIGGER_DELAY_US, Renderer
 from wafer_viewer.rigs.virtual.clock import VirtualClock
-from wafer_viewer.rigs.virtual.mechanics import VirtualStage
+from wafer_viewer.rigs.virtual.stage import VirtualStage
 
 NEAR_UM = 0.02
 """A frame stands for a place that is nearer than this: the stage's repeatability is a few nm."""
@@ -130,7 +130,7 @@ def _frames_file(folder: Path, order: Rehearsal, n_frames: int, mode: Literal["w
 
 
 def _started(folder: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", "wafer_viewer.rigs.virtual.rehearsal", folder]
+    command = [sys.executable, "-m", "wafer_viewer.rigs.virtual.prerendering", folder]
     return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from wafer_viewer.model.acquisition.devices import Clock, Pulse, PulseSummary, SerialPort
 from wafer_viewer.model.acquisition.plan import Axis, PulseTrain
 from wafer_viewer.model.errors import RigError, WireError
-from wafer_viewer.rigs.wire import VERSION, Line, WireClient
+from wafer_viewer.rigs.pulse_box.wpc_protocol import VERSION, Line, WireClient
 
 PULSE_WIDTH_US = 50
 MIN_GAP_US = 1000

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from wafer_viewer.rigs.virtual.optics_blur import Plane
-from wafer_viewer.rigs.virtual.scene import Window
+from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
+from wafer_viewer.rigs.virtual.scenes.catalogue import Window
 
 STRETCH_PX = 48
 BLOCK = 4  # lattice samples along a side of a block that is wholly A, wholly B or mixed

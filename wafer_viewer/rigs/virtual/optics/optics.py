@@ -16,12 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wafer_viewer.rigs.virtual.optics_blur import Plane
-from wafer_viewer.rigs.virtual.optics_compose import Heights, compose
-from wafer_viewer.rigs.virtual.optics_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
-from wafer_viewer.rigs.virtual.optics_stretches import make_stretches
-from wafer_viewer.rigs.virtual.scene import Scene, Window
-from wafer_viewer.rigs.virtual.scenes.sheets import Sheets
+from wafer_viewer.rigs.virtual.optics.blur_levels import FINE_MARGIN, Law, blur_law, coarse_window, make_levels
+from wafer_viewer.rigs.virtual.optics.frame_composition import Heights, compose
+from wafer_viewer.rigs.virtual.optics.gaussian_blur import Plane
+from wafer_viewer.rigs.virtual.optics.row_spans import make_stretches
+from wafer_viewer.rigs.virtual.scenes.catalogue import Scene, Window
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Sheets
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wafer_viewer.model.errors import RigError
-from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, stair, tour_wafer, wafer
-from wafer_viewer.rigs.virtual.scenes.sheets import Points, Sheets, empty_sheets
+from wafer_viewer.rigs.virtual.scenes import cone, die, gauge_blocks, plane, staircase, tour_wafer, wafer
+from wafer_viewer.rigs.virtual.scenes.scene_sheets import Points, Sheets, empty_sheets
 
 Outline = tuple[tuple[float, float], ...]
 SHARP_UM = 1e-3  # a footprint so small that every edge is hard
@@ -193,7 +193,7 @@ SCENES: dict[str, Scene] = {
     "stair": Scene(
         name="stair",
         title="A stair of 20 um steps",
-        fill=stair.fill,
+        fill=staircase.fill,
         gain=1.6,
         width_um=1800.0,
         height_um=1200.0,

@@ -1,0 +1,1 @@
+"""The pulse box: client and protocol."""

@@ -1,0 +1,1 @@
+"""The imaging model of the virtual microscope."""
