@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wafer_viewer.acquire.motion import ARRIVED_WITHIN_UM, come_to_rest, move
-from wafer_viewer.acquire.runner import PASS_TRIES, run_scan
+from wafer_viewer.acquire.scan_runner import PASS_TRIES, run_scan
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import RigError, RigTimeout
 from wafer_viewer.rigs.virtual.faults import Faults

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wafer_viewer.acquire.reconcile import DeviceClock, Reconciler, Timing
+from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Reconciler, Timing
 from wafer_viewer.model.acquisition.devices import CameraImage, Pulse
 from wafer_viewer.model.acquisition.focus_stack import FrameStatus
 from wafer_viewer.model.acquisition.plan import Leg, PulseTrain, Shot

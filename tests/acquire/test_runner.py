@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.acquire.planner import STRATEGIES, plan_scan
-from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Shot
 from wafer_viewer.model.errors import MissedPulse, RigError
 from wafer_viewer.rigs.virtual.faults import Faults

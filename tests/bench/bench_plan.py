@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from wafer_viewer.acquire.planner import plan_scan, price_all
-from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.rigs.virtual.rig import VirtualRig, virtual_limits
 

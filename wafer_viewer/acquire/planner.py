@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from wafer_viewer.acquire.checks import check_exposures, check_fields, check_sweep, whole_counts
 from wafer_viewer.acquire.passes import AXES, Pass, Task, line_obstacle, line_passes, shoot_passes, z_passes
+from wafer_viewer.acquire.plan_checks import check_exposures, check_fields, check_sweep, whole_counts
 from wafer_viewer.acquire.pricing import Travel, motions, predicted_s, travel_of
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Price, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from wafer_viewer.acquire.motion import device_errors
-from wafer_viewer.acquire.runner import run_scan
+from wafer_viewer.acquire.scan_runner import run_scan
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
 from wafer_viewer.session.messages import Scan, ScanEnded

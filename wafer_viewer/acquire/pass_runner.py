@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from wafer_viewer.acquire.motion import Deadline, at_um, await_arrival, come_to_rest, device_errors, move
-from wafer_viewer.acquire.reconcile import DeviceClock, Pairing, Reconciler, Timing
+from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Pairing, Reconciler, Timing
 from wafer_viewer.model.acquisition.devices import CameraImage, PulseSummary, Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, PulseTrain

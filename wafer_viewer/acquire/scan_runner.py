@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
-from wafer_viewer.acquire.one_pass import PassResult, device_clock, rest_afterwards, run_pass
-from wafer_viewer.acquire.reconcile import DeviceClock, Hole
+from wafer_viewer.acquire.pass_runner import PassResult, device_clock, rest_afterwards, run_pass
+from wafer_viewer.acquire.pulse_reconciliation import DeviceClock, Hole
 from wafer_viewer.model.acquisition.devices import Rig
 from wafer_viewer.model.acquisition.focus_stack import Frame
 from wafer_viewer.model.acquisition.plan import Axis, Leg, ScanPlan, Shot
