@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.calibrate.alignment import fit_alignment
+from wafer_viewer.calibrate.wafer_alignment import fit_alignment
 from wafer_viewer.model.acquisition.alignment import Alignment, Mark, Marks
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
 from wafer_viewer.model.errors import PlanError

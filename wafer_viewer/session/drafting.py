@@ -76,7 +76,7 @@ class Drafting:
 
         Raises PlanError when there are no corners to mark, and when they make no alignment.
         """
-        from wafer_viewer.calibrate.alignment import fit_alignment
+        from wafer_viewer.calibrate.wafer_alignment import fit_alignment
 
         job = self._jobs.value
         if job is None or job.marks is None:

@@ -80,7 +80,7 @@ def _is_of(out: Path, job: Job) -> bool:
 
 
 def _aligned(job: Job, corners_um: Sequence[float]) -> Job:
-    from wafer_viewer.calibrate.alignment import fit_alignment
+    from wafer_viewer.calibrate.wafer_alignment import fit_alignment
 
     if job.marks is None:
         raise PlanError("The plan names no corners to align by: leave --corners out, or name them in the plan.")
