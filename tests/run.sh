@@ -100,7 +100,7 @@ end_types() {
 }
 
 compile_kernels() {
-  "$venv/bin/python" -c "from wafer_viewer.reconstruct.field import warm_up; warm_up()"
+  "$venv/bin/python" -c "from wafer_viewer.reconstruct.field_pipeline import warm_up; warm_up()"
 }
 
 # Two at a time; what they print is shown in order when all are over.

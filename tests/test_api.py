@@ -83,7 +83,8 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
 
 
 @pytest.mark.parametrize(
-    "first", ["wv.stitch", "wv.reconstruct", "__import__('wafer_viewer.reconstruct.blend')", "wv.Session"]
+    "first",
+    ["wv.stitch", "wv.reconstruct", "__import__('wafer_viewer.reconstruct.blending.stitched_mosaic')", "wv.Session"],
 )
 def test_reconstruct_is_the_function_whatever_was_imported_before(first):
     assert python(f"import wafer_viewer as wv; {first}; print(callable(wv.reconstruct))") == "True"

@@ -77,10 +77,10 @@ if TYPE_CHECKING:
     from wafer_viewer.model.surface.focus_curve import FocusCurve
     from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
     from wafer_viewer.model.surface.recipe import Recipe
-    from wafer_viewer.reconstruct.compare import compare
-    from wafer_viewer.reconstruct.field import reconstruct
-    from wafer_viewer.reconstruct.stitch import stitch
-    from wafer_viewer.reconstruct.why import focus_curve
+    from wafer_viewer.reconstruct.comparison.compare import compare
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
+    from wafer_viewer.reconstruct.focus_evidence import focus_curve
+    from wafer_viewer.reconstruct.stitching import stitch
     from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.session.session import Session

@@ -25,9 +25,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.truth.field_grid import PIXEL_UM, SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import Doubt, Seams, Shifts
-from wafer_viewer.reconstruct.misfits import suspects
-from wafer_viewer.reconstruct.register import register
-from wafer_viewer.reconstruct.seams import compare
+from wafer_viewer.reconstruct.registration.height_seams import compare
+from wafer_viewer.reconstruct.registration.misplaced_fields import suspects
+from wafer_viewer.reconstruct.registration.pair_registration import register
 
 MIDDLING = replace(Grid(), rows=4, cols=4)
 CASES: dict[str, dict[str, Any]] = {

@@ -27,11 +27,11 @@ from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.drift import Drift
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.parts import source_of
-from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
-from wafer_viewer.reconstruct.search import STRIPE_ROWS, stripes
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.field_blocks import source_of
+from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS, stripes
+from wafer_viewer.reconstruct.preprocess.drift import Drift
+from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import Sensor

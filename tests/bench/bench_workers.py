@@ -30,7 +30,7 @@ from wafer_viewer.compute.task_runner import Crew, crew_for
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import warm_up
+from wafer_viewer.reconstruct.field_pipeline import warm_up
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor

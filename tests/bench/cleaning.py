@@ -31,15 +31,15 @@ from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
 from wafer_viewer.model.spec import replace  # noqa: E402
 from wafer_viewer.model.surface.height_map import Origin  # noqa: E402
 from wafer_viewer.model.surface.recipe import Fill, Levy, Outliers, Recipe  # noqa: E402
-from wafer_viewer.reconstruct import outliers as rules  # noqa: E402
-from wafer_viewer.reconstruct.clean import clean, settle_cleaning, settle_levy  # noqa: E402
-from wafer_viewer.reconstruct.fill import fill  # noqa: E402
-from wafer_viewer.reconstruct.judge import judge  # noqa: E402
-from wafer_viewer.reconstruct.levy import SMOOTHERS, height_noise_um, smooth  # noqa: E402
-from wafer_viewer.reconstruct.outliers import far_in_cloud, far_on_lattice, find_outliers  # noqa: E402
-from wafer_viewer.reconstruct.prepare import prepare  # noqa: E402
-from wafer_viewer.reconstruct.search import search_field  # noqa: E402
-from wafer_viewer.reconstruct.tune import settle  # noqa: E402
+from wafer_viewer.reconstruct.auto_tuning import settle  # noqa: E402
+from wafer_viewer.reconstruct.cleaning import outliers as rules  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.clean import clean, settle_cleaning, settle_levy  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.gap_fill import fill  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.levy_flight import SMOOTHERS, height_noise_um, smooth  # noqa: E402
+from wafer_viewer.reconstruct.cleaning.outliers import far_in_cloud, far_on_lattice, find_outliers  # noqa: E402
+from wafer_viewer.reconstruct.focus.peak_search import search_field  # noqa: E402
+from wafer_viewer.reconstruct.preprocess.frames import prepare  # noqa: E402
+from wafer_viewer.reconstruct.validity import judge  # noqa: E402
 
 KEPT_LIGHT = Path(tempfile.gettempdir()) / "wafer-viewer-truth"
 FALSE_UM, PIXEL_UM, STEP_UM = 4.0, 0.46729, 4.0

@@ -27,7 +27,7 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.rigs.virtual.optics.optics import FieldPicture, Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import Sensor

@@ -13,7 +13,7 @@ from tests.bench.recipes import ABLATION, CLASSIC, DEFAULT, MEASURES, ungated
 from tests.bench.tables import met, percent, show
 from tests.truth.layouts import Taken
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
 FALSE_UM = 4.0
 CLIPPED_GREY, CLIPPED_WINDOW = 250, 17

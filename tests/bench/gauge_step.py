@@ -16,7 +16,7 @@ from tests.truth.scenes import BLOCKS_STEP_UM, STEP_SWEEP_UM
 from wafer_viewer.measure.step import step_height
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.region import Region
-from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
 GOAL_UM = 0.05
 

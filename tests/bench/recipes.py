@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Fill, Outliers, Recipe
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES, focus_image
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, focus_image
 
 WINDOW = 9
 

@@ -9,7 +9,7 @@ from tests.bench.tables import percent, show
 from wafer_viewer.measure.quality import quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor

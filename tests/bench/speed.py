@@ -34,14 +34,14 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.clean import clean
-from wafer_viewer.reconstruct.field import reconstruct, warm_up
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
-from wafer_viewer.reconstruct.live import LiveField
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.search import search_field
-from wafer_viewer.reconstruct.stitch import stitch
-from wafer_viewer.reconstruct.tune import settle
+from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.cleaning.clean import clean
+from wafer_viewer.reconstruct.field_pipeline import reconstruct, warm_up
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.peak_search import search_field
+from wafer_viewer.reconstruct.live_field import LiveField
+from wafer_viewer.reconstruct.preprocess.frames import prepare
+from wafer_viewer.reconstruct.stitching import stitch
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
@@ -54,7 +54,7 @@ LIVE_FRAMES, LIVE_GOAL_S = 3, 0.3
 FIRST_CALL = """
 import time
 began = time.perf_counter()
-from wafer_viewer.reconstruct.field import warm_up
+from wafer_viewer.reconstruct.field_pipeline import warm_up
 imported, busy = time.perf_counter(), time.process_time()
 warm_up()
 print(imported - began, time.perf_counter() - imported, time.process_time() - busy)

@@ -28,12 +28,12 @@ from tests.bench.stitch_judge import mosaic_of
 from tests.truth.field_grid import SMALL, Grid, Made, make
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.recipe import Stitching
-from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window
-from wafer_viewer.reconstruct.parts import on_threads
-from wafer_viewer.reconstruct.poses import solve_heights
-from wafer_viewer.reconstruct.register import register
-from wafer_viewer.reconstruct.seams import compare
-from wafer_viewer.reconstruct.stitch import Eyes, find_poses
+from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window
+from wafer_viewer.reconstruct.focus.field_blocks import on_threads
+from wafer_viewer.reconstruct.pose_graph.poses import solve_heights
+from wafer_viewer.reconstruct.registration.height_seams import compare
+from wafer_viewer.reconstruct.registration.pair_registration import register
+from wafer_viewer.reconstruct.stitching import Eyes, find_poses
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
 REGISTERED = Stitching(poses="registered", blend="confidence")

@@ -18,8 +18,8 @@ from wafer_viewer.model.spec import replace as replaced
 from wafer_viewer.model.surface.field_poses import Form, Poses
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
-from wafer_viewer.reconstruct.place import layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import layout
+from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window, mosaic_provenance
 
 WINDOW_PX, N_WINDOWS = 512, 64
 Blend = Literal["confidence", "ramp"]

@@ -25,7 +25,7 @@ from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_resu
 from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.reconstruct.gate import POWERS
+from wafer_viewer.reconstruct.gates.gate import POWERS
 from wafer_viewer.session.notebook_state import NotebookState
 from wafer_viewer.session.state import Fault
 

@@ -13,7 +13,7 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.stitch import stitch
+from wafer_viewer.reconstruct.stitching import stitch
 
 UPPER = Region.rectangle(-150, -50, -40, 50)
 LOWER = Region.rectangle(40, -50, 150, 50)

@@ -18,9 +18,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Form, Poses, no_seams, no_shifts
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.reconstruct.blend import StitchedMosaic, blend_window, mosaic_provenance
-from wafer_viewer.reconstruct.overlay import BLENDS
-from wafer_viewer.reconstruct.place import MARGIN_PX, layout, planned_lattice
+from wafer_viewer.reconstruct.blending.mosaic_layout import MARGIN_PX, layout, planned_lattice
+from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, blend_window, mosaic_provenance
+from wafer_viewer.reconstruct.blending.window_blend import BLENDS
 
 MakeMap = Callable[..., HeightMap]
 ROWS, COLS, STEP_R, STEP_C = 60, 80, 48, 64

@@ -9,9 +9,9 @@ from scipy.ndimage import gaussian_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
-from wafer_viewer.reconstruct.camera_noise import QUANTISATION_COUNTS2, CameraNoise, estimate_camera_noise
-from wafer_viewer.reconstruct.field import settled_recipe
-from wafer_viewer.reconstruct.prepare import prepare
+from wafer_viewer.reconstruct.field_pipeline import settled_recipe
+from wafer_viewer.reconstruct.preprocess.camera_noise import QUANTISATION_COUNTS2, CameraNoise, estimate_camera_noise
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 from .conftest import a_field
 

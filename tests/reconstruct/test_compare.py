@@ -13,9 +13,9 @@ from tests.truth.endless_wafer import Wafer
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.comparison import Registration
 from wafer_viewer.model.surface.height_map import Origin, Provenance
-from wafer_viewer.reconstruct.compare import compare
-from wafer_viewer.reconstruct.laid import LaidOver
-from wafer_viewer.reconstruct.read_as import read_as
+from wafer_viewer.reconstruct.comparison.compare import compare
+from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
+from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from scipy.ndimage import affine_transform
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.prepare import prepare, read_block
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
 
 MARGIN = 25
 STILL, LEFT_ALONE = np.zeros(25), Recipe(drift="none")

@@ -16,14 +16,13 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.edges import noise_fall
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.log_laplacian import Stabiliser
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.sides import BAND_REACH_PX, find_band
-from wafer_viewer.reconstruct.silhouette import Silhouette, silhouette_of
-from wafer_viewer.reconstruct.tangential import (
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.focus_evidence import focus_curve
+from wafer_viewer.reconstruct.gates.edge_bleeding import noise_fall
+from wafer_viewer.reconstruct.gates.edge_sides import BAND_REACH_PX, find_band
+from wafer_viewer.reconstruct.gates.edge_silhouettes import Silhouette, silhouette_of
+from wafer_viewer.reconstruct.gates.tangential_focus import (
     Near,
     Tile,
     Wall,
@@ -31,7 +30,8 @@ from wafer_viewer.reconstruct.tangential import (
     tangential_levels,
     tangential_margin_px,
 )
-from wafer_viewer.reconstruct.why import focus_curve
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 MakeStack = Callable[..., FieldStack]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 import wafer_viewer as wv
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.prepare import Frames, prepare, read_block
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
 
 READ_COUNTS, GAIN = 0.4, 0.03
 FULL = 65535

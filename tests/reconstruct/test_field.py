@@ -14,10 +14,10 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.reconstruct.field import reconstruct, settled_recipe, warm_up
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
-from wafer_viewer.reconstruct.log_laplacian import log_laplacian_block
-from wafer_viewer.reconstruct.search import STRIPE_ROWS
+from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe, warm_up
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.log_laplacian import log_laplacian_block
+from wafer_viewer.reconstruct.focus.peak_search import STRIPE_ROWS
 
 MakeStack = Callable[..., FieldStack]
 KERNEL: Any = log_laplacian_block

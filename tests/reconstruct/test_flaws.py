@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.parts import read_part, source_of
-from wafer_viewer.reconstruct.prepare import prepare, read_block
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.field_blocks import read_part, source_of
+from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
 
 FLAWS = {
     "hot column": (slice(None), 60, 255),

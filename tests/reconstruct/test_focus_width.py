@@ -15,10 +15,10 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.optics import depth_of_field_um
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.judge import TOO_WIDE
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.tune import settle
+from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.preprocess.frames import prepare
+from wafer_viewer.reconstruct.validity import TOO_WIDE
 from wafer_viewer.store.dataset.stack_import import open_stack
 
 SEEDS = (4, 11, 13, 17, 1002, 1003)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tests.reconstruct.conftest import MakeStack
 from tests.truth.bleeding import drawn, seen
 from wafer_viewer.model.acquisition.focus_stack import Bracket, FieldStack
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.prepare import prepare
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 N_FRAMES = 34
 STEP_UM = 2.0

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.focus import FOCUS_MEASURES
-from wafer_viewer.reconstruct.gate import Gate, auto_min_confidence, checks, gate_of, origins
-from wafer_viewer.reconstruct.noise import NoiseScores, noise_scores
-from wafer_viewer.reconstruct.peak import Peaks
-from wafer_viewer.reconstruct.prepare import Frames
-from wafer_viewer.reconstruct.search import Search, search_field
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.noise_thresholds import NoiseScores, noise_scores
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.gates.gate import Gate, auto_min_confidence, checks, gate_of, origins
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.preprocess.frames import Frames
 
 MakeStack = Callable[..., FieldStack]
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts, no_seams
-from wafer_viewer.reconstruct.growing import Known, held_still
+from wafer_viewer.reconstruct.pose_graph.incremental import Known, held_still
 
 
 def _shifts(pairs: np.ndarray) -> Shifts:

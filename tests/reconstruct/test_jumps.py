@@ -11,10 +11,10 @@ from tests.truth.views import Optics
 from wafer_viewer.model.spec import replace as changed
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.model.surface.recipe import Outliers, Recipe
-from wafer_viewer.reconstruct.clean import Cleaned, clean, settle_cleaning
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.jumps import apart_um
-from wafer_viewer.reconstruct.why import focus_curve
+from wafer_viewer.reconstruct.cleaning.clean import Cleaned, clean, settle_cleaning
+from wafer_viewer.reconstruct.cleaning.step_edges import apart_um
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus_evidence import focus_curve
 
 Z_UM = np.linspace(120.0, 280.0, 41)
 STAIR = Layout("two treads", Optics(0.28, views=80), 3, scene="stair", settings={"treads": 2})

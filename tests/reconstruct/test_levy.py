@@ -8,8 +8,14 @@ from numpy.typing import NDArray
 
 from tests.reconstruct.noisy_maps import noisy_step, rmse
 from wafer_viewer.model.surface.recipe import Levy
-from wafer_viewer.reconstruct.clean import MOST_ROUNDS, settle_levy
-from wafer_viewer.reconstruct.levy import NOISE_LAG_PX, SMOOTHERS, flight_lengths, height_noise_um, smooth
+from wafer_viewer.reconstruct.cleaning.clean import MOST_ROUNDS, settle_levy
+from wafer_viewer.reconstruct.cleaning.levy_flight import (
+    NOISE_LAG_PX,
+    SMOOTHERS,
+    flight_lengths,
+    height_noise_um,
+    smooth,
+)
 
 FACTS = {"literal": 30, "guided": 30, "switching_median": 6, "sigma_filter": 2}
 

@@ -13,8 +13,8 @@ from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct, settled_recipe
-from wafer_viewer.reconstruct.live import LiveField
+from wafer_viewer.reconstruct.field_pipeline import reconstruct, settled_recipe
+from wafer_viewer.reconstruct.live_field import LiveField
 
 MakeStack = Callable[..., FieldStack]
 Z_UM = np.arange(20.0, 104.0, 4.0)

@@ -11,8 +11,9 @@ from scipy.ndimage import convolve, uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.surface.recipe import Noise, Recipe
-from wafer_viewer.reconstruct.camera_noise import CameraNoise
-from wafer_viewer.reconstruct.log_laplacian import (
+from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
+from wafer_viewer.reconstruct.focus.log_laplacian import (
     LEVEL_BITS,
     LEVEL_OFFSET,
     NOISE_ENERGY,
@@ -21,11 +22,10 @@ from wafer_viewer.reconstruct.log_laplacian import (
     log_laplacian_block,
     log_margin_px,
 )
-from wafer_viewer.reconstruct.noise import noise_scores
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.search import Search, search_field
-from wafer_viewer.reconstruct.tune import settle
-from wafer_viewer.reconstruct.volume import Source, Volume
+from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
+from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 DTYPES = [np.uint8, np.uint16]
 _CAMERA = CameraNoise(gain_counts=0.02, floor_counts2=0.2)

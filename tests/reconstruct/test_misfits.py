@@ -8,9 +8,16 @@ import pytest
 from tests.reconstruct.tiles import Sample, a_field, a_sample, with_heights
 from wafer_viewer.model.surface.field_poses import Doubt, Shifts
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.misfits import TURNS, has_no_heights, judge_misfit, loose, suspects, turned
-from wafer_viewer.reconstruct.neighbours import neighbours
-from wafer_viewer.reconstruct.register import register
+from wafer_viewer.reconstruct.registration.misplaced_fields import (
+    TURNS,
+    has_no_heights,
+    judge_misfit,
+    loose,
+    suspects,
+    turned,
+)
+from wafer_viewer.reconstruct.registration.neighbour_pairs import neighbours
+from wafer_viewer.reconstruct.registration.pair_registration import register
 
 SHAPE = (120, 140)
 PITCH = (95, 112)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.reconstruct.peak import confidence_of, lead_of
-from wafer_viewer.reconstruct.placing import PEAKS, Placing, place
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.search import Search, search_field
+from wafer_viewer.reconstruct.focus.peak import confidence_of, lead_of
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, Placing, place
+from wafer_viewer.reconstruct.focus.peak_search import Search, search_field
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 _INNER = slice(12, -12), slice(12, -12)
 

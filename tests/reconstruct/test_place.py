@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.blend import blend_window
-from wafer_viewer.reconstruct.pieces import pieces
-from wafer_viewer.reconstruct.place import Layout, layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, layout
+from wafer_viewer.reconstruct.blending.stitched_mosaic import blend_window
+from wafer_viewer.reconstruct.blending.window_pieces import pieces
 
 MakeMap = Callable[..., HeightMap]
 ROWS, COLS = 60, 80

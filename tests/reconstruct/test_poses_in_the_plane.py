@@ -10,8 +10,8 @@ import pytest
 from tests.truth.overlaps import PIXEL_UM, STAGE_PX, Fields, grid, shifts_of, wafer
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.surface.field_poses import Doubt, Form, Numbers, Shifts, selected
-from wafer_viewer.reconstruct import multigrid
-from wafer_viewer.reconstruct.poses import Camera, Positions, solve_positions
+from wafer_viewer.reconstruct.pose_graph import amg_solver
+from wafer_viewer.reconstruct.pose_graph.poses import Camera, Positions, solve_positions
 
 WHOLE = grid(13, 16)
 
@@ -237,7 +237,7 @@ def test_many_fields_are_solved_like_few(monkeypatch):
     fields = wafer(900)
     shifts, _ = told(fields, 16, wrong=0.03, blank=0.1, turn=1e-3)
     at_once = solved(fields, shifts)
-    monkeypatch.setattr(multigrid, "DIRECT_FIELDS", 60)
+    monkeypatch.setattr(amg_solver, "DIRECT_FIELDS", 60)
     by_levels = solved(fields, shifts)
     assert np.hypot(by_levels.x_um - at_once.x_um, by_levels.y_um - at_once.y_um).max() < 0.1 * PIXEL_UM
     assert np.array_equal(by_levels.shifts.doubt, at_once.shifts.doubt)

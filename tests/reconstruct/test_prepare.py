@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.paper_measures import focus_block
-from wafer_viewer.reconstruct.prepare import prepare, read_block
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus.sml_tenengrad_glv import focus_block
+from wafer_viewer.reconstruct.preprocess.frames import prepare, read_block
 
 
 def test_absent_slots_are_skipped(plane_stack: FieldStack) -> None:

@@ -12,7 +12,7 @@ from scipy import ndimage
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights, with_picture
 from wafer_viewer.model.surface.field_poses import Doubt, SaidBy
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.reconstruct.register import PairShift, register, register_pair
+from wafer_viewer.reconstruct.registration.pair_registration import PairShift, register, register_pair
 
 SHAPE = (200, 240)
 BESIDE, BELOW = (0, 190), (155, 0)

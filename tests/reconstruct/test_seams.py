@@ -9,7 +9,7 @@ import pytest
 
 from tests.reconstruct.tiles import PIXEL_UM, Sample, a_field, a_sample, with_heights
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.seams import compare, compare_pair
+from wafer_viewer.reconstruct.registration.height_seams import compare, compare_pair
 
 SHAPE = (160, 200)
 BESIDE, BELOW = (0, 150), (120, 0)

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.reconstruct.silhouette import (
+from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.gates.edge_silhouettes import (
     STANDING_CONTRAST,
     Silhouette,
     SilhouetteRows,
     silhouette_block,
 )
-from wafer_viewer.reconstruct.volume import Source
 
 DARK_COUNTS = 6.0
 

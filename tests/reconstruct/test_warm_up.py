@@ -14,8 +14,8 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.reconstruct.field import reconstruct, warm_up
-from wafer_viewer.reconstruct.why import focus_curve
+from wafer_viewer.reconstruct.field_pipeline import reconstruct, warm_up
+from wafer_viewer.reconstruct.focus_evidence import focus_curve
 
 def kernels():
     modules = [m for name, m in sys.modules.items() if name.startswith("wafer_viewer.")]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.errors import ComputeError
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.why import focus_curve, rivals_of
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.focus_evidence import focus_curve, rivals_of
 
 MakeStack = Callable[..., FieldStack]
 Z_UM = np.arange(20.0, 104.0, 4.0)

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
-from wafer_viewer.reconstruct.peak import Peaks
-from wafer_viewer.reconstruct.prepare import prepare
-from wafer_viewer.reconstruct.search import Bench, Search, search_field, search_part
-from wafer_viewer.reconstruct.windows import wide_cells, wide_heights
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_field, search_part
+from wafer_viewer.reconstruct.focus.wide_window_check import wide_cells, wide_heights
+from wafer_viewer.reconstruct.preprocess.frames import prepare
 
 
 @pytest.fixture(params=[(96, 128), (61, 75)], ids=str)

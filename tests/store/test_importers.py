@@ -11,7 +11,7 @@ from PIL import Image as PillowImage
 from wafer_viewer.model.acquisition.optics import depth_of_field_um
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.reconstruct.field import reconstruct
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
 from wafer_viewer.store.dataset.image_files import REC_709, pictures
 from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack
 

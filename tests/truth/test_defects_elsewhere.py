@@ -16,8 +16,8 @@ from wafer_viewer.measure.die_grid import find_dies
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.reconstruct.field import reconstruct
-from wafer_viewer.reconstruct.stitch import stitch
+from wafer_viewer.reconstruct.field_pipeline import reconstruct
+from wafer_viewer.reconstruct.stitching import stitch
 
 pytestmark = pytest.mark.slow
 SIGMA_UM = 0.186

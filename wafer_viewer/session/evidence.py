@@ -38,14 +38,14 @@ def focus_curve(
     has none yet.
     Raises DatasetError when no field holds the place or its frames are not there.
     """
-    from wafer_viewer.reconstruct import why
+    from wafer_viewer.reconstruct import focus_evidence
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
     kept = data.result(result)
     field = data.field(field_number) if field_number else field_at(data, kept, x_um, y_um)
     stack = dataclasses.replace(data.stack(field.number), field=field)
-    return why.focus_curve(stack, x_um, y_um, recipe or _recipe_of(kept, field))
+    return focus_evidence.focus_curve(stack, x_um, y_um, recipe or _recipe_of(kept, field))
 
 
 def field_at(data: Dataset, kept: Result, x_um: float, y_um: float) -> Field:

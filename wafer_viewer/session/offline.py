@@ -74,7 +74,7 @@ def surface_of(
     if len(src) == 1 and is_dataset(src[0]):
         info = make_surface(src[0], recipe, result, again=False, tell=tell, warn=warn, hire=hire)
         return Dataset.open(src[0]).result(result).mosaic(), info
-    from wafer_viewer.reconstruct.field import reconstruct
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
 
     files = src[0] if len(src) == 1 else tuple(src)
     stack = open_stack(
@@ -161,10 +161,10 @@ def evidence_of(
         return focus_curve(src[0], result, field_number, *at_um, None if recipe == Recipe() else recipe)
     if is_surface_file(src[0]):
         raise DatasetError(f"{src[0].name} is a surface without its frames: give the dataset or images it was made of.")
-    from wafer_viewer.reconstruct import why
+    from wafer_viewer.reconstruct import focus_evidence
 
     stack = open_stack(src[0] if len(src) == 1 else tuple(src), z_step_um, pixel_um, progress=tell)
-    return why.focus_curve(stack, *at_um, recipe)
+    return focus_evidence.focus_curve(stack, *at_um, recipe)
 
 
 def is_dataset(path: Path) -> bool:

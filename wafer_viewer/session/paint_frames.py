@@ -31,8 +31,8 @@ def frame(shelf: Shelf, request: PaintRequest) -> bytes:
 
 def stitched(shelf: Shelf, request: PaintRequest) -> bytes:
     """The picture of all fields at one z, each by its nearest frame, blended as the surfaces are."""
-    from wafer_viewer.reconstruct.place import layout
-    from wafer_viewer.reconstruct.slices import StackOutline, stitched_picture
+    from wafer_viewer.reconstruct.blending.mosaic_layout import layout
+    from wafer_viewer.reconstruct.blending.stitched_slice import StackOutline, stitched_picture
 
     stacks = shelf.stacks(request.source)
     if not stacks:

@@ -13,7 +13,7 @@ from wafer_viewer.draw.surface.clipping import CODES, DRAWN, Floats, point_codes
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.reconstruct.place import Lean, layout
+from wafer_viewer.reconstruct.blending.mosaic_layout import Lean, layout
 from wafer_viewer.session.paint_request import PaintRequest, Refused, Source
 
 _CODES = 32

@@ -18,7 +18,7 @@ COVERAGE = 2.0
 
 def stitching_info(poses: Poses) -> StitchingInfo | None:
     """Poses in a few numbers; None where only the stage had a say."""
-    from wafer_viewer.reconstruct.misfits import placed_by_stage
+    from wafer_viewer.reconstruct.registration.misplaced_fields import placed_by_stage
 
     shifts = poses.shifts
     if not shifts.first.size:

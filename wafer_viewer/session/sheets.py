@@ -21,9 +21,9 @@ from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.reconstruct.blend import StitchedMosaic, mosaic_provenance
-from wafer_viewer.reconstruct.growing import Known
-from wafer_viewer.reconstruct.place import Lattice, layout, planned_lattice
+from wafer_viewer.reconstruct.blending.mosaic_layout import Lattice, layout, planned_lattice
+from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic, mosaic_provenance
+from wafer_viewer.reconstruct.pose_graph.incremental import Known
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result
 from wafer_viewer.store.mosaic.layout import MosaicHeader

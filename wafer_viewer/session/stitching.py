@@ -25,8 +25,8 @@ from wafer_viewer.session.state import Box, SurfaceInfo
 
 if TYPE_CHECKING:
     from wafer_viewer.model.surface.field_poses import Poses, Seams, Shifts
-    from wafer_viewer.reconstruct.blend import StitchedMosaic
-    from wafer_viewer.reconstruct.growing import Known
+    from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
+    from wafer_viewer.reconstruct.pose_graph.incremental import Known
     from wafer_viewer.session.sheets import Sheets, Window
     from wafer_viewer.store.mosaic.zarr_mosaic import Patch
 
@@ -51,7 +51,7 @@ def bring_up_to_date(
     whose surface cannot be read are left out and named. Raises DatasetError when no field has a surface, ComputeError
     when the work is stopped: what a mosaic half drawn had is made anew next time.
     """
-    from wafer_viewer.reconstruct.growing import held_still
+    from wafer_viewer.reconstruct.pose_graph.incremental import held_still
     from wafer_viewer.session.sheets import Sheets
 
     sheets = Sheets.open(dataset.absolute(), result, recipe.stitching)
@@ -98,7 +98,7 @@ class _Hands:
 
 
 def _find_poses(sheets: Sheets, recipe: Recipe, known: Known, final: bool, hands: _Hands) -> Poses:
-    from wafer_viewer.reconstruct.stitch import Eyes, find_poses
+    from wafer_viewer.reconstruct.stitching import Eyes, find_poses
 
     eyes = Eyes(partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__)
     return find_poses(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, eyes, known, final=final)
@@ -141,7 +141,7 @@ def register_pairs(
     dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], reach_um: float | None
 ) -> Shifts:
     """A worker's task: what the overlaps of some fields say about x and y."""
-    from wafer_viewer.reconstruct.register import register
+    from wafer_viewer.reconstruct.registration.pair_registration import register
     from wafer_viewer.session.sheets import surfaces_of
 
     return register(surfaces_of(dataset, result, numbers), pairs, reach_um, threads=1)
@@ -156,7 +156,7 @@ def compare_pairs(
     y_um: NDArray[np.float64],
 ) -> Seams:
     """A worker's task: what the overlaps of some fields, centred there, say about z."""
-    from wafer_viewer.reconstruct.seams import compare
+    from wafer_viewer.reconstruct.registration.height_seams import compare
     from wafer_viewer.session.sheets import surfaces_of
 
     return compare(surfaces_of(dataset, result, numbers), pairs, x_um, y_um, threads=1)

@@ -15,7 +15,7 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Provenance
-from wafer_viewer.reconstruct.difference import Difference, Sums
+from wafer_viewer.reconstruct.comparison.height_difference import Difference, Sums
 from wafer_viewer.session.library import ENDING, today
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
@@ -31,7 +31,7 @@ THREADS = 2
 
 def opened(name: SurfaceName) -> Mosaic:
     """The surface of a name. Raises DatasetError when it is not there."""
-    from wafer_viewer.reconstruct.read_as import read_as
+    from wafer_viewer.reconstruct.comparison.height_layer_choice import read_as
     from wafer_viewer.store.formats.readers import read_surface
 
     path = Path(name.path)
@@ -56,9 +56,9 @@ def made_at(name: SurfaceName) -> float:
 
 def face_of(dataset: Path, result: str, face: Face) -> Mosaic:
     """What of a comparison is looked at. Raises DatasetError when it, or one of its surfaces, is gone."""
-    from wafer_viewer.reconstruct.beside import Beside
-    from wafer_viewer.reconstruct.laid import LaidOver
-    from wafer_viewer.reconstruct.reduced import as_pyramid
+    from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
+    from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver
+    from wafer_viewer.reconstruct.comparison.side_by_side import Beside
 
     kept = Dataset.open(dataset).result(result)
     if face is Face.DIFFERENCE:
@@ -135,7 +135,7 @@ def compare_files(
 
 
 def _compared(first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool) -> Difference:
-    from wafer_viewer.reconstruct.compare import compare
+    from wafer_viewer.reconstruct.comparison.compare import compare
 
     if first == second:
         raise DatasetError(f"{first.words} was to be compared with itself: choose another surface.")

@@ -40,7 +40,7 @@ def reconstruct_field(
 
     What `auto` chooses in the first field that has much to see is kept for the others: a scan is judged alike.
     """
-    from wafer_viewer.reconstruct.field import reconstruct, speaks_for_scan
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct, speaks_for_scan
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
@@ -59,7 +59,7 @@ def reconstruct_live(
 
     False, and no surface, where there is none yet, the frames are of a kind that must wait, or not all of them came.
     """
-    from wafer_viewer.reconstruct.live import LiveField
+    from wafer_viewer.reconstruct.live_field import LiveField
     from wafer_viewer.store.dataset.dataset import Dataset
 
     data = Dataset.open(dataset)
@@ -141,9 +141,9 @@ def export_surface(
 
 def warm_up() -> None:
     """Compile or load every kernel, by making and stitching a surface of a few pixels."""
-    from wafer_viewer.reconstruct.field import reconstruct
-    from wafer_viewer.reconstruct.field import warm_up as compile_kernels
-    from wafer_viewer.reconstruct.stitch import stitch
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
+    from wafer_viewer.reconstruct.field_pipeline import warm_up as compile_kernels
+    from wafer_viewer.reconstruct.stitching import stitch
     from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 
     compile_kernels()

@@ -1,0 +1,228 @@
+"""The choices that a recipe leaves to the data, made on a few tiles of the field and written into the recipe."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.cleaning.clean import settle_cleaning
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.noise_thresholds import noise_scores
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_part
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES, auto_min_confidence, gate_of, origins
+from wafer_viewer.reconstruct.preprocess.camera_noise import camera_of, settled_noise
+from wafer_viewer.reconstruct.preprocess.frames import Frames
+
+AUTO_WINDOWS = (9, 13, 17)
+"""Under 9 the noise of heights grows faster than anything is gained."""
+
+ENOUGH_COVERAGE = 0.92
+"""The smallest window is taken that measures 92 % of what the largest does."""
+
+GAP_WIDTHS = 2.0
+REACH_WIDTHS = 0.55
+BLEND_WIDTHS = 0.33
+FLOOR_WIDTHS = 5.0
+"""A sweep so much wider than a focus curve shows the floor on which the curve ends."""
+
+SUITABLE_WIDTH = 2.5
+"""A focus curve 2 or 3 frames wide at half its height is sampled well."""
+
+CLEAN_PERCENTILE = 5.0
+"""Of the widths of curves with a single top. Bleeding light only widens a curve: tests/truth/bleeding.py."""
+
+FINEST_PX = 4.0
+"""Cameras sample the Airy radius of their objective by no more pixels than this, which bounds an unknown aperture."""
+
+LARGEST_APERTURE = 0.95
+"""In air."""
+
+_PROBE_WINDOW = 9
+_AIRY = 0.61
+_LEAST_CONTRAST = 2.0
+_ENOUGH_CURVES = 64
+_TILE_PX = (32, 128)
+_TILES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Settled:
+    """A recipe without `auto`, how to search with it, and what the optics resolve along z.
+
+    resolution_um is the step of the sweep, or the step that would suit the optics where the sweep is finer than that.
+    notes: a sentence for each choice that the data did not support.
+    """
+
+    recipe: Recipe
+    search: Search
+    resolution_um: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class FocusWidth:
+    """Width of a focus curve at half its height, and a note where the data could not tell it."""
+
+    um: float
+    notes: tuple[str, ...] = ()
+
+
+def settle(frames: Frames, recipe: Recipe) -> Settled:
+    """Replace every `auto` of a recipe by what the data say."""
+    recipe = replace(recipe, noise=settled_noise(frames, recipe.noise))
+    found = focus_width(frames, recipe) if recipe.focus_width_um == "auto" else FocusWidth(recipe.focus_width_um)
+    width_um = found.um
+    width = width_um / frames.step_um
+    probe = _search(recipe, _PROBE_WINDOW, width, frames.n_frames)
+    window = best_window(frames, recipe, probe) if recipe.window == "auto" else recipe.window
+    search = dataclasses.replace(probe, window=window)
+    resolution_um = max(1.0, width / SUITABLE_WIDTH) * frames.step_um
+    confidence = _min_confidence(recipe, search, frames.n_frames)
+    settled = replace(recipe, window=window, focus_width_um=width_um, min_confidence=confidence)
+    maps = gated_tiles(frames, settled, search) if settled.heights_have_auto else []
+    return Settled(settle_cleaning(maps, settled, resolution_um), search, resolution_um, found.notes)
+
+
+def gated_tiles(frames: Frames, recipe: Recipe, search: Search) -> list[NDArray[np.float32]]:
+    """The heights of a few tiles, NaN where the gate of the settled recipe keeps them out."""
+    noise = noise_scores(search, frames.n_frames)
+    gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), recipe.clipped_fraction, search.window)
+    return [
+        np.where(origins(peaks, gate, frames.n_frames) == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
+        for _, peaks in _tiles(frames, search)
+    ]
+
+
+def focus_width(frames: Frames, recipe: Recipe) -> FocusWidth:
+    """Estimate the width of a focus curve at half its height from a few tiles, bounded by the optics.
+
+    Only curves with a single top are read, which lies inside the stack, and of their widths a low percentile: noise,
+    and light that bleeds from a bright surface out of focus, make wider ones. No curve is wider than the depth of
+    field, or, where it is unknown, than that of the smallest aperture that goes with the pixel. One step where
+    nothing is seen.
+    """
+    probe = Search(recipe.focus_measure, _PROBE_WINDOW, "argmax", 1, camera=camera_of(recipe.noise))
+    power = FOCUS_MEASURES[recipe.focus_measure].power
+    widths = np.concatenate([_clean_widths(bench, peaks, power) for bench, peaks in _tiles(frames, probe)])
+    step_um, known_um = frames.step_um, frames.depth_of_field_um
+    if len(widths) < _ENOUGH_CURVES:
+        return FocusWidth(max(step_um, known_um), () if known_um > 0 else (_NO_CURVES,))
+    found_um = max(step_um, step_um * float(np.percentile(widths, CLEAN_PERCENTILE)))
+    most_um = max(step_um, known_um or _largest_depth_um(frames.pixel_um))
+    if known_um > 0 or found_um <= most_um:
+        return FocusWidth(min(found_um, most_um))
+    return FocusWidth(most_um, (_too_wide(found_um, most_um, frames.pixel_um),))
+
+
+def best_window(frames: Frames, recipe: Recipe, probe: Search) -> int:
+    """The smallest window that covers nearly as much as the largest."""
+
+    def coverage(window: int) -> float:
+        return _coverage(frames, recipe, dataclasses.replace(probe, window=window))
+
+    *smaller, largest = AUTO_WINDOWS
+    enough = ENOUGH_COVERAGE * coverage(largest)
+    return next((w for w in smaller if coverage(w) >= enough), largest)
+
+
+def search_of(recipe: Recipe, n_frames: int, step_um: float) -> Search:
+    """How a settled recipe searches a stack that is still to come."""
+    return _search(recipe, int(recipe.window), float(recipe.focus_width_um) / step_um, n_frames)
+
+
+def _search(recipe: Recipe, window: int, width: float, n_frames: int) -> Search:
+    """Rivals are two widths away, at most a quarter of the stack; a peak is placed by points a half width away."""
+    most = max(1, (n_frames - 1) // 4)
+    gap = int(np.clip(round(GAP_WIDTHS * width), 1, most))
+    reach = int(np.clip(round(REACH_WIDTHS * width), 1, gap))
+    blend = max(1, round(BLEND_WIDTHS * width)) if n_frames >= LEAST_FRAMES else 0
+    floored = n_frames >= max(LEAST_FRAMES, FLOOR_WIDTHS * width)
+    return Search(recipe.focus_measure, window, recipe.peak, gap, reach, blend, floored, camera_of(recipe.noise))
+
+
+def _min_confidence(recipe: Recipe, search: Search, n_frames: int) -> float:
+    if recipe.min_confidence == "auto":
+        return auto_min_confidence(noise_scores(search, n_frames))
+    return recipe.min_confidence
+
+
+def _coverage(frames: Frames, recipe: Recipe, search: Search) -> float:
+    """The share of pixels that pass the gate, clipping aside."""
+    noise = noise_scores(search, frames.n_frames)
+    gate = gate_of(noise, _min_confidence(recipe, search, frames.n_frames), 1.0, search.window)
+    return float(
+        np.mean([np.mean(origins(p, gate, frames.n_frames) == Origin.MEASURED) for _, p in _tiles(frames, search)])
+    )
+
+
+def _clean_widths(bench: Bench, peaks: Peaks, power: float) -> NDArray[np.float32]:
+    """Widths, in frames, of the curves of a tile that rise over half their top once, within the stack.
+
+    Half for a measure that falls as the square of the blur's variance: the width is that of the optics, whatever the
+    measure. The lowest frame is the floor of noise, which is taken off. Crossings are interpolated between frames.
+    """
+    textured = (peaks.contrast > _LEAST_CONTRAST) & ~peaks.at_end
+    levels = bench.curves.levels[:, textured].astype(np.float32)
+    over_floor = 1 + (np.exp2(peaks.contrast[textured]) - 1) * np.float32(2 ** (-power / 2))
+    half = levels.min(axis=0, initial=65535) + np.log2(over_floor) * np.float32(2**bench.spots.bits)
+    over = levels > half
+    single = (np.count_nonzero(over[1:] & ~over[:-1], axis=0) == 1) & ~over[0] & ~over[-1]
+    levels, half, over = levels[:, single], half[single], over[:, single]
+    first, last = over.argmax(axis=0), len(over) - 1 - over[::-1].argmax(axis=0)
+    at = np.arange(len(first))
+    rise, fall = (
+        (levels[inside, at] - half) / (levels[inside, at] - levels[outside, at])
+        for inside, outside in ((first, first - 1), (last, last + 1))
+    )
+    return last - first + rise + fall
+
+
+_GIVE_APERTURE = (
+    "Name the objective with its aperture in the calibration, as in 10x/0.28, give the aperture (NA) when images are "
+    "imported, or set focus_width_um."
+)
+_NO_CURVES = (
+    "No focus curve is clear enough to tell the depth of field: walls between bright and dark heights could not be "
+    f"tested. {_GIVE_APERTURE}"
+)
+
+
+def _too_wide(found_um: float, most_um: float, pixel_um: float) -> str:
+    return (
+        f"Walls between bright and dark heights could not be tested for sure: focus curves look {found_um:.3g} um "
+        f"wide, as bleeding light makes them, so {most_um:.3g} um was assumed from the pixel of {pixel_um:.3g} um. "
+        + _GIVE_APERTURE
+    )
+
+
+def _largest_depth_um(pixel_um: float) -> float:
+    """The depth of field of the smallest aperture whose Airy radius is sampled by no more than so many pixels."""
+    aperture = min(LARGEST_APERTURE, _AIRY * WAVELENGTH_UM / (FINEST_PX * pixel_um))
+    return WAVELENGTH_UM / aperture**2
+
+
+def _tiles(frames: Frames, search: Search) -> Iterator[tuple[Bench, Peaks]]:
+    """The peaks of a few tiles spread over the field; bench and peaks are used again for the next tile."""
+    n_rows, n_cols = frames.shape
+    shape = min(_TILE_PX[0], n_rows), min(_TILE_PX[1], n_cols)
+    bench = Bench.make(frames.n_frames, shape, search, frames.dtype)
+    peaks = Peaks.empty(shape, bench.block.dtype)
+    for top in _starts(n_rows, shape[0]):
+        for left in _starts(n_cols, shape[1]):
+            search_part(frames, slice(top, top + shape[0]), slice(left, left + shape[1]), search, bench, peaks)
+            yield bench, peaks
+
+
+def _starts(length: int, size: int) -> list[int]:
+    """Where tiles begin: evenly spread, none beyond the border, fewer when they would overlap."""
+    count = min(_TILES, max(1, length // size))
+    return [round((i + 0.5) * length / count - size / 2) for i in range(count)]

@@ -1,0 +1,1 @@
+"""Placed fields blended into one surface."""

@@ -1,0 +1,220 @@
+"""Where fields lie in a mosaic, in its pixels, how they lean there, and how far they fade out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import Outline
+from wafer_viewer.numerics.grids.rectangle_overlap import Rectangles
+from wafer_viewer.reconstruct.blending.feather_widths import BOTTOM, LEFT, RIGHT, TOP, Lengths, ramps
+
+SNAP_PX = 1e-3
+"""A field within a thousandth of a pixel of the mosaic's lattice lies on it: nothing is gained by resampling."""
+MARGIN_PX = 32
+"""Room round the planned fields: those that come later or turn out to lie elsewhere still fit in."""
+SAME_PIXEL_FRACTION = 1e-6
+
+Numbers = NDArray[np.float64]
+Part = tuple[slice, slice]
+"""Rows and columns of a mosaic."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """The pixels of a mosaic: (x0_um, y0_um) is the centre of pixel (0, 0)."""
+
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Lean:
+    """What is subtracted from the heights of a field: z_um at its centre, so much a pixel to the right and up, and sag.
+
+    sag_um: the coefficients of u^2, u v and v^2, with u to the right and v upwards, both 1 so far (px) from the centre.
+    """
+
+    z_um: float = 0.0
+    right_um_px: float = 0.0
+    up_um_px: float = 0.0
+    sag_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    so_far_px: tuple[float, float] = (1.0, 1.0)
+
+    def at(self, up_px: Numbers, right_px: Numbers) -> Numbers:
+        """Return what is subtracted, um, so many pixels above and right of the centre."""
+        u, v = right_px / self.so_far_px[0], up_px / self.so_far_px[1]
+        a, b, c = self.sag_um
+        return self.z_um + self.up_um_px * up_px + self.right_um_px * right_px + a * u**2 + b * u * v + c * v**2
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One field in the mosaic: where its pixel (0, 0) lies, in pixels, its ramps, and how it leans.
+
+    ramps_px: top, bottom, left, right.
+    """
+
+    row: float
+    col: float
+    rows: int
+    cols: int
+    ramps_px: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    lean: Lean = Lean()
+
+    @property
+    def part(self) -> Part:
+        """The pixels of the mosaic that it covers."""
+        return (
+            slice(math.ceil(self.row), math.floor(self.row + self.rows - 1) + 1),
+            slice(math.ceil(self.col), math.floor(self.col + self.cols - 1) + 1),
+        )
+
+    @property
+    def covers_any(self) -> bool:
+        """Whether it covers any of them."""
+        return all(run.start < run.stop for run in self.part)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """The lattice of a mosaic and the places of its fields, in the order they were given.
+
+    borders: first and last rows and columns of the fields, NaN for those that are left out; ramps_px: [n, 4].
+    """
+
+    lattice: Lattice
+    outlines: Sequence[Outline]
+    borders: Rectangles
+    ramps_px: Lengths
+    poses: Poses | None = None
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of the lattice."""
+        return self.lattice.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0)."""
+        return self.lattice.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0)."""
+        return self.lattice.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.lattice.shape
+
+    def touching(self, rows: slice, cols: slice) -> list[int]:
+        """The numbers (from 0) of the fields with pixels in a window."""
+        return self.borders.meeting(rows.start, rows.stop - 1, cols.start, cols.stop - 1)
+
+    def place(self, n: int) -> Place | None:
+        """The place of field n; None when it is left out."""
+        row, col = float(self.borders.top[n]), float(self.borders.left[n])
+        if math.isnan(row):
+            return None
+        top, bottom, left, right = (float(self.ramps_px[n, side]) for side in (TOP, BOTTOM, LEFT, RIGHT))
+        return Place(row, col, *self.outlines[n].shape, (top, bottom, left, right), self._lean(n))
+
+    def window_of(self, n: int) -> Part | None:
+        """The pixels of the mosaic that field n covers; None when it is left out or lies beyond."""
+        place = self.place(n)
+        if place is None:
+            return None
+        rows, cols = (_within(part, size) for part, size in zip(place.part, self.shape, strict=True))
+        return (rows, cols) if rows.start < rows.stop and cols.start < cols.stop else None
+
+    def _lean(self, n: int) -> Lean:
+        if (poses := self.poses) is None:
+            return Lean()
+        right_um_px, up_um_px = (float(tilt[n]) * self.pixel_um for tilt in (poses.tilt_x, poses.tilt_y))
+        width_px, height_px = (size_um / 2 / self.pixel_um for size_um in poses.form.field_size_um)
+        return Lean(float(poses.z_um[n]), right_um_px, up_um_px, poses.form.field_form_um, (width_px, height_px))
+
+
+def layout(outlines: Sequence[Outline], poses: Poses | None = None, lattice: Lattice | None = None) -> Layout:
+    """Where fields lie in their mosaic: at their own positions, or centred where `poses` (of the same fields) say.
+
+    Without a lattice it is the smallest one that holds all of them; what lies beyond a given one is cut off.
+    Raises ComputeError when there is no field, when all are left out or when the pixel sizes differ.
+    """
+    pixel_um = _pixel_um(outlines)
+    rows, cols = _sizes(outlines)
+    x0_um, y0_um = _corners(outlines) if poses is None else _solved(poses, rows, cols, pixel_um)
+    if not np.isfinite(x0_um).any():
+        raise ComputeError("All fields are left out of the mosaic: none of them fits its neighbours.")
+    lattice = lattice or _smallest(x0_um, y0_um, rows, cols, pixel_um)
+    top, left = _snapped((lattice.y0_um - y0_um) / pixel_um), _snapped((x0_um - lattice.x0_um) / pixel_um)
+    borders = Rectangles.of(top, top + rows - 1, left, left + cols - 1)
+    return Layout(lattice, outlines, borders, ramps(borders), poses)
+
+
+def planned_lattice(outlines: Sequence[Outline], margin_px: int = MARGIN_PX) -> Lattice:
+    """A lattice for fields that are still to come or to be moved: the smallest that holds them all, and a margin.
+
+    outlines: as planned. Raises ComputeError when there is none or when the pixel sizes differ.
+    """
+    pixel_um = _pixel_um(outlines)
+    tight = _smallest(*_corners(outlines), *_sizes(outlines), pixel_um)
+    shape = tight.shape[0] + 2 * margin_px, tight.shape[1] + 2 * margin_px
+    return Lattice(pixel_um, tight.x0_um - margin_px * pixel_um, tight.y0_um + margin_px * pixel_um, shape)
+
+
+def _pixel_um(outlines: Sequence[Outline]) -> float:
+    """The one pixel size of all fields."""
+    if not outlines:
+        raise ComputeError("There is no field to stitch: give at least one height map.")
+    pixel_um = outlines[0].pixel_um
+    for outline in outlines:
+        if abs(outline.pixel_um / pixel_um - 1) > SAME_PIXEL_FRACTION:
+            raise ComputeError(
+                f"Fields of {pixel_um:g} and of {outline.pixel_um:g} um per pixel cannot be stitched: "
+                "reconstruct them with one pixel size."
+            )
+    return pixel_um
+
+
+def _sizes(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers]:
+    shapes = np.array([o.shape for o in outlines], np.float64)
+    return shapes[:, 0], shapes[:, 1]
+
+
+def _corners(outlines: Sequence[Outline]) -> tuple[Numbers, Numbers]:
+    """Stage x and y of the first pixels."""
+    return np.array([o.x0_um for o in outlines]), np.array([o.y0_um for o in outlines])
+
+
+def _solved(poses: Poses, rows: Numbers, cols: Numbers, pixel_um: float) -> tuple[Numbers, Numbers]:
+    """Stage x and y of the first pixels where the poses put the centres; NaN for fields that are left out."""
+    if poses.x_um.size != rows.size:
+        raise ComputeError(f"There are {rows.size} fields and {poses.x_um.size} poses: give one pose for each field.")
+    x0_um, y0_um = poses.x_um - (cols - 1) / 2 * pixel_um, poses.y_um + (rows - 1) / 2 * pixel_um
+    return np.where(poses.left_out, np.nan, x0_um), np.where(poses.left_out, np.nan, y0_um)
+
+
+def _smallest(x0_um: Numbers, y0_um: Numbers, rows: Numbers, cols: Numbers, pixel_um: float) -> Lattice:
+    left_um, top_um = float(np.nanmin(x0_um)), float(np.nanmax(y0_um))
+    last_row = np.nanmax(_snapped((top_um - y0_um) / pixel_um) + rows - 1)
+    last_col = np.nanmax(_snapped((x0_um - left_um) / pixel_um) + cols - 1)
+    return Lattice(pixel_um, left_um, top_um, (int(last_row) + 1, int(last_col) + 1))
+
+
+def _snapped(px: Numbers) -> Numbers:
+    return np.where(np.abs(px - np.round(px)) < SNAP_PX, np.round(px), px)
+
+
+def _within(part: slice, size: int) -> slice:
+    return slice(max(0, part.start), min(size, part.stop))

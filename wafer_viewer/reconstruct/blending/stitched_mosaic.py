@@ -1,0 +1,167 @@
+"""Many height maps as one surface, a window at a time: by confidence, or by the paper's ramps (eq. 15 and 16).
+
+Blending along X and then along Y is the same as one weight for each field, the product of its ramps; where a
+neighbour is missing or saw nothing, the weights of what was measured add up to one again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from wafer_viewer._version import __version__
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.errors import ComputeError, MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.field_poses import Poses
+from wafer_viewer.model.surface.height_map import HeightMap, Provenance, pixel_window
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.blending.height_pyramid import halved, joined
+from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, layout
+from wafer_viewer.reconstruct.blending.window_blend import BLENDS, lay_over, lay_pictures
+
+_COARSEST_PX = 512
+_BAND_PX = 2**23
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StitchedMosaic:
+    """A mosaic that is blended when a window of it is asked for; level 1 and up are 2 x 2 means."""
+
+    heights: Sequence[HeightMap]
+    layout: Layout
+    provenance: Provenance
+
+    @property
+    def poses(self) -> Poses | None:
+        """Where its fields lie; None where they lie where the maps say."""
+        return self.layout.poses
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size of level 0."""
+        return self.layout.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of the centre of pixel (0, 0) of level 0."""
+        return self.layout.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of the centre of pixel (0, 0) of level 0."""
+        return self.layout.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of level 0."""
+        return self.layout.shape
+
+    @property
+    def levels(self) -> int:
+        """Levels until the longer side is at most 512 pixels."""
+        return 1 + max(0, math.ceil(math.log2(max(self.shape) / _COARSEST_PX)))
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part of a level that holds a region; all of it without one.
+
+        Raises MeasureError when the region lies outside or the level is not there.
+        """
+        if not 0 <= level < self.levels:
+            raise MeasureError(f"The mosaic has the levels 0 to {self.levels - 1}, level {level} was asked for.")
+        scale = 2**level
+        rows, cols = (slice(0, -(-n // scale)) for n in self.shape)
+        if region is not None:
+            rows, cols = pixel_window(self, region, level)
+        band = max(1, _BAND_PX // ((cols.stop - cols.start) * scale * scale))
+        starts = range(rows.start, rows.stop, band)
+        return joined([self._band(slice(r, min(r + band, rows.stop)), cols, level) for r in starts])
+
+    def _band(self, rows: slice, cols: slice, level: int) -> HeightMap:
+        scale = 2**level
+        fine_rows, fine_cols = (
+            slice(part.start * scale, min(part.stop * scale, n))
+            for part, n in zip((rows, cols), self.shape, strict=True)
+        )
+        height = blend_window(self.heights, fine_rows, fine_cols, self.layout, self.provenance)
+        for _ in range(level):
+            height = halved(height)
+        return height
+
+
+def moved_to(heights: Sequence[HeightMap], fields: Sequence[Field]) -> list[HeightMap]:
+    """The height maps centred on the positions of fields."""
+    if len(heights) != len(fields):
+        raise ComputeError(
+            f"There are {len(heights)} height maps and {len(fields)} fields: give one field for each map."
+        )
+    return [
+        dataclasses.replace(
+            height,
+            x0_um=field.x_um - (height.shape[1] - 1) / 2 * height.pixel_um,
+            y0_um=field.y_um + (height.shape[0] - 1) / 2 * height.pixel_um,
+        )
+        for height, field in zip(heights, fields, strict=True)
+    ]
+
+
+def blend_window(
+    heights: Sequence[HeightMap],
+    rows: slice,
+    cols: slice,
+    lattice: Layout | None = None,
+    provenance: Provenance | None = None,
+) -> HeightMap:
+    """The pixels [rows, cols] of the mosaic of some height maps; only the maps that touch them are looked at.
+
+    They are blended as the recipe of the provenance says. Memory is that of the window, however many fields there are.
+    """
+    lattice = lattice or layout(heights)
+    touching = lattice.touching(rows, cols)
+    provenance = provenance or mosaic_provenance([heights[n].provenance for n in touching], Recipe())
+    return HeightMap(
+        **lay_over(heights, lattice, rows, cols, BLENDS[provenance.recipe.stitching.blend]),
+        pixel_um=lattice.pixel_um,
+        x0_um=lattice.x0_um + cols.start * lattice.pixel_um,
+        y0_um=lattice.y0_um - rows.start * lattice.pixel_um,
+        provenance=provenance,
+    )
+
+
+def blend_pictures(pictures: Sequence[Image], lattice: Layout, rows: slice, cols: slice) -> Image:
+    """The pixels [rows, cols] of the mosaic of one picture a field, fading over the overlaps; 0 where none is."""
+    return lay_pictures(pictures, lattice, rows, cols, BLENDS["ramp"])
+
+
+def mosaic_provenance(parts: Sequence[Provenance], recipe: Recipe) -> Provenance:
+    """Where a mosaic comes from: what its fields have in common, simulated when any field is."""
+    if not parts:
+        return Provenance(software_version=__version__)
+    first = parts[0]
+    joint = hashlib.sha256("".join(p.input_checksum for p in parts).encode()).hexdigest()
+    return replace(
+        first,
+        recipe=replace(first.recipe, stitching=recipe.stitching),
+        calibration=first.calibration if all(p.calibration == first.calibration for p in parts) else None,
+        software_version=__version__,
+        input_checksum=first.input_checksum if len(parts) == 1 else joint,
+        simulated=any(p.simulated for p in parts),
+        notes=(*dict.fromkeys(note for p in parts for note in p.notes), *_mixture(parts)),
+    )
+
+
+def _mixture(parts: Sequence[Provenance]) -> Iterator[str]:
+    """A sentence for each way in which fields are not of one kind, as those of one scan are."""
+    simulated = sum(p.simulated for p in parts)
+    if 0 < simulated < len(parts):
+        yield f"{simulated} of the {len(parts)} fields are simulated and the others are not: stitch fields of one scan."
+    if any(p.calibration != parts[0].calibration for p in parts):
+        yield "The fields were taken with different calibrations: stitch fields of one scan; lengths are uncalibrated."
+    if len({p.z_step_um for p in parts}) > 1:
+        steps_um = ", ".join(f"{step_um:g}" for step_um in sorted({p.z_step_um for p in parts}))
+        yield f"The fields were taken in steps of {steps_um} um: they are of different scans."

@@ -1,0 +1,293 @@
+"""One window of a mosaic: its fields laid over one another, each as far as it is believed.
+
+The window falls into pieces that are covered by the same fields all over: most of them by one, which is read into its
+place; the others are blended in one by one. Every pixel comes out the same whatever window it is asked for with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.surface.height_map import HeightMap, Origin
+from wafer_viewer.numerics.grids import shifted_read, weighted_blend
+from wafer_viewer.numerics.grids.shifted_read import Leaning, Shift
+from wafer_viewer.numerics.grids.weighted_blend import Blended, Piece, Tally
+from wafer_viewer.reconstruct.blending.mosaic_layout import Layout, Part, Place
+from wafer_viewer.reconstruct.blending.window_pieces import pieces
+
+MAX_STEP_FRAMES = 2.0
+"""Neighbouring heights that differ by over two frames of the sweep are two surfaces: there is nothing between them."""
+LEAST_WEIGHT = 1e-6
+"""A border pixel counts almost nothing beside a neighbour, and fully where the neighbour saw nothing."""
+FADE_SHARE = 0.3
+"""Of an overlap: long enough that no line is seen, and the shorter the smaller are the errors."""
+
+Weights = NDArray[np.float64]
+Float32s = NDArray[np.float32]
+
+
+def _linear(share: Weights) -> Weights:
+    """Eq. 15: from 0 at the field's own border to 1 at the border of its neighbour."""
+    return share
+
+
+def _smooth(share: Weights) -> Weights:
+    """The same without a kink at either end, so that no line is seen where fields begin."""
+    return share**2 * (3 - 2 * share)
+
+
+def _soon_smooth(share: Weights) -> Weights:
+    """Over a part of the overlap: in the rest of it both fields count fully, and errors average out."""
+    return _smooth(np.minimum(share / FADE_SHARE, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """How fields are weighed: how heights and how grey fade towards the border.
+
+    judges: what is believed more counts more, and of heights that differ grossly only that counts; otherwise heights
+    are averaged whatever they are.
+    """
+
+    heights: Callable[[Weights], Weights]
+    grey: Callable[[Weights], Weights]
+    judges: bool
+
+
+BLENDS: dict[str, Blend] = {
+    "confidence": Blend(_soon_smooth, _smooth, judges=True),
+    "ramp": Blend(_linear, _linear, judges=False),
+}
+"""By the name in the recipe."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fade:
+    """The weights of a field: those of its rows times those of its columns."""
+
+    rows: Float32s
+    cols: Float32s
+
+    def over(self, rows: slice, cols: slice) -> Fade:
+        """The weights of a part."""
+        return Fade(self.rows[rows], self.cols[cols])
+
+    @property
+    def weights(self) -> Float32s:
+        """All of them, [row, col]."""
+        return self.rows[:, None] * self.cols
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A field in the mosaic: the pixels that it covers, the way to its own, how it leans there and what it counts."""
+
+    part: Part
+    row_part: float
+    col_part: float
+    leaning: Leaning
+    fade: Fade
+    grey_fade: Fade
+
+    @classmethod
+    def of(cls, place: Place, blend: Blend) -> Laid:
+        """A field at its place, weighed by a way of blending."""
+        rows, cols = (np.arange(run.start, run.stop) for run in place.part)
+        down, right = rows - place.row, cols - place.col
+        return cls(
+            place.part,
+            float(down[0]),
+            float(right[0]),
+            _leaning(place, (place.rows - 1) / 2 - down, right - (place.cols - 1) / 2),
+            _faded(place, down, right, blend.heights),
+            _faded(place, down, right, blend.grey),
+        )
+
+    def over(self, piece: Part) -> Laid:
+        """The same over a piece of what it covers."""
+        rows, cols = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(piece, self.part, strict=True))
+        lean = self.leaning
+        return replace(
+            self,
+            part=(rows, cols),
+            leaning=Leaning(lean.rows[rows], lean.cols[cols], lean.up[rows], lean.right[cols]),
+            fade=self.fade.over(rows, cols),
+            grey_fade=self.grey_fade.over(rows, cols),
+        )
+
+    @property
+    def shift(self) -> Shift:
+        """The way from the pixels of the piece to those of the field."""
+        return Shift(self.part[0].start, self.part[1].start, self.row_part, self.col_part)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of the piece."""
+        return self.fade.rows.size, self.fade.cols.size
+
+    def nearest(self, layer: NDArray[Any]) -> NDArray[Any]:
+        """The layer's own pixels that lie nearest to those of the piece, as a view."""
+        (row, col), (n_rows, n_cols) = self.nearest_corner, self.shape
+        return layer[row : row + n_rows, col : col + n_cols]
+
+    def belief(self, height: HeightMap, blend: Blend) -> Float32s:
+        """How far its heights are believed, [row, col]."""
+        out = np.ones(self.shape, np.float32)
+        if blend.judges:
+            limit_um = _max_step_um(height) or np.inf
+            weighted_blend.believe(fixed(height.z_um), fixed(height.confidence), *self.nearest_corner, limit_um, out)
+        return out
+
+    @property
+    def nearest_corner(self) -> tuple[int, int]:
+        """The field's own pixel that lies nearest to the first of the piece."""
+        rows, cols = self.part
+        return rows.start + int(self.row_part > 0.5), cols.start + int(self.col_part > 0.5)
+
+    def heights(self, layer: Float32s, max_step_um: float, out: Float32s, row: int, col: int) -> None:
+        """Read heights of the piece, upright, to (row, col) of `out`."""
+        shifted_read.read_heights(fixed(layer), self.shift, self.leaning, max_step_um, out, row, col)
+
+    def grey(self, picture: Image) -> Float32s:
+        """The grey of the piece."""
+        out = np.empty(self.shape, np.float32)
+        shifted_read.read_grey(fixed(picture), self.shift, out)
+        return out
+
+
+def lay_over(heights: Sequence[HeightMap], layout: Layout, rows: slice, cols: slice, blend: Blend) -> dict[str, Any]:
+    """The layers of a window [rows, cols] of the mosaic by name; only the fields that touch it are looked at."""
+    fields = _laid(heights, layout, rows, cols, blend)
+    seen = [height for height, _ in fields] or [heights[0]]
+    window = _empty((rows.stop - rows.start, cols.stop - cols.start), _type([height.all_in_focus for height in seen]))
+    for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
+        here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
+        if here:
+            _fill(window, piece[0].start - rows.start, piece[1].start - cols.start, here, blend)
+    return window
+
+
+def lay_pictures(pictures: Sequence[Image], layout: Layout, rows: slice, cols: slice, blend: Blend) -> Image:
+    """The same of one picture a field; 0 where none is."""
+    fields = _laid(pictures, layout, rows, cols, blend)
+    seen = [picture for picture, _ in fields] or [pictures[0]]
+    out = np.zeros((rows.stop - rows.start, cols.stop - cols.start), _type(seen))
+    for piece, numbers in pieces((rows, cols), [laid.part for _, laid in fields]):
+        here = [(fields[n][0], fields[n][1].over(piece)) for n in numbers]
+        if here:
+            weighted_blend.round_grey(_grey(here), out, piece[0].start - rows.start, piece[1].start - cols.start)
+    return out
+
+
+def fixed(layer: NDArray[Any]) -> NDArray[Any]:
+    """A read-only view: kernels compile once for maps in memory and for those in a file."""
+    view = layer.view()
+    view.flags.writeable = False
+    return view if view.flags.c_contiguous else fixed(np.ascontiguousarray(layer))
+
+
+def _laid(items: Sequence[Any], layout: Layout, rows: slice, cols: slice, blend: Blend) -> list[tuple[Any, Laid]]:
+    """What touches a window, each with how it lies; a line of pixels between two of the mosaic's covers none."""
+    touching = ((n, layout.place(n)) for n in layout.touching(rows, cols))
+    return [(items[n], Laid.of(place, blend)) for n, place in touching if place is not None and place.covers_any]
+
+
+def _leaning(place: Place, up: Weights, right: Weights) -> Leaning:
+    """What is subtracted at `up` and `right` of the field's centre, in pixels."""
+    lean = place.lean
+    u, v = right / lean.so_far_px[0], up / lean.so_far_px[1]
+    a, b, c = lean.sag_um
+    of_rows, of_cols = lean.z_um + lean.up_um_px * up + c * v**2, lean.right_um_px * right + a * u**2
+    return Leaning(*(term.astype(np.float32) for term in (of_rows, of_cols, b * v, u)))
+
+
+def _faded(place: Place, down: Weights, right: Weights, fade: Callable[[Weights], Weights]) -> Fade:
+    """The weights at `down` and `right` of the field's first pixel."""
+    top_px, bottom_px, left_px, right_px = place.ramps_px
+    rows = fade(_within_ramps(down, place.rows - 1 - down, top_px, bottom_px))
+    cols = fade(_within_ramps(right, place.cols - 1 - right, left_px, right_px))
+    return Fade(*(np.maximum(weights, LEAST_WEIGHT).astype(np.float32) for weights in (rows, cols)))
+
+
+def _within_ramps(from_start: Weights, to_end: Weights, start_px: float, end_px: float) -> Weights:
+    """Which share of the way over the ramps lies behind, 1 beyond them."""
+    share = np.ones(from_start.shape)
+    for way, ramp_px in ((from_start, start_px), (to_end, end_px)):
+        if ramp_px > 0:
+            share = np.minimum(share, way / ramp_px)
+    return share
+
+
+def _empty(shape: tuple[int, int], grey: np.dtype[Any]) -> dict[str, Any]:
+    """The layers of a window that nothing covers yet."""
+    z, raw, overlap = (np.full(shape, np.nan, np.float32) for _ in range(3))
+    return {
+        "z_um": z,
+        "z_raw_um": raw,
+        "confidence": np.zeros(shape, np.float32),
+        "all_in_focus": np.zeros(shape, grey),
+        "origin": np.full(shape, Origin.NOT_COVERED, np.uint8),
+        "overlap_um": overlap,
+    }
+
+
+def _type(pictures: Sequence[Image]) -> np.dtype[Any]:
+    """The numbers of the pictures of a mosaic."""
+    return np.result_type(*{picture.dtype for picture in pictures})
+
+
+def _fill(window: dict[str, Any], row: int, col: int, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:
+    """A piece of a window, from (row, col) on: the first field is read into it, the others are blended in."""
+    first, laid = fields[0]
+    here = slice(row, row + laid.shape[0]), slice(col, col + laid.shape[1])
+    laid.heights(first.z_um, _max_step_um(first), window["z_um"], row, col)
+    laid.heights(first.z_raw_um, _max_step_um(first), window["z_raw_um"], row, col)
+    window["confidence"][here] = laid.nearest(first.confidence)
+    window["origin"][here] = laid.nearest(first.origin)
+    if len(fields) > 1:
+        _blend_in(window, here, fields, blend)
+    weighted_blend.round_grey(
+        _grey([(height.all_in_focus, laid) for height, laid in fields]), window["all_in_focus"], row, col
+    )
+
+
+def _blend_in(window: dict[str, Any], here: Part, fields: Sequence[tuple[HeightMap, Laid]], blend: Blend) -> None:
+    """The other fields, into a piece that holds the first."""
+    blended = Blended(*(window[name] for name in ("z_um", "z_raw_um", "confidence", "origin", "overlap_um")))
+    first, laid = fields[0]
+    raw = blended.raw[here]
+    tally = Tally(laid.fade.weights * laid.belief(first, blend), raw.copy(), raw.copy())
+    limit_um = max(_max_step_um(height) for height, _ in fields) if blend.judges else 0.0
+    scratch = np.empty((2, here[1].stop - here[1].start), np.float32)
+    for height, laid in fields[1:]:
+        piece = _read(height, laid, blend)
+        weighted_blend.blend_in(piece, limit_um or np.inf, tally, scratch, blended, here[0].start, here[1].start)
+
+
+def _read(height: HeightMap, laid: Laid, blend: Blend) -> Piece:
+    """The layers of a field over a piece."""
+    z, raw = (np.empty(laid.shape, np.float32) for _ in range(2))
+    laid.heights(height.z_um, _max_step_um(height), z, 0, 0)
+    laid.heights(height.z_raw_um, _max_step_um(height), raw, 0, 0)
+    confidence, origin = (fixed(laid.nearest(layer)) for layer in (height.confidence, height.origin))
+    return Piece(z, raw, confidence, origin, laid.belief(height, blend), laid.fade.rows, laid.fade.cols)
+
+
+def _grey(fields: Sequence[tuple[Image, Laid]]) -> Float32s:
+    """The grey of a piece, of all pictures that cover it."""
+    total = fields[0][1].grey(fields[0][0])
+    if len(fields) > 1:
+        weight = fields[0][1].grey_fade.weights
+        for picture, laid in fields[1:]:
+            weighted_blend.blend_grey(laid.grey(picture), laid.grey_fade.rows, laid.grey_fade.cols, weight, total)
+    return total
+
+
+def _max_step_um(height: HeightMap) -> float:
+    return MAX_STEP_FRAMES * height.provenance.z_step_um

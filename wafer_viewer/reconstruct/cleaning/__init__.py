@@ -1,0 +1,1 @@
+"""Smoothing, outlier removal and filling of height maps."""

@@ -1,0 +1,118 @@
+"""Two surfaces compared: the second laid over the first, by images and relief or by the stage, and subtracted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import ALIGN_TITLES, FOUND_BY, Align, Registration
+from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt
+from wafer_viewer.model.surface.height_map import Mosaic, Outline
+from wafer_viewer.reconstruct.comparison.height_difference import Difference, noise_of, provenance_of
+from wafer_viewer.reconstruct.comparison.lateral_registration import in_plane
+from wafer_viewer.reconstruct.comparison.lazy_pyramid import as_pyramid
+from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.comparison.rigid_refinement import levelled, settled
+
+LEAST_OVERLAP_PX = 32
+_SEEN_PX = 512
+_MEND = "align by the stage, or take surfaces of the same part of the sample"
+_MENDS: dict[Doubt, str] = {
+    Doubt.BLANK: "there is nothing to be seen in both",
+    Doubt.UNLIKE: "they do not look alike and may be of different samples",
+    Doubt.AMBIGUOUS: "they fit at several places",
+    Doubt.END_OF_SEARCH: "they lie further apart than is looked for",
+}
+
+
+def compare(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool = False) -> Difference:
+    """The second surface minus the first, on the first's lattice.
+
+    align: "images" finds shift and turn by the all-in-focus images and the relief, "stage" takes x and y as the stage
+    says, "none" takes heights as they are, too; "auto" needs nothing where both are of the same frames, else takes
+    images. keep_z: leave height and tilt as they are, as against a golden surface. What is to be written or looked at
+    should not be kept: a window is made anew each time.
+
+    Raises MeasureError when they have no part in common, or an alignment is not to be trusted.
+    """
+    if align not in ALIGN_TITLES:
+        raise MeasureError(f"align is {align!r}: it must be one of {', '.join(ALIGN_TITLES)}.")
+    one = as_pyramid(first)
+    other = one if second is first else as_pyramid(second)
+    registration = register_surfaces(one, other, align, keep_z)
+    laid = LaidOver(one, other, registration)
+    region = _common(one, other, registration)
+    median_um, limit_um = noise_of(laid, region)
+    notes = ("Heights are those of the second surface minus the first.", f"Aligned {FOUND_BY[registration.by]}.")
+    return Difference(laid, median_um, limit_um, provenance_of(first.provenance, second.provenance, notes))
+
+
+def register_surfaces(first: Mosaic, second: Mosaic, align: Align = "auto", keep_z: bool = False) -> Registration:
+    """How the second has to be moved to lie on the first; see `compare`."""
+    same = align == "auto" and of_same_frames(first, second)
+    found = Registration(by="same" if same else "stage")
+    region = _common(first, second, found)
+    if align == "images" or (align == "auto" and not same):
+        found = _by_images(first, second, region, keep_z)
+    elif align == "stage" and not keep_z:
+        found = levelled(first, second, _about(found, region), region)
+    return replace(found, overlap_fraction=_overlap_fraction(first, second, found))
+
+
+def of_same_frames(first: Mosaic, second: Mosaic) -> bool:
+    """Whether two surfaces were made of the same frames, so that they lie on each other already."""
+    checksum = first.provenance.input_checksum
+    return first is second or (checksum != "" and checksum == second.provenance.input_checksum)
+
+
+def _by_images(first: Mosaic, second: Mosaic, region: Region, keep_z: bool) -> Registration:
+    found = in_plane(first, second, region.bounds_um)
+    if found.doubt is not Doubt.NONE:
+        why = _MENDS.get(found.doubt, DOUBT_TITLES[found.doubt])
+        raise MeasureError(f"The two surfaces cannot be aligned by their images, for {why}: {_MEND}.")
+    both = _common(first, second, found.registration)
+    if not keep_z:
+        return settled(first, second, found.registration, found.covariance, both)
+    u = 2 * np.sqrt(np.diag(found.covariance))
+    return replace(found.registration, u_xy_um=float(max(u[:2])), u_turn_mrad=float(1e3 * u[2]))
+
+
+def _about(registration: Registration, region: Region) -> Registration:
+    xa, ya, xb, yb = region.bounds_um
+    return replace(registration, about_x_um=(xa + xb) / 2, about_y_um=(ya + yb) / 2)
+
+
+def _common(first: Outline, second: Outline, registration: Registration) -> Region:
+    """The upright rectangle that both lie in. Raises MeasureError when there is none worth a look."""
+    xa, ya, xb, yb = Lattice(first.pixel_um, first.x0_um, first.y0_um, first.shape).bounds_um
+    x0, y0, x1, y1 = _moved(Lattice(second.pixel_um, second.x0_um, second.y0_um, second.shape), registration)
+    low_x, low_y, high_x, high_y = max(xa, x0), max(ya, y0), min(xb, x1), min(yb, y1)
+    if min(high_x - low_x, high_y - low_y) < LEAST_OVERLAP_PX * first.pixel_um:
+        raise MeasureError(
+            f"The surfaces lie beside each other: the first from ({xa:.0f}, {ya:.0f}) to ({xb:.0f}, {yb:.0f}) um, the "
+            f"second from ({x0:.0f}, {y0:.0f}) to ({x1:.0f}, {y1:.0f}) um: take two of the same part of the sample."
+        )
+    return Region.rectangle(low_x, low_y, high_x, high_y)
+
+
+def _moved(lattice: Lattice, r: Registration) -> tuple[float, float, float, float]:
+    """The bounds of a surface once it is moved."""
+    xa, ya, xb, yb = lattice.bounds_um
+    cos, sin = np.cos(r.turn_mrad * 1e-3), np.sin(r.turn_mrad * 1e-3)
+    dx, dy = np.array([xa, xa, xb, xb]) - r.about_x_um, np.array([ya, yb, ya, yb]) - r.about_y_um
+    x, y = r.about_x_um + r.x_um + cos * dx - sin * dy, r.about_y_um + r.y_um + sin * dx + cos * dy
+    return float(x.min()), float(y.min()), float(x.max()), float(y.max())
+
+
+def _overlap_fraction(first: Mosaic, second: Mosaic, registration: Registration) -> float:
+    """Of the first's measured places, those at which the second is measured: by a coarse look at both."""
+    level = min(first.levels - 1, max(0, int(np.ceil(np.log2(max(first.shape) / _SEEN_PX)))))
+    one = first.window(None, level)
+    other = LaidOver(first, second, registration).on(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    measured = np.isfinite(one.z_raw_um)
+    both = measured & np.isfinite(other.z_raw_um)
+    if not both.any():
+        raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
+    return float(both.sum() / measured.sum())

@@ -1,0 +1,195 @@
+"""The second of two surfaces minus the first, as a surface that is made when a window of it is asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer._version import __version__
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import Change, Registration
+from wafer_viewer.model.surface.height_map import UNMEASURED_FROM, HeightMap, Provenance
+from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+
+CHANGED_SIGMAS = 3.0
+_MAD = 1.4826
+_LEAST_LIMIT_UM = 1e-4
+_LOOKS, _LOOK_PX = 6, 192
+"""Of a grid of so many looks a side, each so many pixels wide, the noise is found."""
+_BAND_PX = 2**22
+"""Numbers of a whole difference are summed over bands of about so many pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """What numbers are made of: of a window, or of many added up."""
+
+    n: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+    lowest: float = math.inf
+    highest: float = -math.inf
+    changed: int = 0
+    gained: float = 0.0
+    lost: float = 0.0
+
+    def __add__(self, other: Sums) -> Sums:
+        return Sums(
+            self.n + other.n, self.total + other.total, self.squares + other.squares,
+            min(self.lowest, other.lowest), max(self.highest, other.highest),
+            self.changed + other.changed, self.gained + other.gained, self.lost + other.lost,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """A `Mosaic` of one level on the first's lattice: `laid` over `laid.first`, minus it.
+
+    Unmeasured where either is, for the first's reason where it has one. median_um, limit_um: see `Change`.
+    """
+
+    laid: LaidOver
+    median_um: float
+    limit_um: float
+    provenance: Provenance
+
+    @property
+    def registration(self) -> Registration:
+        """How the second was laid over the first."""
+        return self.laid.registration
+
+    @property
+    def pixel_um(self) -> float:
+        """Pixel size."""
+        return self.laid.pixel_um
+
+    @property
+    def x0_um(self) -> float:
+        """Stage x of pixel (0, 0)."""
+        return self.laid.x0_um
+
+    @property
+    def y0_um(self) -> float:
+        """Stage y of pixel (0, 0)."""
+        return self.laid.y0_um
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.laid.shape
+
+    @property
+    def levels(self) -> int:
+        """It has one level."""
+        return 1
+
+    def window(self, region: Region | None = None, level: int = 0) -> HeightMap:
+        """The part that holds a region; all of it without one. Raises MeasureError when it lies outside."""
+        if level:
+            raise MeasureError(f"A difference has one level until it is written, level {level} was asked for.")
+        return dataclasses.replace(subtracted(self.laid, region), provenance=self.provenance)
+
+    def sums(self, part: HeightMap) -> Sums:
+        """What a window adds to the numbers."""
+        off = part.z_raw_um[np.isfinite(part.z_raw_um)].astype(np.float64)
+        if not off.size:
+            return Sums()
+        about = off - self.median_um
+        changed = about[np.abs(about) > self.limit_um]
+        return Sums(
+            off.size, float(off.sum()), float((off**2).sum()), float(off.min()), float(off.max()),
+            changed.size, float(changed[changed > 0].sum()), float(-changed[changed < 0].sum()),
+        )  # fmt: skip
+
+    def change(self, sums: Sums | None = None) -> Change:
+        """What is different, in numbers: from sums over all windows, which are gone through now without them."""
+        total = sums or sum((self.sums(part) for part in self._bands()), Sums())
+        if not total.n:
+            raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
+        mean = total.total / total.n
+        return Change(
+            n_points=total.n,
+            mean_um=mean,
+            median_um=self.median_um,
+            sq_um=math.sqrt(max(0.0, total.squares / total.n - mean**2)),
+            lowest_um=total.lowest,
+            highest_um=total.highest,
+            limit_um=self.limit_um,
+            changed_fraction=total.changed / total.n,
+            gained_um3=total.gained * self.pixel_um**2,
+            lost_um3=total.lost * self.pixel_um**2,
+        )
+
+    def _bands(self) -> Iterator[HeightMap]:
+        rows, cols = self.shape
+        step = max(1, _BAND_PX // cols)
+        x1 = self.x0_um + (cols - 1) * self.pixel_um
+        for top in range(0, rows, step):
+            ends = (self.y0_um - row * self.pixel_um for row in (top, min(top + step, rows) - 1))
+            yield self.window(Region.rectangle(self.x0_um, next(ends), x1, next(ends)))
+
+
+def subtracted(laid: LaidOver, region: Region | None) -> HeightMap:
+    """Second minus first in a window of the first's lattice."""
+    one = laid.first.window(region)
+    other = laid.on(Lattice(one.pixel_um, one.x0_um, one.y0_um, one.shape))
+    return HeightMap(
+        z_um=other.z_um - one.z_um,
+        z_raw_um=other.z_raw_um - one.z_raw_um,
+        confidence=np.minimum(one.confidence, other.confidence),
+        all_in_focus=other.all_in_focus,
+        origin=np.where(one.origin >= UNMEASURED_FROM, one.origin, np.maximum(one.origin, other.origin)),
+        pixel_um=one.pixel_um,
+        x0_um=one.x0_um,
+        y0_um=one.y0_um,
+    )
+
+
+def noise_of(laid: LaidOver, region: Region) -> tuple[float, float]:
+    """(median, limit of what counts as unchanged) of the differences, from looks spread over a region, in um.
+
+    Raises MeasureError when no place looked at is measured in both.
+    """
+    found = [off for look in _looks(laid, region) if (off := _differences(laid, look)).size]
+    if not found:
+        raise MeasureError("No place is measured in both surfaces: take surfaces of the same part of the sample.")
+    off = np.concatenate(found)
+    median = float(np.median(off))
+    return median, max(_LEAST_LIMIT_UM, CHANGED_SIGMAS * _MAD * float(np.median(np.abs(off - median))))
+
+
+def _looks(laid: LaidOver, region: Region) -> Iterator[Region]:
+    xa, ya, xb, yb = region.bounds_um
+    half = _LOOK_PX / 2 * laid.pixel_um
+    for x in np.unique(np.linspace(min(xa + half, xb), max(xb - half, xa), _LOOKS)):
+        for y in np.unique(np.linspace(min(ya + half, yb), max(yb - half, ya), _LOOKS)):
+            yield Region.rectangle(float(x) - half, float(y) - half, float(x) + half, float(y) + half)
+
+
+def _differences(laid: LaidOver, look: Region) -> NDArray[np.float32]:
+    try:
+        off = subtracted(laid, look).z_raw_um
+    except MeasureError:
+        return np.empty(0, np.float32)
+    return off[np.isfinite(off)]
+
+
+def provenance_of(first: Provenance, second: Provenance, notes: tuple[str, ...]) -> Provenance:
+    """Where a difference comes from: the first's recipe; simulated when either is, calibrated when both are alike."""
+    joint = hashlib.sha256(f"{first.input_checksum} {second.input_checksum}".encode()).hexdigest()
+    return replace(
+        first,
+        calibration=first.calibration if first.calibration == second.calibration else None,
+        software_version=__version__,
+        input_checksum=joint,
+        simulated=first.simulated or second.simulated,
+        notes=notes,
+    )

@@ -1,0 +1,263 @@
+"""How the second of two surfaces lies on the first in the plane: shift and turn, from their images, coarse to fine.
+
+At each resolution a few patches of the first are looked for on the second, as fields are when they are stitched; a
+rigid motion goes through what is believed of them, and the next resolution begins with it. The number of patches does
+not grow with the surfaces.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.comparison import FoundBy, Registration
+from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
+from wafer_viewer.reconstruct.comparison.resampled_surface import LaidOver, Lattice
+from wafer_viewer.reconstruct.registration.overlap_matching import match
+from wafer_viewer.reconstruct.registration.overlap_strips import Read, height_of, picture_of
+
+PATCH_PX = 256
+REACH_PX, NEAR_PX = 96.0, 8.0
+"""How far off the stage's word a patch is looked for at first, and once a coarser resolution has placed it."""
+MOST_TURN_MRAD, TURN_STEP_MRAD = 60.0, 6.0
+"""Turns that are tried where the two do not fit as they lie; a step moves the rim of a patch by one pixel or less."""
+LEAST_PATCHES = 3
+"""So many tell a turn and leave something to see whether they agree."""
+_GRID = 5
+_LEVELS_AT_ONCE = 2
+_FAR_OFF = 4.0
+_MOST_TURN = 0.05
+_LEAST_SPREAD_PX, _LEAST_U_PX = 0.03, 0.02
+"""Patches agree no better, and are all off by as much: what interpolation and the form of the pixels leave."""
+
+Numbers = NDArray[np.float64]
+Bounds = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InPlane:
+    """A registration by images with the covariance of (x_um, y_um, turn in rad) about its centre; the doubt, if any."""
+
+    registration: Registration
+    covariance: Numbers
+    doubt: Doubt
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sightings:
+    """Where patches were found, all [n]: their centres, how far off, with standard uncertainties; and the doubts."""
+
+    at_um: Numbers
+    off_um: Numbers
+    u_um: Numbers
+    doubts: list[Doubt]
+
+
+def in_plane(first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
+    """Lay the second over the first by what is to be seen in both; by their relief where nothing is.
+
+    overlap_um: (x low, y low, x high, y high) of what may be common, as the stage says.
+    """
+    found = _by(picture_of, "images", first, second, overlap_um)
+    if found.doubt is Doubt.NONE:
+        return found
+    felt = _by(height_of, "heights", first, second, overlap_um)
+    return felt if felt.doubt is Doubt.NONE else found
+
+
+def _by(read: Read, by: FoundBy, first: Mosaic, second: Mosaic, overlap_um: Bounds) -> InPlane:
+    xa, ya, xb, yb = overlap_um
+    start = Registration(by=by, about_x_um=(xa + xb) / 2, about_y_um=(ya + yb) / 2)
+    best = InPlane(start, np.full((3, 3), np.inf), Doubt.BLANK)
+    levels = _levels(first, overlap_um)
+    for level in levels:
+        begun = best.doubt is Doubt.NONE
+        seen = _sightings(read, LaidOver(first, second, best.registration), overlap_um, level, begun)
+        now = _solved(best.registration, seen, first.pixel_um * 2**level)
+        if level == levels[0] and now.doubt is not Doubt.NONE:
+            now = _turned(read, first, second, best.registration, overlap_um, level) or now
+        if now.doubt is Doubt.NONE or not begun:
+            best = now
+        else:
+            break
+    return best
+
+
+def _levels(first: Mosaic, overlap_um: Bounds) -> list[int]:
+    """From the one at which a patch and a half holds the overlap, down to full resolution, which has the last word."""
+    xa, ya, xb, yb = overlap_um
+    side_px = max(xb - xa, yb - ya) / first.pixel_um
+    coarsest = min(first.levels - 1, max(0, math.ceil(math.log2(side_px / (1.5 * PATCH_PX)))))
+    return [*range(coarsest, 0, -_LEVELS_AT_ONCE), 0, 0]
+
+
+def _sightings(read: Read, laid: LaidOver, overlap_um: Bounds, level: int, begun: bool) -> _Sightings:
+    """Look for the patches of a level; far and wide as long as no coarser one has told where."""
+    pixel = laid.first.pixel_um * 2**level
+    found = [_sighting(read, laid, at, level, NEAR_PX if begun else REACH_PX) for at in _centres(overlap_um, pixel)]
+    at, off, u, doubts = zip(*found, strict=True)
+    return _Sightings(np.array(at), np.array(off), np.array(u), list(doubts))
+
+
+def _centres(overlap_um: Bounds, pixel_um: float) -> list[tuple[float, float]]:
+    """The middles of a grid of patches over the overlap; they lie over each other where there is little room."""
+    xa, ya, xb, yb = overlap_um
+    half = PATCH_PX / 2 * pixel_um
+    xs, ys = _along(xa, xb, half), _along(ya, yb, half)
+    return [(x, y) for x in xs for y in ys]
+
+
+def _along(low: float, high: float, half: float) -> Numbers:
+    if high - low <= 2.2 * half:
+        return np.array([(low + high) / 2])
+    n = min(_GRID, max(2, math.ceil((high - low) / half) - 1))
+    return np.linspace(low + half, high - half, n)
+
+
+def _sighting(
+    read: Read, laid: LaidOver, at_um: tuple[float, float], level: int, reach_px: float
+) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float], Doubt]:
+    """Where the content of the second that should lie at a place of the first lies, off that place."""
+    pixel = laid.first.pixel_um * 2**level
+    nowhere = at_um, (0.0, 0.0), (math.inf, math.inf), Doubt.BLANK
+    try:
+        one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
+    except MeasureError:
+        return nowhere
+    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCH_PX)))
+    if not (_holds_enough(one) and _holds_enough(other)):
+        return nowhere
+    fit = match(one, other, reach_px, read)
+    down, right = fit.off_px
+    u_down, u_right = fit.u_px
+    return at_um, (right * pixel, -down * pixel), (u_right * pixel, u_down * pixel), fit.doubt
+
+
+def _square(at_um: tuple[float, float], pixel_um: float, side_px: int) -> Lattice:
+    half = (side_px - 1) / 2 * pixel_um
+    return Lattice(pixel_um, at_um[0] - half, at_um[1] + half, (side_px, side_px))
+
+
+def _on_pixels_of(one: HeightMap, square: Lattice) -> Lattice:
+    """The square, moved by less than a pixel so that its pixels lie on those of a map."""
+    right, down = round((square.x0_um - one.x0_um) / one.pixel_um), round((one.y0_um - square.y0_um) / one.pixel_um)
+    return Lattice(one.pixel_um, one.x0_um + right * one.pixel_um, one.y0_um - down * one.pixel_um, square.shape)
+
+
+def _holds_enough(part: HeightMap) -> bool:
+    return min(part.shape) >= PATCH_PX // 8
+
+
+def _solved(before: Registration, seen: _Sightings, pixel_um: float) -> InPlane:
+    """The rigid motion through what is believed of the patches, on top of the one they were looked for by."""
+    believed = np.array([doubt is Doubt.NONE for doubt in seen.doubts])
+    if not believed.any():
+        return InPlane(before, np.full((3, 3), np.inf), _usual(seen.doubts))
+    about = np.array([before.about_x_um, before.about_y_um])
+    at, off, u = seen.at_um[believed] - about, seen.off_um[believed], seen.u_um[believed]
+    kept, motion, covariance = _agreed(at, off, u, pixel_um)
+    if kept.sum() < believed.sum() / 2:
+        return InPlane(before, covariance, Doubt.AMBIGUOUS)
+    if kept.sum() < min(LEAST_PATCHES, max(1, len(believed) // 2)):
+        return InPlane(before, covariance, Doubt.UNLIKE)
+    after = replace(
+        before,
+        x_um=before.x_um + float(motion[0]),
+        y_um=before.y_um + float(motion[1]),
+        turn_mrad=before.turn_mrad + float(motion[2]) * 1e3,
+    )
+    reach_um = max(float(np.hypot(*at.T).max()), pixel_um)
+    floor = np.diag([1.0, 1.0, 1 / reach_um**2]) * (_LEAST_U_PX * pixel_um) ** 2
+    return InPlane(after, covariance + floor, Doubt.NONE)
+
+
+def _agreed(at: Numbers, off: Numbers, u: Numbers, pixel_um: float) -> tuple[NDArray[np.bool_], Numbers, Numbers]:
+    """(patches that agree, shift and turn through them, covariance); the others may show what has changed."""
+    u = np.hypot(u, _LEAST_SPREAD_PX * pixel_um)
+    kept = np.hypot(*(off - np.median(off, axis=0)).T) <= max(
+        _FAR_OFF * pixel_um, 0.05 * float(np.abs(at).max(initial=0))
+    )
+    motion, covariance = np.zeros(3), np.diag([np.inf] * 3)
+    for _ in range(4):
+        motion, covariance, left = _through(at, off, u, kept)
+        if kept.sum() < LEAST_PATCHES:
+            break
+        spread = max(1.4826 * float(np.median(np.abs(left[kept]))), _LEAST_SPREAD_PX * pixel_um)
+        kept = np.abs(left).max(axis=1) <= _FAR_OFF * spread
+    return kept, motion, covariance
+
+
+def _through(at: Numbers, off: Numbers, u: Numbers, kept: NDArray[np.bool_]) -> tuple[Numbers, Numbers, Numbers]:
+    """Weighted least squares of (x, y, turn); one or two patches tell a shift alone. Also what is left, [n, 2]."""
+    n = len(at)
+    design = np.zeros((n, 2, 3))
+    design[:, 0, 0] = design[:, 1, 1] = 1
+    if kept.sum() >= LEAST_PATCHES:
+        design[:, 0, 2], design[:, 1, 2] = -at[:, 1], at[:, 0]
+    rows, values, weights = design[kept].reshape(-1, 3), off[kept].ravel(), 1 / u[kept].ravel()
+    normal = (rows * weights[:, None] ** 2).T @ rows
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    motion = inverse @ ((rows * weights[:, None] ** 2).T @ values)
+    left = off - design @ motion
+    freedom = max(1, values.size - 3)
+    excess = max(1.0, float((((left[kept].ravel()) * weights) ** 2).sum()) / freedom)
+    return motion, np.asarray(inverse * excess, np.float64), left
+
+
+def _usual(doubts: list[Doubt]) -> Doubt:
+    """The doubt that most patches have, blank ones apart as long as there are others."""
+    telling = [doubt for doubt in doubts if doubt is not Doubt.BLANK] or doubts
+    return max(set(telling), key=lambda doubt: (telling.count(doubt), doubt))
+
+
+def _turned(
+    read: Read,
+    first: Mosaic,
+    second: Mosaic,
+    start: Registration,
+    overlap_um: Bounds,
+    level: int,
+) -> InPlane | None:
+    """The fit under the turn at which the middle patch looks most alike; None where it fits under none."""
+    pixel = first.pixel_um * 2**level
+    middle = _centres(overlap_um, pixel)
+    at = middle[len(middle) // 2]
+    best: tuple[float, Registration] | None = None
+    for turn in _turns():
+        turned = replace(start, turn_mrad=turn)
+        alike = _alike(read, LaidOver(first, second, turned), at, level)
+        if best is None or alike > best[0]:
+            best = alike, turned
+    if best is None:
+        return None
+    begun = _sightings(read, LaidOver(first, second, best[1]), overlap_um, level, begun=False)
+    found = _solved(best[1], begun, pixel)
+    return found if found.doubt is Doubt.NONE else None
+
+
+def _turns() -> Iterator[float]:
+    n = round(MOST_TURN_MRAD / TURN_STEP_MRAD)
+    return (k * TURN_STEP_MRAD for k in range(-n, n + 1))
+
+
+def _alike(read: Read, laid: LaidOver, at_um: tuple[float, float], level: int) -> float:
+    """How surely the patch is to be found, in standard deviations."""
+    from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+
+    pixel = laid.first.pixel_um * 2**level
+    one = laid.first.window(_square(at_um, pixel, PATCH_PX).region, level)
+    other = laid.on(_on_pixels_of(one, _square(at_um, pixel, PATCH_PX)))
+    pictures = [read(part, slice(0, part.shape[0]), slice(0, part.shape[1])) for part in (one, other)]
+    known = [picture.known > 0 for picture in pictures]
+    details = [contrast(p.values, k, 11) for p, k in zip(pictures, known, strict=True)]
+    alike = likeness(details[0], known[0], details[1], known[1], (0, 0), int(REACH_PX))
+    enough = alike.pixels >= 0.3 * alike.pixels.max(initial=1.0)
+    return float(np.where(enough, alike.sigmas, 0.0).max(initial=0.0))

@@ -1,0 +1,134 @@
+"""From the focus stack of a field to its height map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer._version import __version__
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import Field
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.model.surface.refused_points import RefusedHeights
+from wafer_viewer.reconstruct.auto_tuning import Settled, settle
+from wafer_viewer.reconstruct.cleaning.clean import clean
+from wafer_viewer.reconstruct.cleaning.gap_fill import mark_filled
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Progress, search_field
+from wafer_viewer.reconstruct.focus.window_sampling import coarse_step
+from wafer_viewer.reconstruct.gates import edge_bleeding
+from wafer_viewer.reconstruct.gates.gate import LEAST_FRAMES
+from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare
+from wafer_viewer.reconstruct.validity import Judged, judge
+
+ENOUGH_TO_SETTLE = 0.2
+"""A field of which a fifth is measured can choose for the fields around it."""
+
+
+def reconstruct(
+    stack: FieldStack, recipe: Recipe = Recipe(), progress: Progress | None = None, threads: int | None = None
+) -> HeightMap:
+    """The height map of a field, with confidence, all-in-focus image and the reason why a pixel has no height.
+
+    progress is told the finished share (0 ... 1); what it raises ends the work. threads: all cores when left out.
+    Raises ComputeError for images that are not 8- or 16-bit grey, for frames without a z of their own, and for
+    exposures that cannot be compared.
+    """
+    frames = prepare(stack, recipe)
+    settled = settle(frames, recipe)
+    peaks = search_field(frames, settled.search, threads, progress)
+    return surface_of(stack, frames, settled, peaks, threads)
+
+
+def surface_of(
+    stack: FieldStack, frames: Frames, settled: Settled, peaks: Peaks, threads: int | None = None
+) -> HeightMap:
+    """The height map of searched frames."""
+    return cleaned(stack, frames, settled, judge(frames, settled, peaks, threads))
+
+
+def settled_recipe(stack: FieldStack, recipe: Recipe = Recipe()) -> Recipe:
+    """The recipe with every `auto` replaced by what this stack says, so that all fields of a scan can share it."""
+    return settle(prepare(stack, recipe), recipe).recipe
+
+
+def speaks_for_scan(surface: HeightMap) -> bool:
+    """Whether a field shows enough for what it settled to be right for the fields around it."""
+    return bool(surface.measured.mean() >= ENOUGH_TO_SETTLE)
+
+
+def cleaned(stack: FieldStack, frames: Frames, settled: Settled, judged: Judged) -> HeightMap:
+    """Smooth, drop outliers, fill small gaps: z_um has all three, z_raw_um only what was dropped."""
+    peaks, origin = judged.peaks, judged.origin
+    recipe, resolution_um = settled.recipe, settled.resolution_um
+    raw = np.where(origin == Origin.MEASURED, peaks.z_um, np.float32(np.nan))
+    clear = clean(raw, stack.pixel_um, recipe, resolution_um, judged.told_apart, judged.bled_um)
+    origin = np.where(clear.outlier, np.uint8(Origin.OUTLIER), origin)
+    origin = np.where(clear.step_edge, np.uint8(Origin.STEP_EDGE), origin)
+    return HeightMap(
+        z_um=clear.z_um,
+        z_raw_um=clear.raw_um,
+        confidence=peaks.confidence,
+        all_in_focus=peaks.all_in_focus,
+        origin=mark_filled(origin, clear.z_um),
+        pixel_um=stack.pixel_um,
+        x0_um=stack.x0_um,
+        y0_um=stack.y0_um,
+        provenance=_provenance(stack, frames, recipe, (*settled.notes, *judged.notes)),
+        refused=refused_heights(judged, origin),
+    )
+
+
+def refused_heights(judged: Judged, origin: NDArray[np.uint8]) -> RefusedHeights:
+    """Return the heights that gates, outlier removal and the edges of steps refused.
+
+    Parameters
+    ----------
+    judged
+        Peaks of a field. A peak that a gate refused has the height that the search saw; one refused later has its
+        height after the edges were judged.
+    origin
+        Codes of `Origin` before gaps were filled; uint8 [row, col].
+
+    Returns
+    -------
+    RefusedHeights
+        Every covered pixel that is not measured and has a peak.
+    """
+    z_um = np.where(judged.origin == Origin.MEASURED, judged.peaks.z_um, judged.seen_um)
+    refused = (origin != Origin.MEASURED) & (origin != Origin.NOT_COVERED) & np.isfinite(z_um)
+    at = np.flatnonzero(refused)
+    return RefusedHeights(at.astype(np.uint32), z_um.ravel()[at], origin.ravel()[at].astype(np.uint8))
+
+
+def warm_up(dtype: Any = np.uint8, recipe: Recipe = Recipe()) -> None:
+    """Compile every kernel, or load what an earlier run compiled, on a tiny stack that is sharp in its middle."""
+    n_frames = LEAST_FRAMES  # in fewer the windows are not compared
+    sharp = 5 + 40 * np.exp(-((np.arange(n_frames) - n_frames // 2) ** 2.0))[:, None, None]
+    grey = (128 + sharp * np.random.default_rng(0).normal(0, 1, (n_frames, 48, 64))).clip(0, 255).astype(dtype)
+    field = Field(number=1, row=0, col=0, x_um=0.0, y_um=0.0, z_start_um=0.0)
+    stack = FieldStack(field, grey, np.arange(float(n_frames)), np.ones(n_frames, bool), 1.0)
+    reconstruct(stack, recipe, threads=1)
+    if recipe.edges != "none":
+        edge_bleeding.warm_up(prepare(stack), window=9)
+
+
+def _provenance(stack: FieldStack, frames: Frames, recipe: Recipe, notes: tuple[str, ...]) -> Provenance:
+    coarse = coarse_step(frames.step_um, frames.depth_of_field_um, _number(recipe.focus_width_um))
+    return Provenance(
+        recipe=recipe,
+        calibration=stack.calibration,
+        software_version=__version__,
+        input_checksum=stack.checksum,
+        simulated=stack.simulated,
+        z_step_um=frames.step_um,
+        notes=(*frames.notes, *coarse, *notes),
+    )
+
+
+def _number(value: float | str) -> float:
+    """A settled choice: `auto` is gone by now."""
+    return float(value)

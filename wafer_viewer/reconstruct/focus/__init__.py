@@ -1,0 +1,1 @@
+"""Focus measures, the search for the peak and its interpolation."""

@@ -1,0 +1,275 @@
+"""The stabilised log-Laplacian: a focus measure for dark textures beside bright ones that bleed light over them.
+
+The square root takes the grey to units of its own noise, so that bright and dark places count alike and pure noise
+has the same energy everywhere. The energy of a Laplacian is averaged over 3 x 3 pixels and its logarithm over the
+window twice, a triangle in effect: a mean of logarithms lets no bright speck or far edge speak for the whole window,
+as a sum of energies does.
+
+With v the stabilised grey, B = [1 2 1] x [1 2 1] / 16 * v:
+L = 3 (mean3x3(B) - B), l = log2(19/64 + mean3x3(L^2)), F = box_w(box_w(l)); 19/64 is the energy of unit white noise.
+
+A row at a time through rings of rows, as the measures of the paper. L has whole coefficients, 48 L =
+
+     1   3   4   3   1
+     3   0  -6   0   3
+     4  -6 -20  -6   4
+     3   0  -6   0   3
+     1   3   4   3   1
+
+and is a symmetric row filter of two column filters. The triangle down the columns is integrated twice from its second
+difference, l(y) - 2 l(y - w) + l(y - 2 w), in whole numbers: what comes in goes out again exactly.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Int64s, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.fast_log2 import quick_log2
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
+from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
+from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume, count_clipped, empty, keep_row, take_grey
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+
+LEVEL_BITS = 11
+"""Bits of a level that follow the whole part of the logarithm."""
+
+LEVEL_OFFSET = 2
+"""A level is 2^11 (F + 2): the logarithm of noise's own energy is -1.75."""
+
+NOISE_ENERGY = 19 / 64
+"""E[L^2] on white noise of unit variance: the sum of the squares of L's coefficients."""
+
+_TAPS_PX = 3
+_UNIT_OF_L = 1 / 48
+_MOST_ENERGY = 2.0**29
+_HIGH_PASS = math.sqrt(2 / 3)
+_HIGH_PASS_AT_AN_END = math.sqrt(1 / 2)
+
+
+class Stabiliser(NamedTuple):
+    """v = sqrt(scale I + offset) = 2 / gain sqrt(gain I + floor): its noise is one unit at every grey."""
+
+    scale: float
+    offset: float
+
+    @classmethod
+    def of(cls, noise: CameraNoise) -> Stabiliser:
+        """The stabiliser of a camera."""
+        return cls(4 / noise.gain_counts, 4 * noise.floor_counts2 / noise.gain_counts**2)
+
+
+class LogRows(NamedTuple):
+    """The rows that the kernel works in, one set for each thread.
+
+    Every row begins on a cache line, is worked on in whole vectors, and ends in a tail of zeros that loops read ahead
+    into: columns beyond the block hold nothing of use.
+    """
+
+    grey: Greys
+    stable: Float32s
+    wide: Float32s
+    narrow: Float32s
+    energy: Float32s
+    columns: Float32s
+    ring: UInt16s
+    slope: Int32s
+    sums: Int32s
+    total: Int32s
+    pieces: Int64s
+
+    @classmethod
+    def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> LogRows:
+        """Rows for blocks `cols` wide."""
+        wide = cols + 2 * log_margin_px(window)
+
+        def rows(count: int, kind: Any) -> NDArray[Any]:
+            return aligned((count, -(-wide // AHEAD) * AHEAD + AHEAD), kind)
+
+        return cls(
+            grey=rows(3, dtype),
+            stable=rows(5, np.float32),
+            wide=rows(1, np.float32)[0],
+            narrow=rows(1, np.float32)[0],
+            energy=rows(3, np.float32),
+            columns=rows(1, np.float32)[0],
+            ring=rows(2 * window, np.uint16),
+            slope=rows(1, np.int32)[0],
+            sums=rows(8, np.int32).reshape(2, 4, -1),
+            total=aligned((cols,), np.int32),
+            pieces=pieces_of(window),
+        )
+
+
+def log_margin_px(window: int) -> int:
+    """How far a block must reach beyond the pixels it is for: the triangle, and three pixels for L and its mean."""
+    return window - 1 + _TAPS_PX
+
+
+@lean_kernel
+def log_laplacian_block(
+    source: Source, window: Whole, stabiliser: Stabiliser, lag: Whole, rows: LogRows, volume: Volume
+) -> None:
+    """The volume of a block of frames.
+
+    lag: 0, or frames to the two that are subtracted from each: a high-pass along z, which takes out the light that
+    bleeds from far and changes slowly; at most (k - 1) / 2, so that one of the two exists at the ends.
+    """
+    empty(volume)
+    margin = window - 1 + _TAPS_PX
+    n_rows = volume.best.shape[0]
+    unit = _ring_unit(window)
+    scale = np.float32((1 << LEVEL_BITS) / (np.float64(unit) * window**4))
+    for k in range(volume.levels.shape[0]):
+        _begin(rows)
+        for r in range(n_rows + 2 * margin):
+            _stabilise(source, volume, k, r - margin, margin, lag, stabiliser, rows, rows.stable[r % 5])
+            if margin <= r < n_rows + margin:
+                count_clipped(rows.grey[0, margin:], source.clipped_counts, volume.clipped[r - margin])
+            if r >= 4:
+                _energy_row(rows, r)
+            if r >= 6:
+                _enter(
+                    rows.columns,
+                    unit,
+                    rows.ring[(r - 6) % (2 * window)],
+                    rows.ring[(r - 6 + window) % (2 * window)],
+                    rows,
+                )
+            if r >= 2 * margin:
+                _across(scale, rows, volume.levels[k, r - 2 * margin])
+                keep_row(volume, k, r - 2 * margin)
+
+
+@inlined_part
+def _ring_unit(window: Whole) -> Real:
+    """What 1 of log2 counts in the ring: a power of two, so that window^4 of the greatest logarithms fit 31 bits."""
+    unit = 1 << LEVEL_BITS
+    while window**4 * 32 * unit >= 1 << 31:
+        unit //= 2
+    return np.float32(unit)
+
+
+@inlined_part
+def _begin(rows: LogRows) -> None:
+    rows.ring[:] = 0
+    rows.slope[:] = 0
+    rows.sums[0, 0] = 0
+
+
+@inlined_part
+def _stabilise(
+    source: Source,
+    volume: Volume,
+    k: Whole,
+    y: Whole,
+    margin: Whole,
+    lag: Whole,
+    stabiliser: Stabiliser,
+    rows: LogRows,
+    stable: Float32s,
+) -> None:
+    """Row y in units of its noise, and with a lag the difference along z, scaled to noise of one unit again."""
+    scale, offset, last = np.float32(stabiliser.scale), np.float32(stabiliser.offset), volume.levels.shape[0] - 1
+    grey = rows.grey
+    before, after = k - lag if k >= lag else k + lag, k + lag if k + lag <= last else k - lag
+    for n in range(3 if lag else 1):
+        take_grey(source, k if n == 0 else before if n == 1 else after, y, margin, volume.best.shape[1], grey[n])
+    if lag == 0:
+        _root(grey[0], scale, offset, stable)
+    else:
+        here = np.float32(_HIGH_PASS_AT_AN_END if k < lag or k + lag > last else _HIGH_PASS)
+        _roots(grey[0], grey[1], grey[2], here, np.float32(-0.5) * here, scale, offset, stable)
+
+
+@inlined_part
+def _root(grey: Greys, scale: Real, offset: Real, stable: Float32s) -> None:
+    for x in range(stable.size - AHEAD):
+        stable[x] = np.sqrt(np.float32(grey[x]) * scale + offset)
+
+
+@lean_part
+def _roots(
+    grey: Greys, before: Greys, after: Greys, here: Real, side: Real, scale: Real, offset: Real, stable: Float32s
+) -> None:
+    for x in range(stable.size - AHEAD):
+        v = np.sqrt(np.float32(grey[x]) * scale + offset)
+        a = np.sqrt(np.float32(before[x]) * scale + offset)
+        b = np.sqrt(np.float32(after[x]) * scale + offset)
+        stable[x] = here * v + side * (a + b)
+
+
+@inlined_part
+def _energy_row(rows: LogRows, r: Whole) -> None:
+    """L^2 of the row r - 2, from the five rows up to r, and its sum with the two rows above."""
+    v, e = rows.stable, rows.energy
+    _columns_of_five(v[(r - 4) % 5], v[(r - 3) % 5], v[(r - 2) % 5], v[(r - 1) % 5], v[r % 5], rows.wide, rows.narrow)
+    _squared(rows.wide, rows.narrow, e[(r - 2) % 3], e[(r - 1) % 3], e[r % 3], rows.columns)
+
+
+@lean_part
+def _columns_of_five(
+    v0: Float32s, v1: Float32s, v2: Float32s, v3: Float32s, v4: Float32s, wide: Float32s, narrow: Float32s
+) -> None:
+    """Down the columns: wide = [1 3 4 3 1], the sum of 3 of t = [1 2 1]; narrow = wide - 3 t."""
+    for x in range(wide.size - AHEAD):
+        far, near, mid = v0[x] + v4[x], v1[x] + v3[x], v2[x]
+        total = far + np.float32(3) * near + np.float32(4) * mid
+        wide[x] = total
+        narrow[x] = total - np.float32(3) * (near + np.float32(2) * mid)
+
+
+@lean_part
+def _squared(
+    wide: Float32s, narrow: Float32s, above: Float32s, middle: Float32s, energy: Float32s, columns: Float32s
+) -> None:
+    """Along the row: (48 L)^2 from [1 0 -2 0 1] of wide and [3 6 3] of narrow; columns: the sum of three rows of it."""
+    wide_2, wide_4 = wide[2:], wide[4:]
+    narrow_1, narrow_2, narrow_3 = narrow[1:], narrow[2:], narrow[3:]
+    for x in range(energy.size - AHEAD):
+        outer = wide[x] + wide_4[x] - np.float32(2) * wide_2[x]
+        inner = narrow_1[x] + narrow_3[x] + np.float32(2) * narrow_2[x]
+        laplacian = outer + np.float32(3) * inner
+        square = laplacian * laplacian
+        columns[x] = above[x] + middle[x] + square
+        energy[x] = square
+
+
+# Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
+
+
+@lean_part
+def _enter(columns: Float32s, unit: Real, leaving: UInt16s, middle: UInt16s, rows: LogRows) -> None:
+    """Take log2(19/64 + mean of 3 x 3 of L^2) into the triangle down the columns, in place of the row that leaves."""
+    i = np.int32
+    part, floor, most = np.float32(_UNIT_OF_L**2 / 9), np.float32(NOISE_ENERGY), np.float32(_MOST_ENERGY)
+    offset, half, one, two = np.float32(LEVEL_OFFSET), np.float32(0.5), columns[1:], columns[2:]
+    slope, triangle = rows.slope, rows.sums[0, 0]
+    for x in range(triangle.size - AHEAD):
+        value = (columns[x] + one[x] + two[x]) * part + floor
+        log = quick_log2(value if value < most else most)
+        new = i((log + offset) * unit + half)
+        old, twice = i(leaving[x]), i(i(middle[x]) + i(middle[x]))
+        rise = i(slope[x] + i(i(new + old) - twice))
+        leaving[x] = new
+        slope[x] = rise
+        triangle[x] = i(triangle[x] + rise)
+
+
+@inlined_part
+def _across(scale: Real, rows: LogRows, level: UInt16s) -> None:
+    """The triangle along the row, and the level."""
+    box(rows.sums[0], rows.pieces, rows.sums[1, 0])
+    box(rows.sums[1], rows.pieces, rows.total)
+    _as_level(rows.total, scale, level)
+
+
+@inlined_part
+def _as_level(total: Int32s, scale: Real, level: UInt16s) -> None:
+    half = np.float32(0.5)
+    for x in range(level.size):
+        level[x] = np.int32(np.float32(total[x]) * scale + half)

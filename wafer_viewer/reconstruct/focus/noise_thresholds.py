@@ -1,0 +1,68 @@
+"""What the scores of a peak are where there is nothing to see: the search run on pure noise.
+
+A gate that asks for more than noise reaches once in a hundred pixels has a known false rate, for whatever number of
+frames, window and measure. The scores are ratios, so the strength of the noise does not matter, but for a measure that
+knows the camera's: it is told that of this noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.reconstruct.focus.focus_volume import Source
+from wafer_viewer.reconstruct.focus.log_laplacian import log_margin_px
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_block
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+
+_SIDE_PX = 224
+"""Peaks of noise come in patches as large as the window: it takes many to know what one in a hundred reaches."""
+
+_MARGIN_PX = log_margin_px(25)
+_DEVIATION_COUNTS = 12.0
+_CAMERA = CameraNoise(gain_counts=1e-2, floor_counts2=_DEVIATION_COUNTS**2)
+_PERCENTILE = 99.0
+_SEED = 20240229
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseScores:
+    """The scores, in powers of two, that 99 % of the pixels of pure noise stay under."""
+
+    lead: float
+    fall: float
+    contrast: float
+
+
+def noise_scores(search: Search, n_frames: int) -> NoiseScores:
+    """Search a patch of white noise of `n_frames` frames, always the same one."""
+    return _noise_scores(replace(search, camera=_CAMERA), n_frames)
+
+
+@lru_cache(maxsize=64)
+def _noise_scores(search: Search, n_frames: int) -> NoiseScores:
+    grey, shape = _noise(n_frames), (_SIDE_PX, _SIDE_PX)
+    source = Source.of(grey, np.arange(n_frames), _MARGIN_PX, _MARGIN_PX, 256)
+    peaks = Peaks.empty(shape, grey.dtype)
+    bench = Bench.make(n_frames, shape, search, grey.dtype)
+    search_block(source, np.arange(n_frames, dtype=np.float64), search, bench, peaks)
+    inside = ~peaks.at_end
+    lead, fall, contrast = (
+        float(np.percentile(score[inside] if inside.any() else score, _PERCENTILE))
+        for score in (peaks.lead, peaks.fall, peaks.contrast)
+    )
+    return NoiseScores(lead, fall, contrast)
+
+
+@lru_cache(maxsize=1)
+def _noise(n_frames: int) -> NDArray[np.uint8]:
+    """White noise [k, row, col] with a margin for the largest window."""
+    side = _SIDE_PX + 2 * _MARGIN_PX
+    noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
+    noise *= np.float32(_DEVIATION_COUNTS)
+    noise += np.float32(128.5)
+    return np.clip(noise, 0, 255, out=noise).astype(np.uint8)

@@ -1,0 +1,225 @@
+"""Where along z a pixel is sharpest, between the frames, and how much the peak stands out.
+
+All values of the focus volume are logarithms (base 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.numerics.array_types import Float32s, Float64s, Greys, Real, UInt16s, Whole, aligned
+from wafer_viewer.numerics.jit import inline_kernel, inlined_part, lean_kernel, lean_part
+from wafer_viewer.numerics.prefetch import prefetch
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX, Source
+from wafer_viewer.reconstruct.focus.peak_interpolation import Placing, Spots, place_row
+
+_AHEAD = 4
+"""Frames from the level that is read to the one that is asked for."""
+
+
+_NO_FLOOR = -64.0
+_NEAR_TOPS = 2
+"""How many averages above and below the peak may be better than that at the peak itself."""
+
+
+class Curves(NamedTuple):
+    """The focus volume of a block, levels [k, row, col], the best level of each pixel and its frame."""
+
+    levels: UInt16s
+    best: UInt16s
+    peak: UInt16s
+
+    @classmethod
+    def make(cls, n_frames: int, shape: tuple[int, int]) -> Curves:
+        """Room for the curves of `shape` pixels."""
+        return cls(*(aligned(s, np.uint16) for s in ((n_frames, *shape), shape, shape)))
+
+
+class Scores(NamedTuple):
+    """The part of `Peaks` that comes from the focus volume."""
+
+    z_um: Float32s
+    lead: Float32s
+    fall: Float32s
+    contrast: Float32s
+    all_in_focus: Greys
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Peaks:
+    """What the focus volume says of each pixel, all arrays [row, col].
+
+    z_um: float32; lead, fall and contrast: float32, in powers of two of the focus measure: how far the peak is above
+    its highest rival, above its own flanks, and above the lowest frame; at_end: bool; clipped: uint16, number of frames
+    in which the pixel is too bright; all_in_focus: grey as in the stack. coarse: uint16 [k, row / 4, col / 4], the
+    levels of the focus volume averaged over 4 x 4 pixels, or of no frame where nobody asks for them.
+    """
+
+    z_um: NDArray[np.float32]
+    lead: NDArray[np.float32]
+    fall: NDArray[np.float32]
+    contrast: NDArray[np.float32]
+    at_end: NDArray[np.bool_]
+    clipped: NDArray[np.uint16]
+    all_in_focus: Image
+    coarse: NDArray[np.uint16]
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], dtype: np.dtype[Any], n_coarse: int = 0) -> Peaks:
+        """Room for the peaks of a field or of a part of it, with `n_coarse` frames in the coarse focus volume."""
+        z_um, lead, fall, contrast = (np.empty(shape, np.float32) for _ in range(4))
+        coarse = np.empty((n_coarse, -(-shape[0] // COARSE_PX), -(-shape[1] // COARSE_PX)), np.uint16)
+        at_end, clipped, all_in_focus = (np.empty(shape, kind) for kind in (np.bool_, np.uint16, dtype))
+        return cls(z_um, lead, fall, contrast, at_end, clipped, all_in_focus, coarse)
+
+    @property
+    def scores(self) -> Scores:
+        """What `describe` writes."""
+        return Scores(self.z_um, self.lead, self.fall, self.contrast, self.all_in_focus)
+
+    @property
+    def confidence(self) -> NDArray[np.float32]:
+        """0 ... 1: the share of the focus measure at the peak that its highest rival does not reach."""
+        return np.float32(1) - np.exp2(-self.lead)
+
+    def rows(self, part: slice) -> Peaks:
+        """Some of the rows, as views; they begin at a row of the coarse volume."""
+        coarse = slice(part.start // COARSE_PX, -(-part.stop // COARSE_PX))
+        fine = {name: getattr(self, name)[part] for name in self.__slots__ if name != "coarse"}
+        return Peaks(**fine, coarse=self.coarse[:, coarse])
+
+
+def confidence_of(lead: float) -> float:
+    """The confidence of a peak that is 2^lead times its highest rival."""
+    return 1.0 - 2.0**-lead
+
+
+def lead_of(confidence: float) -> float:
+    """The lead, in powers of two, that a confidence means."""
+    return float(-np.log2(max(1e-9, 1.0 - confidence)))
+
+
+@lean_kernel
+def describe(curves: Curves, source: Source, z_um: Float64s, how: Placing, spots: Spots, out: Scores) -> None:
+    """Height, scores and all-in-focus grey of each pixel, a row at a time while its levels are in the cache."""
+    n_rows, cols = curves.peak.shape
+    for y in range(n_rows):
+        _find_rivals(curves.levels, y, how.gap, curves.peak[y], spots.rival, spots.least)
+        gather(curves, y, z_um, how, spots)
+        _score(curves, y, how.gap, spots, out)
+        if how.blend:
+            gather_blended(curves, y, z_um, how, spots)
+        place_row(how, spots, out.z_um[y])
+        row = source.top + y
+        for x in range(cols):
+            out.all_in_focus[y, x] = source.images[source.slots[curves.peak[y, x]], row, source.left + x]
+
+
+@inlined_part
+def _find_rivals(levels: UInt16s, y: Whole, gap: Whole, peak: UInt16s, rival: UInt16s, least: UInt16s) -> None:
+    """The highest other local maximum at least `gap` frames from the peak, and the lowest level of each pixel.
+
+    Without a rival the lowest level stands in.
+    """
+    last = levels.shape[0] - 1
+    rival[:] = 0
+    least[:] = 65535
+    for k in range(last + 1):
+        prefetch(levels[min(k + _AHEAD, last), y])
+        before, here, after = levels[max(k - 1, 0), y], levels[k, y], levels[min(k + 1, last), y]
+        _rival_row(before, here, after, k, gap, peak, rival, least)
+    for x in range(rival.size):
+        a, b = rival[x], least[x]
+        rival[x] = a if a > b else b
+
+
+@lean_part
+def _rival_row(
+    before: UInt16s,
+    here: UInt16s,
+    after: UInt16s,
+    k: Whole,
+    gap: Whole,
+    peak: UInt16s,
+    rival: UInt16s,
+    least: UInt16s,
+) -> None:
+    u = np.uint16
+    first, width = u(k - gap + 1), u(2 * gap - 1)
+    for x in range(here.size):
+        q, old, low = here[x], rival[x], least[x]
+        far = u(peak[x] - first) >= width
+        higher = far & (q >= before[x]) & (q >= after[x]) & (q > old)
+        rival[x] = q if higher else old
+        least[x] = q if q < low else low
+
+
+@lean_part
+def gather(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+    """z and log2 of focus at the peaks of row y, and on both sides of them."""
+    levels, bits, table = curves.levels, spots.bits, spots.table
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        k = np.int64(curves.peak[y, x])
+        near = min(how.reach, k, last - k)
+        spots.left[x] = _log2(levels[k - near, y, x], bits, table)
+        spots.top[x] = _log2(curves.best[y, x], bits, table)
+        spots.right[x] = _log2(levels[k + near, y, x], bits, table)
+        spots.floor[x] = _log2(spots.least[x], bits, table) if how.floored else _NO_FLOOR
+        spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
+
+
+@lean_part
+def gather_blended(curves: Curves, y: Whole, z_um: Float64s, how: Placing, spots: Spots) -> None:
+    """The same of curves averaged along z, [1 2 1] / 4, at the best of the averages near the peak.
+
+    Grains that shine like mirrors are sharp above and below their focus: their curves have two tops and a dip between,
+    where the surface is.
+    """
+    levels, bits, table, s = curves.levels, spots.bits, spots.table, how.blend
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        peak = np.int64(curves.peak[y, x])
+        k, top = peak, np.float32(-1.0)
+        for j in range(-_NEAR_TOPS, _NEAR_TOPS + 1):
+            at = min(max(peak + j * s, 0), last)
+            level = _blended(levels, at, y, x, s, bits, table)
+            k, top = (at, level) if level > top else (k, top)
+        near = min(how.reach, k, last - k)
+        spots.left[x] = _blended(levels, k - near, y, x, s, bits, table)
+        spots.top[x] = top
+        spots.right[x] = _blended(levels, k + near, y, x, s, bits, table)
+        spots.floor[x] = _log2(spots.least[x], bits, table) if how.floored else _NO_FLOOR
+        spots.below[x], spots.z[x], spots.above[x] = z_um[k - near], z_um[k], z_um[k + near]
+
+
+@inline_kernel
+def _blended(levels: UInt16s, k: Whole, y: Whole, x: Whole, s: Whole, bits: Whole, table: Float32s) -> Real:
+    last = levels.shape[0] - 1
+    before = _log2(levels[max(k - s, 0), y, x], bits, table)
+    after = _log2(levels[min(k + s, last), y, x], bits, table)
+    return np.float32(0.5) * _log2(levels[k, y, x], bits, table) + np.float32(0.25) * (before + after)
+
+
+@lean_part
+def _score(curves: Curves, y: Whole, gap: Whole, spots: Spots, out: Scores) -> None:
+    """How far the peaks of row y are above their rivals, their flanks and the lowest frame."""
+    levels, bits, table = curves.levels, spots.bits, spots.table
+    last = levels.shape[0] - 1
+    for x in range(spots.top.size):
+        k = np.int64(curves.peak[y, x])
+        sides = max(levels[max(0, k - gap), y, x], levels[min(last, k + gap), y, x])
+        out.lead[y, x] = spots.top[x] - _log2(spots.rival[x], bits, table)
+        out.contrast[y, x] = spots.top[x] - _log2(spots.least[x], bits, table)
+        out.fall[y, x] = spots.top[x] - _log2(sides, bits, table)
+
+
+@inline_kernel
+def _log2(level: Whole, bits: Whole, table: Float32s) -> Real:
+    q = np.int64(level)
+    return np.float32(q >> bits) + table[q & (table.size - 1)]

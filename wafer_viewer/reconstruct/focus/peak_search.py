@@ -1,0 +1,166 @@
+"""The search for peaks: a block of a field at a time with all its frames, so that its focus volume stays in cache."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.progress import Progress
+from wafer_viewer.reconstruct.focus.field_blocks import cores, source_of
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES, USUAL_CAMERA, Focusing
+from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
+from wafer_viewer.reconstruct.focus.peak import Curves, Peaks, describe
+from wafer_viewer.reconstruct.focus.peak_interpolation import PEAKS, Placing, Spots
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.preprocess.frames import Frames
+
+STRIPE_ROWS = 32
+"""A multiple of `COARSE_PX`; the focus volumes of two threads then fit the third cache of most processors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """How peaks are looked for: measure and estimator by name, and the window.
+
+    gap: frames from a peak to where another maximum is a rival; reach: frames from the peak to the two points that
+    place it, a half width of the focus curve, for neighbours on a finer sweep differ by noise alone; blend: how far
+    along z the curve is averaged before it is placed, no average where it is 0; floored: whether its lowest level is
+    the floor of noise. camera, lag: noise of the camera and high-pass along z, for the measures that ask for them.
+    """
+
+    measure: str
+    window: int
+    estimator: str
+    gap: int
+    reach: int = 1
+    blend: int = 0
+    floored: bool = False
+    camera: CameraNoise = USUAL_CAMERA
+    lag: int = 0
+
+    @property
+    def margin_px(self) -> int:
+        """How far it looks beyond a pixel."""
+        return FOCUS_MEASURES[self.measure].margin_px(self.window)
+
+    @property
+    def placing(self) -> Placing:
+        """What the kernels must know to place a peak."""
+        how = PEAKS[self.estimator]
+        blend = self.blend if how.blended else 0
+        return Placing(how.code, FOCUS_MEASURES[self.measure].power, self.gap, self.reach, blend, self.floored)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What one thread works with: a block for pixels that cannot be read where they lie, its curves, and rows."""
+
+    block: Image
+    curves: Curves
+    rows: Any
+    spots: Spots
+
+    @classmethod
+    def make(cls, n_frames: int, shape: tuple[int, int], search: Search, dtype: np.dtype[Any]) -> Bench:
+        """A bench for blocks of `shape` pixels; its block takes no memory until pixels are copied there."""
+        native, margin = np.dtype(dtype).newbyteorder("="), search.margin_px
+        block = np.empty((n_frames, shape[0] + 2 * margin, shape[1] + 2 * margin), native)
+        measure = FOCUS_MEASURES[search.measure]
+        rows = measure.make_rows(shape[1], search.window, native)
+        spots = Spots.make(shape[1], measure.table(native))
+        return cls(block, Curves.make(n_frames, shape), rows, spots)
+
+    def cut(self, n_rows: int) -> Bench:
+        """The same bench for a block of fewer rows: the last stripe of a field."""
+        levels, best, peak = self.curves
+        fewer = len(best) - n_rows
+        if not fewer:
+            return self
+        block = _fewer_rows(self.block, self.block.shape[1] - fewer)
+        return Bench(block, Curves(_fewer_rows(levels, n_rows), best[:n_rows], peak[:n_rows]), self.rows, self.spots)
+
+
+def search_field(frames: Frames, search: Search, threads: int | None = None, progress: Progress | None = None) -> Peaks:
+    """The peaks of a whole field, stripe by stripe, on some threads (all cores without a number).
+
+    progress is told the finished share, from the calling thread; what it raises ends the search.
+    """
+    peaks = Peaks.empty(frames.shape, frames.dtype, frames.n_frames)
+    parts = stripes(frames.shape[0])
+    threads = min(threads or cores(), len(parts))
+    benches: queue.SimpleQueue[Bench] = queue.SimpleQueue()
+    for _ in range(threads):
+        benches.put(Bench.make(frames.n_frames, (parts[0].stop, frames.shape[1]), search, frames.dtype))
+
+    def one(rows: slice) -> None:
+        bench = benches.get()
+        search_part(frames, rows, slice(0, frames.shape[1]), search, bench, peaks.rows(rows))
+        benches.put(bench)
+
+    for done, _ in enumerate(_each(one, parts, threads), 1):
+        if progress is not None:
+            progress(done / len(parts))
+    return peaks
+
+
+def search_part(frames: Frames, rows: slice, cols: slice, search: Search, bench: Bench, out: Peaks) -> None:
+    """The peaks of the pixels [rows, cols] of a field, into `out`."""
+    bench = bench.cut(rows.stop - rows.start)
+    source = source_of(frames, rows, cols, search.margin_px, bench.block)
+    search_block(source, frames.z_um, search, bench, out)
+
+
+def search_block(source: Source, z_um: NDArray[np.float64], search: Search, bench: Bench, out: Peaks) -> None:
+    """The peaks of the pixels of a source, into `out`."""
+    fill_volume(source, search, bench.rows, Volume(*bench.curves, out.clipped, out.coarse))
+    find_peaks(source, z_um, search, bench.curves, bench.spots, out)
+
+
+def fill_volume(source: Source, search: Search, rows: Any, volume: Volume) -> None:
+    """Measure the frames of a source; `rows` are those that the measure made to work in.
+
+    The coarse levels of a stripe lie apart in those of a field, and those of a small field do not: two types to the
+    kernels, which would be compiled for each. So they are written side by side and then copied.
+    """
+    focusing = Focusing(search.window, search.camera, search.lag)
+    coarse = np.empty(volume.coarse.shape, np.uint16)
+    FOCUS_MEASURES[search.measure].fill(source, focusing, rows, volume._replace(coarse=coarse))
+    volume.coarse[:] = coarse
+
+
+def find_peaks(
+    source: Source, z_um: NDArray[np.float64], search: Search, curves: Curves, spots: Spots, out: Peaks
+) -> None:
+    """The peaks of measured frames, into `out`."""
+    describe(curves, source, z_um, search.placing, spots, out.scores)
+    out.at_end[:] = (curves.peak == 0) | (curves.peak == len(z_um) - 1)
+
+
+def stripes(n_rows: int) -> list[slice]:
+    """The rows of a field in parts whose focus volumes fit in cache."""
+    return [slice(start, min(n_rows, start + STRIPE_ROWS)) for start in range(0, n_rows, STRIPE_ROWS)]
+
+
+def _fewer_rows(volume: NDArray[Any], n_rows: int) -> NDArray[Any]:
+    """The same memory as a volume [k, row, col] of fewer rows."""
+    n_frames, _, cols = volume.shape
+    return volume.reshape(-1)[: n_frames * n_rows * cols].reshape(n_frames, n_rows, cols)
+
+
+def _each(work: Callable[[slice], None], parts: list[slice], threads: int) -> Iterator[None]:
+    """Do the parts one after the other, or on a pool of threads: the kernels run without the interpreter's lock."""
+    if threads == 1:
+        yield from map(work, parts)
+        return
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from pool.map(work, parts)
+    finally:
+        pool.shutdown(cancel_futures=True)

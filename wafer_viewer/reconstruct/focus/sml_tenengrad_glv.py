@@ -1,0 +1,207 @@
+"""The focus measures of the paper, eq. 2, 3 and 4, written for one pass over the data.
+
+A row's energy goes into sums over the columns of the window (a ring of rows makes them exact: what entered is what
+leaves), those are added up along the row, and the logarithm of the sum is kept as 16 bits.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int64s, UInt16s, Whole, Wholes, aligned
+from wafer_viewer.numerics.filters.box_sums import AHEAD, box, pieces_of
+from wafer_viewer.numerics.jit import inlined_part, lean_kernel, lean_part
+from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume, count_clipped, empty, keep_row, take_grey
+
+SML, TENENGRAD, GLV = 0, 1, 2
+
+
+class Rows(NamedTuple):
+    """The rows that the kernels work in: small enough for the first caches, one set for each thread.
+
+    grey: four rows of the frame; half: the smooth and the slope of half a Sobel operator; ring: what entered the sums;
+    sums: of the energy, or of grey and of its square, over the window's rows, then over 3 and 9 neighbours, and a spare
+    row; total: over the window; value: the measure where it is no sum; pieces: see `pieces_of`.
+    """
+
+    grey: Greys
+    half: Wholes
+    ring: Wholes
+    sums: Wholes
+    total: Wholes
+    value: Float32s
+    pieces: Int64s
+
+    @classmethod
+    def make(cls, cols: int, window: int, dtype: np.dtype[Any]) -> Rows:
+        """Rows for blocks `cols` wide; int32 holds all sums of 8-bit grey up to a window of 25, int64 of 16-bit."""
+        short, whole = (np.int16, np.int32) if np.dtype(dtype).itemsize == 1 else (np.int32, np.int64)
+        wide = -(-(cols + window - 1) // AHEAD) * AHEAD
+        return cls(
+            grey=aligned((4, wide + AHEAD), dtype),
+            half=aligned((2, wide + AHEAD), short),
+            ring=aligned((window, wide), whole),
+            sums=aligned((2, 4, wide + AHEAD), whole),
+            total=aligned((2, cols), whole),
+            value=aligned((cols,), np.float32),
+            pieces=pieces_of(window),
+        )
+
+
+def paper_margin_px(window: int) -> int:
+    """How far a block must reach beyond the pixels it is for: half the window, and one pixel for the derivatives."""
+    return window // 2 + 1
+
+
+@lean_kernel
+def focus_block(source: Source, measure: Whole, window: Whole, rows: Rows, volume: Volume) -> None:
+    """The volume of a block of frames."""
+    empty(volume)
+    shift = np.int32(12 if source.images.itemsize == 1 else 13)
+    margin = window // 2 + 1
+    n_rows = volume.best.shape[0]
+    for k in range(volume.levels.shape[0]):
+        _begin(rows)
+        for r in range(n_rows + 2 * margin + 1):
+            _take_row(source, k, r, measure, window, rows)
+            here, y = r - margin - 2, r - 2 * margin - 1
+            if 0 <= here < n_rows:
+                count_clipped(rows.grey[(r + 2) % 4, margin:], source.clipped_counts, volume.clipped[here])
+            if y >= 0:
+                _add_up(measure, window, rows)
+                if measure == GLV:
+                    _as_levels(rows.value, shift, volume.levels[k, y])
+                else:
+                    _as_levels(rows.total[0], shift, volume.levels[k, y])
+                keep_row(volume, k, y)
+
+
+@lean_kernel
+def focus_values(source: Source, measure: Whole, window: Whole, rows: Rows, out: Float32s) -> None:
+    """The measure of the first frame of a source, in `out` [row, col]: for eq. 4 times the pixels of the window."""
+    margin = window // 2 + 1
+    _begin(rows)
+    for r in range(out.shape[0] + 2 * margin + 1):
+        _take_row(source, 0, r, measure, window, rows)
+        y = r - 2 * margin - 1
+        if y >= 0:
+            _add_up(measure, window, rows)
+            for x in range(out.shape[1]):
+                out[y, x] = rows.value[x] if measure == GLV else rows.total[0, x]
+
+
+@inlined_part
+def _begin(rows: Rows) -> None:
+    rows.ring[:] = 0
+    rows.sums[0, 0] = 0
+    rows.sums[1, 0] = 0
+
+
+@inlined_part
+def _take_row(source: Source, k: Whole, r: Whole, measure: Whole, window: Whole, rows: Rows) -> None:
+    """Read grey row r of a frame; let the energy of row r - 2 into the column sums, and the oldest row out.
+
+    The row that is read is not touched yet: a row that was only just written is slow to read at other alignments.
+    """
+    margin = window // 2 + 1
+    take_grey(source, k, r - margin, margin, rows.value.size, rows.grey[r % 4])
+    if r < 3:
+        return
+    above, here, below = rows.grey[(r + 1) % 4], rows.grey[(r + 2) % 4], rows.grey[(r + 3) % 4]
+    ring, columns = rows.ring[r % window], rows.sums[0, 0]
+    if measure == GLV:
+        _slide_grey(here, ring, columns, rows.sums[1, 0])
+    elif measure == SML:
+        _slide_sml(above, here, below, ring, columns)
+    else:
+        _halve_sobel(above, here, below, rows.half[0], rows.half[1])
+        _slide_tenengrad(rows.half[0], rows.half[1], ring, columns)
+
+
+# Numba widens the sum of two int32 to int64, which halves the lanes of a vector: every operation is cast back.
+
+
+@lean_part
+def _slide_sml(above: Greys, here: Greys, below: Greys, ring: Wholes, columns: Wholes) -> None:
+    """|Ixx|^2 + |Iyy|^2 of eq. 2."""
+    i = ring.dtype.type
+    for x in range(ring.size):
+        twice = i(i(here[x + 1]) + i(here[x + 1]))
+        xx = i(i(i(here[x]) + i(here[x + 2])) - twice)
+        yy = i(i(i(above[x + 1]) + i(below[x + 1])) - twice)
+        new = i(i(xx * xx) + i(yy * yy))
+        columns[x] = i(columns[x] + i(new - ring[x]))
+        ring[x] = new
+
+
+@lean_part
+def _halve_sobel(above: Greys, here: Greys, below: Greys, smooth: Wholes, slope: Wholes) -> None:
+    """The Sobel operator's pass down the columns."""
+    i = smooth.dtype.type
+    for x in range(smooth.size):
+        smooth[x] = i(i(i(above[x]) + i(below[x])) + i(i(here[x]) + i(here[x])))
+        slope[x] = i(i(below[x]) - i(above[x]))
+
+
+@lean_part
+def _slide_tenengrad(smooth: Wholes, slope: Wholes, ring: Wholes, columns: Wholes) -> None:
+    """Gx^2 + Gy^2 of eq. 3."""
+    i = ring.dtype.type
+    for x in range(ring.size):
+        gx = i(i(smooth[x + 2]) - i(smooth[x]))
+        gy = i(i(i(slope[x]) + i(slope[x + 2])) + i(i(slope[x + 1]) + i(slope[x + 1])))
+        new = i(i(gx * gx) + i(gy * gy))
+        columns[x] = i(columns[x] + i(new - ring[x]))
+        ring[x] = new
+
+
+@lean_part
+def _slide_grey(here: Greys, ring: Wholes, columns: Wholes, squares: Wholes) -> None:
+    """Sums of grey and of its square, by the difference d and the sum s of what enters and what leaves."""
+    i = ring.dtype.type
+    for x in range(ring.size):
+        new = i(here[x + 1])
+        d = i(new - ring[x])
+        s = i(new + ring[x])
+        columns[x] = i(columns[x] + d)
+        squares[x] = i(squares[x] + i(d * s))
+        ring[x] = new
+
+
+@inlined_part
+def _add_up(measure: Whole, window: Whole, rows: Rows) -> None:
+    """The measure of one row of pixels, in rows.total; that of eq. 4, times the window's pixels, in rows.value."""
+    for n in range(2 if measure == GLV else 1):
+        box(rows.sums[n], rows.pieces, rows.total[n])
+    if measure == GLV:
+        _deviations(rows.total[0], rows.total[1], window * window, rows.value)
+
+
+@lean_part
+def _deviations(total: Wholes, square_total: Wholes, n_pixels: Whole, value: Float32s) -> None:
+    """Sum of squared deviations from the mean: in whole numbers from a grey value near it, then what that is off."""
+    i = total.dtype.type
+    n = i(n_pixels)
+    per_pixel = np.float32(1 / n_pixels)
+    for x in range(value.size):
+        middle = i(np.float32(total[x]) * per_pixel)
+        rest = i(total[x] - i(n * middle))
+        about = i(square_total[x] - i(middle * i(total[x] + rest)))
+        off = np.float32(rest)
+        value[x] = np.float32(about) - off * off * per_pixel
+
+
+@lean_part
+def _as_levels(values: Wholes, shift: Whole, level: UInt16s) -> None:
+    """The log2 of a row, as 16 bits.
+
+    The bits of a float32 are its logarithm already, with a mantissa that is linear between powers of two: cut to 16
+    they are monotone, and a table makes them exact.
+    """
+    i = np.int32
+    bias = i(i(127 << 23) - i(1 << (shift - 1)))
+    for x in range(level.size):
+        q = i(i(np.float32(values[x]).view(i) - bias) >> shift)
+        level[x] = q if q > i(0) else i(0)

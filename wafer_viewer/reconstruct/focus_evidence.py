@@ -1,0 +1,112 @@
+"""Why a pixel has its height, or none: the reconstruction of a small part round it, opened up."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.focus_curve import FocusCurve, Rival, Verdict
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.auto_tuning import settle
+from wafer_viewer.reconstruct.field_pipeline import cleaned, settled_recipe
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.focus.peak_search import Bench, Search, search_field, search_part
+from wafer_viewer.reconstruct.preprocess.frames import Frames, prepare, read_block
+from wafer_viewer.reconstruct.validity import judge
+
+MOST_RIVALS = 3
+_LEFT_OUT_BY_CLEANING = {
+    Origin.OUTLIER: "Does it agree with its neighbours?",
+    Origin.STEP_EDGE: "Are the heights around it of one surface?",
+}
+REACH_PX = 80
+"""How much of the field round the pixel is reconstructed: further than any gate looks."""
+COARSE_PX = 4
+"""The coarse maps of the part lie on those of the field."""
+
+
+def focus_curve(stack: FieldStack, x_um: float, y_um: float, recipe: Recipe = Recipe()) -> FocusCurve:
+    """The focus curve of the pixel at stage (x_um, y_um), its peak, the rivals, and every gate's score and verdict.
+
+    recipe: best the one that the surface carries in its provenance; what is still `auto` is settled on the whole stack.
+    Raises ComputeError when the place lies outside of the field, and what `reconstruct` raises.
+    """
+    row, col = pixel_at(stack, x_um, y_um)
+    recipe = settled_recipe(stack, recipe) if recipe.heights_have_auto else recipe
+    rows, cols = _around(row), _around(col)
+    part, r, c = stack.part(rows, cols), row - rows.start, col - cols.start
+    frames = prepare(stack, recipe).part(rows, cols)
+    settled = settle(frames, recipe)
+    peaks = search_field(frames, settled.search, threads=1)
+    judged = judge(frames, settled, peaks, threads=1)
+    height = cleaned(part, frames, settled, judged)
+    curve, grey = curve_at(frames, settled.search, r, c)
+    peak = int(curve.argmax())
+    z_um, origin = float(height.z_raw_um[r, c]), Origin(int(height.origin[r, c]))
+    return FocusCurve(
+        field=stack.field.number,
+        row=row,
+        col=col,
+        x_um=stack.x0_um + col * stack.pixel_um,
+        y_um=stack.y0_um - row * stack.pixel_um,
+        focus_measure=recipe.focus_measure,
+        window=settled.search.window,
+        z_um=tuple(frames.z_um.tolist()),
+        focus=tuple(curve.tolist()),
+        grey=tuple(grey.tolist()),
+        peak_z_um=float(peaks.z_um[r, c]),
+        height_um=z_um if np.isfinite(z_um) else None,
+        origin=ORIGIN_TITLES[origin],
+        confidence=float(peaks.confidence[r, c]),
+        rivals=rivals_of(frames.z_um, curve, peak, settled.search.gap),
+        verdicts=(*judged.verdicts(r, c), *cleaning_verdicts(origin)),
+        simulated=stack.simulated,
+    )
+
+
+def curve_at(frames: Frames, search: Search, row: int, col: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The focus measure of a pixel in each frame, as a share of its largest value, and its grey."""
+    bench = Bench.make(frames.n_frames, (1, 1), search, frames.dtype)
+    search_part(frames, slice(row, row + 1), slice(col, col + 1), search, bench, Peaks.empty((1, 1), bench.block.dtype))
+    levels = bench.curves.levels[:, 0, 0].astype(np.int64)
+    bits, table = bench.spots.bits, bench.spots.table
+    log2 = (levels >> bits) + table[levels & (table.size - 1)]
+    grey = np.empty((frames.n_frames, 1, 1), frames.dtype)
+    read_block(frames, slice(row, row + 1), slice(col, col + 1), 0, grey)
+    return np.exp2(log2 - log2.max()), grey[:, 0, 0].astype(np.int64)
+
+
+def cleaning_verdicts(origin: Origin) -> tuple[Verdict, ...]:
+    """What the cleaning found out about a pixel that passed every gate."""
+    question = _LEFT_OUT_BY_CLEANING.get(origin)
+    if question is None:
+        return ()
+    gate = origin.name.lower()
+    return (Verdict(gate=gate, question=question, score=None, limit=None, unit="", passed=False),)
+
+
+def pixel_at(stack: FieldStack, x_um: float, y_um: float) -> tuple[int, int]:
+    """The row and column of the pixel of a stack nearest to a place. Raises ComputeError outside of the field."""
+    row, col = round((stack.y0_um - y_um) / stack.pixel_um), round((x_um - stack.x0_um) / stack.pixel_um)
+    if not (0 <= row < stack.images.shape[1] and 0 <= col < stack.images.shape[2]):
+        raise ComputeError(
+            f"({x_um:.1f}, {y_um:.1f}) um lies outside of field {stack.field.number}, which is centred on "
+            f"({stack.field.x_um:.1f}, {stack.field.y_um:.1f}) um: choose another field or place."
+        )
+    return row, col
+
+
+def rivals_of(z_um: NDArray[np.float64], focus: NDArray[np.float64], peak: int, gap: int) -> tuple[Rival, ...]:
+    """The other local maxima at least `gap` frames from the peak, the highest first."""
+    inner = np.r_[True, focus[1:] >= focus[:-1]] & np.r_[focus[:-1] >= focus[1:], True]
+    found = [k for k in np.flatnonzero(inner) if abs(k - peak) >= gap]
+    found.sort(key=lambda k: -focus[k])
+    return tuple(Rival(z_um=float(z_um[k]), share=float(focus[k] / focus[peak])) for k in found[:MOST_RIVALS])
+
+
+def _around(n: int) -> slice:
+    """The rows, or columns, round a pixel."""
+    return slice(max(0, n - REACH_PX) // COARSE_PX * COARSE_PX, n + REACH_PX + 1)

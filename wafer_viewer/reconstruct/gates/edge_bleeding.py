@@ -1,0 +1,241 @@
+"""The surroundings of walls, where light of a defocused bright side bleeds over a dark one and makes false heights.
+
+Walls are silhouettes that stand through many frames. Beside them a height is believed only where it agrees with the
+surface that its side shows further from the wall; and on the dark side the focus is measured once more along the wall,
+which does not see what bleeds across it, so that the rims of dies come out that were drowned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.numerics.filters.sliding_filters import blurred, lowest
+from wafer_viewer.reconstruct.focus.field_blocks import on_threads, read_part, row_parts, source_of_rows
+from wafer_viewer.reconstruct.focus.focus_volume import COARSE_PX
+from wafer_viewer.reconstruct.focus.log_laplacian import Stabiliser
+from wafer_viewer.reconstruct.focus.peak import Peaks
+from wafer_viewer.reconstruct.gates.edge_sides import Band, Side, Sides, find_band, outline_grey, tell_sides
+from wafer_viewer.reconstruct.gates.edge_silhouettes import DARK_SHARE_OF_WHITE, silhouette_of
+from wafer_viewer.reconstruct.gates.side_heights import side_heights_um
+from wafer_viewer.reconstruct.gates.tangential_focus import (
+    Near,
+    Tile,
+    Wall,
+    peaks_near,
+    tangential_levels,
+    tangential_margin_px,
+)
+from wafer_viewer.reconstruct.preprocess.camera_noise import CameraNoise
+from wafer_viewer.reconstruct.preprocess.frames import Frames
+
+AGREEING_STEPS = 1.25
+"""Heights within so many steps of the resolution are of the same surface."""
+
+_TILE_PX = 96
+_WALL_SIGMA = 3.0
+_BORDER = 3
+"""At the border of the band what is not known begins."""
+_NOISE_SIDE_PX = 320
+_PERCENTILE = 99.0
+_SEED = 20240301
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """What is known about the pixels beside walls, all arrays [row, col].
+
+    side: codes of `Side`; expected_um: the height that the pixel's side shows further from the wall, NaN where none is
+    near; z_um: where the focus along the wall peaks near that height, NaN where it does not or was not looked for;
+    fall: how far it falls from there, in powers of two, min_fall what noise reaches once in a hundred pixels;
+    tolerance_um: how far from the expected height a height may be.
+    """
+
+    side: NDArray[np.uint8]
+    expected_um: NDArray[np.float32]
+    z_um: NDArray[np.float32]
+    fall: NDArray[np.float32]
+    min_fall: float
+    tolerance_um: float
+
+    def agrees(self, z_um: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether heights are those that their sides show further from the wall."""
+        return np.abs(z_um - self.expected_um) < self.tolerance_um
+
+    @property
+    def along(self) -> NDArray[np.bool_]:
+        """Where the focus along the wall gives a height to be believed."""
+        return (self.side == Side.DARK) & (self.fall > self.min_fall) & self.agrees(self.z_um)
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSearch:
+    """How edges are treated: the mode of the recipe, window and gap of the search, the camera, and the resolution."""
+
+    mode: Literal["band", "rims"]
+    window: int
+    gap: int
+    camera: CameraNoise
+    resolution_um: float
+
+    @property
+    def tolerance_um(self) -> float:
+        """How far apart two heights of the same surface may be."""
+        return AGREEING_STEPS * self.resolution_um
+
+
+def find_edges(
+    frames: Frames, how: EdgeSearch, peaks: Peaks, origin: NDArray[np.uint8], threads: int | None = None
+) -> Edges | None:
+    """The edges of a field, None where there are no walls. threads: all cores when left out."""
+    band = find_band(silhouette_of(frames, threads), how.gap)
+    if band is None:
+        return None
+    dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
+    sides = tell_sides(_outline_grey(frames, band, threads), band, dark_counts)
+    passed = origin == Origin.MEASURED
+    dark_um, bright_um = side_heights_um(
+        peaks.z_um, passed, peaks.all_in_focus, band, sides, dark_counts, how.tolerance_um
+    )
+    expected_um = _expected(sides.side, dark_um, bright_um)
+    z_um, fall = np.full(frames.shape, np.nan, np.float32), np.zeros(frames.shape, np.float32)
+    near = near_of(how, frames)
+    if how.mode == "rims":
+        wanted = np.where((sides.side == Side.DARK) & (origin != Origin.CLIPPED), expected_um, np.float32(np.nan))
+        _search_along(frames, how, near, wanted, _wall_of(band, sides), z_um, fall, threads)
+    return Edges(sides.side, expected_um, z_um, fall, noise_fall(near), how.tolerance_um)
+
+
+def near_of(how: EdgeSearch, frames: Frames) -> Near:
+    """Peaks are looked for a frame beyond what may be accepted, and fall over the frames to a rival."""
+    return Near(how.window, int(np.ceil(how.tolerance_um / frames.step_um)) + 1, how.gap)
+
+
+def judge_edges(
+    z_um: NDArray[np.float32], origin: NDArray[np.uint8], edges: Edges
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """The heights and origins of a field with what is known of its edges.
+
+    Beside a wall a measured height stays where it agrees with its side, and else is bleeding; where the focus along
+    the wall gives a height it is taken, whatever the gate said.
+    """
+    along = edges.along
+    beside = edges.side != Side.AWAY
+    agrees = edges.agrees(z_um) & (edges.side != Side.OUTLINE)
+    bleeding = beside & (origin == Origin.MEASURED) & ~agrees
+    origin = np.where(bleeding, np.uint8(Origin.BLEEDING_EDGE), origin)
+    return np.where(along, edges.z_um, z_um), np.where(along, np.uint8(Origin.MEASURED), origin)
+
+
+def warm_up(frames: Frames, window: int) -> None:
+    """Compile the kernels, or load what an earlier run compiled, on a few small frames."""
+    silhouette_of(frames, threads=1)
+    half = tuple(-(-n // 2) for n in frames.shape)
+    band = Band(np.ones(half, np.bool_), np.zeros(half, np.uint16), np.ones(half, np.float32))
+    _outline_grey(frames, band, threads=1)
+    shape = frames.shape
+    expected, wall = np.zeros(shape, np.float32), Wall(*(np.ones(half, np.float32) for _ in range(3)))
+    how = EdgeSearch("rims", window, 1, CameraNoise(0.5, 80.0), 1.0)
+    _search_along(frames, how, Near(window, 1, 1), expected, wall, np.empty(shape, np.float32), expected.copy(), 1)
+
+
+@lru_cache(maxsize=32)
+def noise_fall(near: Near) -> float:
+    """The fall that 99 % of the pixels of pure noise stay under, wherever the peak is expected."""
+    n_frames, margin = 2 * near.frames + 1, tangential_margin_px(near.window)
+    side = _NOISE_SIDE_PX + 2 * margin
+    noise = np.random.default_rng(_SEED).standard_normal((n_frames, side, side), dtype=np.float32)
+    camera = CameraNoise(0.5, 80.0)
+    grey = np.clip(noise * np.float32(camera.variance_counts2(128.0) ** 0.5) + np.float32(128.5), 0, 255)
+    shape = _NOISE_SIDE_PX, _NOISE_SIDE_PX
+    tile = Tile.make(n_frames, shape, near.window)
+    turned = np.full((side - 6, side - 6), np.sqrt(0.5), np.float32)
+    tangential_levels(grey.astype(np.uint8), near.window, Stabiliser.of(camera), Wall.along(turned, turned), tile)
+    height, fall = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    expected = np.full(shape, near.frames, np.float32)
+    peaks_near(tile.levels, 0, np.arange(n_frames, dtype=np.float64), expected, near.reach, near.gap, height, fall)
+    return float(np.percentile(fall, _PERCENTILE))
+
+
+def _expected(
+    side: NDArray[np.uint8], dark_um: NDArray[np.float32], bright_um: NDArray[np.float32]
+) -> NDArray[np.float32]:
+    """The heights of the cells at the pixels of their side."""
+    rows, cols = (np.arange(n) // COARSE_PX for n in side.shape)
+    dark, bright = (cells[rows[:, None], cols] for cells in (dark_um, bright_um))
+    return np.where(side == Side.DARK, dark, np.where(side == Side.BRIGHT, bright, np.float32(np.nan)))
+
+
+def _wall_of(band: Band, sides: Sides) -> Wall:
+    """The direction along the nearest wall, at half resolution, from where dark and bright meet."""
+    known = lowest(band.inside, 2 * _BORDER + 1)
+    down, right = (np.where(known, slope, np.float32(0)) for slope in np.gradient(blurred(sides.bright_share, 1.0)))
+    xx, xy, yy = (blurred(product, _WALL_SIGMA) for product in (right * right, right * down, down * down))
+    across = np.float32(0.5) * np.arctan2(2 * xy, xx - yy)
+    return Wall.along(np.cos(across), -np.sin(across))
+
+
+def _search_along(
+    frames: Frames,
+    how: EdgeSearch,
+    near: Near,
+    wanted_um: NDArray[np.float32],
+    wall: Wall,
+    z_um: NDArray[np.float32],
+    fall: NDArray[np.float32],
+    threads: int | None,
+) -> None:
+    """The peaks of the focus along the wall near the wanted heights, tile by tile."""
+    expected = np.interp(wanted_um, frames.z_um, np.arange(frames.n_frames)).astype(np.float32)
+    stabiliser, margin = Stabiliser.of(how.camera), tangential_margin_px(how.window)
+
+    def one(at: tuple[slice, slice]) -> None:
+        part, (rows, cols) = np.ascontiguousarray(expected[at]), at  # views would be compiled for once more
+        first = max(0, int(np.nanmin(part)) - near.frames)
+        stop = min(frames.n_frames, int(np.nanmax(part)) + 2 + near.frames)
+        tile = Tile.make(stop - first, part.shape, how.window)
+        block = read_part(frames, slice(first, stop), rows, cols, margin)
+        tangential_levels(block, how.window, stabiliser, _around(wall, rows, cols, margin - 3), tile)
+        found_um, found_fall = np.empty(part.shape, np.float32), np.empty(part.shape, np.float32)
+        peaks_near(tile.levels, first, frames.z_um, part, near.reach, near.gap, found_um, found_fall)
+        z_um[at], fall[at] = found_um, found_fall
+
+    on_threads(one, _tiles(np.isfinite(wanted_um)), threads)
+
+
+def _around(wall: Wall, rows: slice, cols: slice, margin: int) -> Wall:
+    """The wall's directions at full resolution for a tile and a margin around it."""
+    limits = wall.xx.shape
+    at = [
+        np.clip(np.arange(part.start - margin, part.stop + margin) // 2, 0, n - 1)
+        for part, n in zip((rows, cols), limits, strict=True)
+    ]
+    return Wall(*(plane[at[0][:, None], at[1]] for plane in wall))
+
+
+def _tiles(wanted: NDArray[np.bool_]) -> Iterator[tuple[slice, slice]]:
+    """Tiles as small as hold the wanted pixels of a grid of squares."""
+    n_rows, n_cols = wanted.shape
+    for top in range(0, n_rows, _TILE_PX):
+        for left in range(0, n_cols, _TILE_PX):
+            here = wanted[top : top + _TILE_PX, left : left + _TILE_PX]
+            rows, cols = np.flatnonzero(here.any(axis=1)), np.flatnonzero(here.any(axis=0))
+            if rows.size:
+                yield slice(top + rows[0], top + rows[-1] + 1), slice(left + cols[0], left + cols[-1] + 1)
+
+
+def _outline_grey(frames: Frames, band: Band, threads: int | None) -> NDArray[np.float32]:
+    """The grey from which sides are told."""
+    grey = np.zeros(frames.shape, np.float32)
+
+    def one(rows: slice) -> None:
+        outline_grey(source_of_rows(frames, rows, 1), rows.start, band.inside, band.frame, grey[rows])
+
+    on_threads(one, row_parts(frames.shape[0], _TILE_PX), threads)
+    return grey

@@ -1,0 +1,178 @@
+"""Where bright and dark meet, at every focus: the silhouettes beside which light bleeds over what is dark.
+
+With b = ln(mean of 6 x 6 pixels + some dark grey), D is the most that b changes over 6 pixels along a row or a column.
+A pattern in one plane has such a contrast within the depth of focus about that plane, and no longer; the outline of a
+die beside a bright trench has it in all frames from the foot of its wall to the top. So a silhouette that stands
+through many frames is a wall, and is known before any depth is. At half the resolution: pixel (i, j) of a map stands
+for the 2 x 2 pixels from (2 i, 2 j).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wafer_viewer.numerics.array_types import Float32s, Greys, Int32s, Real, UInt16s, Whole
+from wafer_viewer.numerics.fast_log2 import quick_log2
+from wafer_viewer.numerics.jit import lean_kernel, lean_part
+from wafer_viewer.reconstruct.focus.field_blocks import on_threads, row_parts, source_of_rows
+from wafer_viewer.reconstruct.focus.focus_volume import Source, take_grey
+from wafer_viewer.reconstruct.preprocess.frames import Frames
+
+SILHOUETTE_MARGIN_PX = 6
+"""How far the map looks beyond the pixels it is for."""
+
+DARK_SHARE_OF_WHITE = 6 / 255
+"""What is added to the grey, as a share of white: below it differences are noise."""
+
+STANDING_CONTRAST = 0.47
+"""The least D of a silhouette: bright is 1.6 times dark."""
+
+_STRIPE_ROWS = 64
+_REACH = 2
+_PIXELS = 36
+_LN_2 = np.float32(math.log(2))
+
+
+class SilhouetteRows(NamedTuple):
+    """The half-resolution rows that the kernel works in, one set for each thread."""
+
+    grey: Greys
+    pairs: Int32s
+    bins: Int32s
+    columns: Int32s
+    log: Float32s
+    change: Float32s
+
+    @classmethod
+    def make(cls, cols: int, dtype: np.dtype[Any]) -> SilhouetteRows:
+        """Rows for blocks `cols` wide."""
+        half = half_size(cols) + 2 * _REACH
+        return cls(
+            grey=np.zeros((2, 2 * half + 4), dtype),
+            pairs=np.zeros(2 * half + 4, np.int32),
+            bins=np.zeros((3, half + 2), np.int32),
+            columns=np.zeros(half + 2, np.int32),
+            log=np.zeros((5, half), np.float32),
+            change=np.zeros(half_size(cols), np.float32),
+        )
+
+
+class Silhouette(NamedTuple):
+    """The silhouettes of a field or of a part of it, all [row / 2, col / 2].
+
+    contrast: the greatest D of any frame, natural logarithm; frame: which frame that is; standing: in how many frames
+    D is at least that of a silhouette.
+    """
+
+    contrast: Float32s
+    frame: UInt16s
+    standing: UInt16s
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Silhouette:
+        """No silhouettes in a field of `shape` pixels."""
+        half = half_size(shape[0]), half_size(shape[1])
+        return cls(np.zeros(half, np.float32), np.zeros(half, np.uint16), np.zeros(half, np.uint16))
+
+    def rows(self, part: slice) -> Silhouette:
+        """The part that stands for some rows of the field, as views; the first of them must be even."""
+        half = slice(part.start // 2, half_size(part.stop))
+        return Silhouette(self.contrast[half], self.frame[half], self.standing[half])
+
+
+def half_size(pixels: int) -> int:
+    """Pixels of the silhouette map for a number of rows or columns."""
+    return (pixels + 1) // 2
+
+
+def silhouette_of(frames: Frames, threads: int | None = None) -> Silhouette:
+    """The silhouettes of a whole field; threads: all cores when left out."""
+    found = Silhouette.empty(frames.shape)
+    dark_counts = DARK_SHARE_OF_WHITE * frames.clipped_counts
+
+    def one(rows: slice) -> None:
+        source = source_of_rows(frames, rows, SILHOUETTE_MARGIN_PX)
+        silhouette_block(
+            source, 0, 1, dark_counts, SilhouetteRows.make(frames.shape[1], frames.dtype), found.rows(rows)
+        )
+
+    on_threads(one, row_parts(frames.shape[0], _STRIPE_ROWS), threads)
+    return found
+
+
+@lean_kernel
+def silhouette_block(
+    source: Source, first: Whole, every: Whole, dark_counts: Real, rows: SilhouetteRows, out: Silhouette
+) -> None:
+    """Note the silhouettes of a block, in an `out` that is empty to begin with; every: 1 for all frames, 2 for half.
+
+    first: which frame of the stack is the first of the source. Frames that follow may be noted by a later call.
+
+    The block must begin at an even row and column of the field, so that the maps of blocks fit together.
+    """
+    margin, cols = SILHOUETTE_MARGIN_PX, 2 * out.contrast.shape[1]
+    for k in range(0, source.slots.size, every):
+        for r in range(out.contrast.shape[0] + margin):
+            for n in range(2):
+                take_grey(source, k, 2 * r - margin + n, margin, cols, rows.grey[n])
+            _bin(rows.grey[0], rows.grey[1], rows.pairs, rows.bins[r % 3])
+            if r >= 2:
+                _log_row(rows.bins, np.float32(dark_counts), rows.columns, rows.log[r % 5])
+            if r >= 6:
+                y = r - 6
+                _contrast_row(rows.log, r, rows.change)
+                _note(rows.change, first + k, every, out.contrast[y], out.frame[y], out.standing[y])
+
+
+@lean_part
+def _bin(upper: Greys, lower: Greys, pairs: Int32s, bins: Int32s) -> None:
+    """The sums of 2 x 2 pixels of two rows."""
+    i = np.int32
+    for x in range(pairs.size):
+        pairs[x] = i(i(upper[x]) + i(lower[x]))
+    for x in range(bins.size):
+        bins[x] = i(pairs[2 * x] + pairs[2 * x + 1])
+
+
+@lean_part
+def _log_row(bins: Int32s, dark_counts: Real, columns: Int32s, log: Float32s) -> None:
+    """ln(mean of 6 x 6 pixels + dark)."""
+    i = np.int32
+    above, here, below = bins[0], bins[1], bins[2]
+    for x in range(columns.size):
+        columns[x] = i(i(above[x] + here[x]) + below[x])
+    part, one, two = np.float32(1 / _PIXELS), columns[1:], columns[2:]
+    for x in range(log.size):
+        total = i(i(columns[x] + one[x]) + two[x])
+        log[x] = _LN_2 * quick_log2(np.float32(total) * part + dark_counts)
+
+
+@lean_part
+def _contrast_row(log: Float32s, r: Whole, change: Float32s) -> None:
+    """The most that the logarithm changes over three half-resolution pixels astride of one, along x and y."""
+    a, b, here, c, d = (
+        log[(r - 4) % 5, 2:],
+        log[(r - 3) % 5, 2:],
+        log[(r - 2) % 5],
+        log[(r - 1) % 5, 2:],
+        log[r % 5, 2:],
+    )
+    left_2, left, right, right_2 = here, here[1:], here[3:], here[4:]
+    for x in range(change.size):
+        along = max(abs(right_2[x] - left[x]), abs(right[x] - left_2[x]))
+        down = max(abs(d[x] - b[x]), abs(c[x] - a[x]))
+        change[x] = max(along, down)
+
+
+@lean_part
+def _note(change: Float32s, k: Whole, every: Whole, contrast: Float32s, frame: UInt16s, standing: UInt16s) -> None:
+    u, least = np.uint16, np.float32(STANDING_CONTRAST)
+    here, step = u(k), u(every)
+    for x in range(change.size):
+        d, most, at = change[x], contrast[x], frame[x]
+        contrast[x] = d if d > most else most
+        frame[x] = here if d > most else at
+        standing[x] = u(standing[x] + (step if d >= least else u(0)))

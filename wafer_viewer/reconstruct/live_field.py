@@ -1,0 +1,123 @@
+"""A field while its frames are still coming: they are measured as they come, so that little is left after the last.
+
+The focus volume of the whole field is kept, 2 bytes a pixel and frame. The map is the same, bit for bit, as the one
+that `reconstruct` makes of the finished stack.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.reconstruct.auto_tuning import search_of, settle
+from wafer_viewer.reconstruct.field_pipeline import surface_of
+from wafer_viewer.reconstruct.focus.focus_measures import FOCUS_MEASURES
+from wafer_viewer.reconstruct.focus.focus_volume import Source, Volume
+from wafer_viewer.reconstruct.focus.peak import Curves, Peaks
+from wafer_viewer.reconstruct.focus.peak_interpolation import Spots
+from wafer_viewer.reconstruct.focus.peak_search import Search, fill_volume, find_peaks, search_field, stripes
+from wafer_viewer.reconstruct.preprocess.frames import Frames, clipped_from, prepare
+
+WHITE_COUNTS = 255
+
+
+class LiveField:
+    """The frames of one field, taken in as they come, from below or from above.
+
+    images: the pages of the field, uint8 [k, row, col], memory-mapped while they are written, z rising with k; a page
+    is read when `take` names it. recipe: settled, for nothing can be found out from frames that are still to come.
+
+    Raises ComputeError for a recipe with `auto`, and for images of another kind.
+    """
+
+    def __init__(self, images: Image, z_step_um: float, recipe: Recipe) -> None:
+        if recipe.heights_have_auto:
+            raise ComputeError("A live field needs a settled recipe: this one leaves choices to data yet to come.")
+        if images.dtype != np.uint8 or not images.flags.c_contiguous:
+            raise ComputeError(f"A live field needs whole pages of 8-bit grey, not {images.dtype}: wait for its stack.")
+        self._images, self._recipe = images, recipe
+        self._search = search_of(recipe, len(images), z_step_um)
+        self._peaks = Peaks.empty(images.shape[1:], images.dtype, len(images))
+        self._peaks.clipped[:] = 0
+        cols = images.shape[2]
+        self._stripes = [(rows, Curves.make(len(images), (_length(rows), cols))) for rows in stripes(images.shape[1])]
+        for _, curves in self._stripes:
+            curves.best[:] = 0
+            curves.peak[:] = 0
+        stripe = _length(self._stripes[0][0]), cols
+        self._best, self._peak, self._clipped = (np.empty(stripe, np.uint16) for _ in range(3))
+        measure = FOCUS_MEASURES[self._search.measure]
+        self._rows = measure.make_rows(cols, self._search.window, images.dtype)
+        self._spots = Spots.make(cols, measure.table(images.dtype))
+        self._came = np.zeros(len(images), np.bool_)
+
+    @property
+    def came(self) -> NDArray[np.bool_]:
+        """Which pages were taken in, bool [k]."""
+        return self._came.copy()
+
+    def take_new(self, there: NDArray[np.bool_]) -> None:
+        """Measure those of the pages that are there, bool [k], and were not taken in yet."""
+        new = np.flatnonzero(there & ~self._came)
+        for run in np.split(new, np.flatnonzero(np.diff(new) > 1) + 1):
+            if run.size:
+                self.take(int(run[0]), int(run[-1]) + 1)
+
+    def take(self, first: int, stop: int) -> None:
+        """Measure the pages first ... stop - 1, which are written by now; each page once."""
+        if self._came[first:stop].any():
+            raise ComputeError(f"Some of the pages {first} to {stop - 1} were added already: give each page once.")
+        slots = np.arange(first, stop)
+        for rows, curves in self._stripes:
+            source, out, n = self._source(rows, slots), self._peaks.rows(rows), _length(rows)
+            levels, coarse = curves.levels[first:stop], out.coarse[first:stop]
+            volume = Volume(levels, self._best[:n], self._peak[:n], self._clipped[:n], coarse)
+            fill_volume(source, self._search, self._rows, volume)
+            out.clipped[:] += volume.clipped
+            _keep_better(curves, volume.best, volume.peak + np.uint16(first))
+        self._came[first:stop] = True
+
+    def surface(self, stack: FieldStack) -> HeightMap:
+        """The height map, once all frames are there; stack: the same pages with their z.
+
+        Where the pixels need to be put right after all, or frames are missing, everything is measured anew.
+        """
+        frames = prepare(stack, self._recipe)
+        settled = settle(frames, self._recipe)
+        known = self._came.all() and _as_expected(frames, settled.search, self._search)
+        peaks = self._found(frames, settled.search) if known else search_field(frames, settled.search, threads=1)
+        return surface_of(stack, frames, settled, peaks)
+
+    def _found(self, frames: Frames, search: Search) -> Peaks:
+        slots = np.arange(len(self._images))
+        for rows, curves in self._stripes:
+            find_peaks(self._source(rows, slots), frames.z_um, search, curves, self._spots, self._peaks.rows(rows))
+        return self._peaks
+
+    def _source(self, rows: slice, slots: NDArray[np.int64]) -> Source:
+        return Source.of(self._images, slots, rows.start, 0, clipped_from(WHITE_COUNTS))
+
+
+def _keep_better(curves: Curves, best: NDArray[np.uint16], peak: NDArray[np.uint16]) -> None:
+    """Of two frames that are equally sharp the lower one is the peak, in whatever order they came."""
+    better = (best > curves.best) | ((best == curves.best) & (peak < curves.peak))
+    np.copyto(curves.best, best, where=better)
+    np.copyto(curves.peak, peak, where=better)
+
+
+def _as_expected(frames: Frames, search: Search, expected: Search) -> bool:
+    """Whether frames are read as they lie, all of them, by the measure that was expected."""
+    whole = frames.as_stored and np.array_equal(frames.slots, np.arange(len(frames.images)))
+    return whole and (search.measure, search.window, search.camera) == (
+        expected.measure,
+        expected.window,
+        expected.camera,
+    )
+
+
+def _length(part: slice) -> int:
+    return part.stop - part.start

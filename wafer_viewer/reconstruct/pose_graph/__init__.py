@@ -1,0 +1,1 @@
+"""The poses of all fields, solved from their overlaps."""

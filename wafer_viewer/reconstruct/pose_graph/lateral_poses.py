@@ -1,0 +1,199 @@
+"""Where fields lie in the plane: all overlaps at once, with the stage as prior."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.field_poses import Doubt, Numbers, Shifts
+from wafer_viewer.reconstruct.pose_graph.bridge_arbitration import verdicts
+from wafer_viewer.reconstruct.pose_graph.camera_rotation_scale import LEAST_OVERLAPS, SIGMA, Camera, shared_by_all
+from wafer_viewer.reconstruct.pose_graph.graph_components import groups
+from wafer_viewer.reconstruct.pose_graph.pose_covariance import shared_uncertainties, standard_uncertainties
+from wafer_viewer.reconstruct.pose_graph.pose_graph import Flags, Network, Ties
+from wafer_viewer.reconstruct.pose_graph.robust_solver import REJECTED, Settled, settle
+
+_FLOOR_PX = 0.02
+"""Registration is never better than this: two pictures of one spot differ by more than noise."""
+
+_USUAL_ERROR_PX = 6.0
+"""Of the stage, until overlaps tell."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Positions:
+    """Field centres in the camera's axes, [n], and how they came about.
+
+    u_x_um, u_y_um: standard uncertainties against the stage's coordinates (neighbours err together: the distance
+    between them is known much better); group: fields joined by believed overlaps have one number; shifts: with weights,
+    residuals and what was rejected; stage_error_um: standard deviation of the stage along an axis.
+    """
+
+    x_um: Numbers
+    y_um: Numbers
+    u_x_um: Numbers
+    u_y_um: Numbers
+    group: NDArray[np.int32]
+    shifts: Shifts
+    stage_error_um: float
+    camera: Camera
+    notes: tuple[str, ...] = ()
+
+
+def solve_positions(
+    stage_x_um: Numbers,
+    stage_y_um: Numbers,
+    shifts: Shifts,
+    pixel_um: float,
+    *,
+    stage_error_um: float | Literal["auto"] = "auto",
+    fixed: Flags | None = None,
+    start: tuple[Numbers, Numbers] | None = None,
+    camera: Camera | None = None,
+) -> Positions:
+    """The most probable places of fields [n], from the stage's word and the shifts of their overlaps.
+
+    Pictures are laid on a lattice along the camera's axes, so places are given in these: where the camera is turned
+    against the stage, or its pixels are not as large as is said, the surface is turned and scaled about the middle of
+    the fields, and only there its coordinates are those of the stage; `Positions.camera` says how to get from one to
+    the other. Turn and scale are applied, and noted, only where they are certain and matter.
+
+    stage_error_um: standard deviation along an axis; ``auto`` finds it. fixed: bool [n], fields that stay where `start`
+    (x, y) has them. camera: as found before, kept.
+    Raises ComputeError when the overlaps contradict the pixel size.
+    """
+    fixed = np.zeros(len(stage_x_um), np.bool_) if fixed is None else fixed
+    task = _Task(stage_x_um, stage_y_um, shifts, pixel_um, stage_error_um, fixed, start)
+    if camera is not None:
+        return task.positions(*task.settled(camera), camera, camera)
+    unturned = task.unturned()
+    network, at = task.settled(unturned, (SIGMA, SIGMA))
+    found = _found(unturned, at)
+    notes = found.notes(task.neighbours_um, pixel_um) if np.sum(at.weight >= REJECTED) >= LEAST_OVERLAPS else ()
+    if not notes:
+        network, at = task.settled(unturned, like=at)
+        found = dataclasses.replace(found, turn=0.0, scale=0.0)
+    return dataclasses.replace(task.positions(network, at, unturned, found), notes=notes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """The arguments of `solve_positions`, and what it does with them."""
+
+    stage_x_um: Numbers
+    stage_y_um: Numbers
+    shifts: Shifts
+    pixel_um: float
+    stage_error_um: float | Literal["auto"]
+    fixed: Flags
+    start: tuple[Numbers, Numbers] | None
+
+    def unturned(self) -> Camera:
+        """A camera along the stage's axes, about the middle of what is fixed, or else of all fields."""
+        those = self.fixed if np.any(self.fixed) else np.ones_like(self.fixed)
+        middle = (float(np.mean(a[those])) if len(a) else 0.0 for a in (self.stage_x_um, self.stage_y_um))
+        return Camera(0.0, np.inf, 0.0, np.inf, *middle)
+
+    @property
+    def usable(self) -> Flags:
+        """Overlaps that say something and are not doubted by themselves."""
+        own_doubt = ~np.isin(self.shifts.doubt, (Doubt.NONE, Doubt.DISAGREES))
+        return ~own_doubt & (np.isfinite(self.shifts.u_x_um) | np.isfinite(self.shifts.u_y_um))
+
+    @property
+    def neighbours_um(self) -> float:
+        """How far apart fields are that overlap, as a rule."""
+        i, j = self.shifts.first[self.usable], self.shifts.second[self.usable]
+        apart = np.hypot(self.stage_x_um[j] - self.stage_x_um[i], self.stage_y_um[j] - self.stage_y_um[i])
+        return float(np.median(apart)) if len(apart) else 0.0
+
+    def settled(
+        self, camera: Camera, shared_sigma: tuple[float, ...] = (), like: Settled | None = None
+    ) -> tuple[Network, Settled]:
+        """Displacements from where the stage says fields are, as the camera sees it."""
+        x_um, y_um = camera.from_stage(self.stage_x_um, self.stage_y_um)
+        values = np.zeros((len(x_um), 2))
+        if self.start is not None:
+            begun = np.column_stack((self.start[0] - x_um, self.start[1] - y_um))
+            values[self.fixed] = begun[self.fixed]
+        return settle(self._network(camera, x_um, y_um, np.array(shared_sigma)), values, _decide, like)
+
+    def _network(self, camera: Camera, x_um: Numbers, y_um: Numbers, shared_sigma: Numbers) -> Network:
+        first, second, m = self.shifts.first, self.shifts.second, len(shared_sigma)
+        ones = np.broadcast_to(np.eye(2), (len(first), 2, 2))
+        error_um = _USUAL_ERROR_PX * self.pixel_um if self.stage_error_um == "auto" else self.stage_error_um
+        return Network(
+            x_um=x_um,
+            y_um=y_um,
+            first=first,
+            second=second,
+            at_first=ones,
+            at_second=ones,
+            at_shared=np.zeros((len(first), 2, m)),
+            measured=self._measured(x_um, y_um),
+            information=self._information(),
+            prior_sigma=np.full(2, error_um),
+            prior_shared=shared_by_all(*camera.arms(self.stage_x_um, self.stage_y_um))[:, :, :m],
+            shared_sigma=shared_sigma,
+            ties=Ties.of(first, second, ~self.fixed),
+            prior_guess=np.full(2, error_um),
+            auto=((0, 1),) if self.stage_error_um == "auto" else (),
+        )
+
+    def _measured(self, x_um: Numbers, y_um: Numbers) -> Numbers:
+        """[e, 2] how much further the second lies from the first than the camera would have it from the stage."""
+        i, j = self.shifts.first, self.shifts.second
+        off_x, off_y = self.stage_x_um - x_um, self.stage_y_um - y_um
+        shifts = (self.shifts.x_um + off_x[j] - off_x[i], self.shifts.y_um + off_y[j] - off_y[i])
+        return np.nan_to_num(np.column_stack(shifts), posinf=0.0, neginf=0.0)
+
+    def _information(self) -> Numbers:
+        u = np.column_stack((self.shifts.u_x_um, self.shifts.u_y_um))
+        told = self.usable[:, None] & np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um)))
+        precision = np.where(told, 1 / (u**2 + (_FLOOR_PX * self.pixel_um) ** 2), 0.0)
+        return precision[:, :, None] * np.eye(2)
+
+    def positions(self, network: Network, at: Settled, known: Camera, found: Camera) -> Positions:
+        """Places and what belongs to them, of displacements against a known camera."""
+        x_um, y_um = (
+            a + moved for a, moved in zip(known.from_stage(self.stage_x_um, self.stage_y_um), at.values.T, strict=True)
+        )
+        if self.start is not None:
+            x_um, y_um = np.where(self.fixed, self.start[0], x_um), np.where(self.fixed, self.start[1], y_um)
+        u = standard_uncertainties(network, at, (0, 1))
+        shifts = self._judged(network, at)
+        believed = shifts.weight >= REJECTED
+        group = groups(len(x_um), shifts.first[believed], shifts.second[believed])
+        error_um = float(network.prior_sigma[0])
+        return Positions(x_um, y_um, u[:, 0], u[:, 1], group, shifts, error_um, found)
+
+    def _judged(self, network: Network, at: Settled) -> Shifts:
+        """The shifts with their weights, residuals and doubts."""
+        residual = np.where(
+            np.isfinite(np.column_stack((self.shifts.x_um, self.shifts.y_um))),
+            network.misfit(at.values, at.shared),
+            np.nan,
+        )
+        verdict = np.where(at.weight >= REJECTED, Doubt.NONE, Doubt.DISAGREES)
+        return dataclasses.replace(
+            self.shifts,
+            weight=at.weight.astype(np.float32),
+            doubt=np.where(self.usable, verdict, self.shifts.doubt).astype(np.uint8),
+            residual_x_um=residual[:, 0],
+            residual_y_um=residual[:, 1],
+        )
+
+
+def _found(unturned: Camera, at: Settled) -> Camera:
+    """The camera as the shared unknowns say."""
+    (scale, turn), (u_scale, u_turn) = at.shared.tolist(), shared_uncertainties(at).tolist()
+    return dataclasses.replace(unturned, turn=turn, u_turn=u_turn, scale=scale, u_scale=u_scale)
+
+
+def _decide(network: Network, at: Settled) -> Numbers:
+    """What the votes of clusters say about the weights."""
+    return verdicts(network, at.values, at.shared, at.excess, at.weight >= REJECTED)

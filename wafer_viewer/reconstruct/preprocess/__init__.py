@@ -1,0 +1,1 @@
+"""Correction of frames before focus is measured."""

@@ -1,0 +1,290 @@
+"""The frames of a stack that a reconstruction uses, in the order of z, and the blocks that the kernels read.
+
+The only place where pixels are touched before a focus measure sees them: flawed pixels of the sensor are mended,
+exposures fused, frames that drifted put right, all while a block is read, so that no stack is ever whole in memory.
+Where nothing of this is needed a block is a plain copy, and rows without a flaw need not even be copied: nearly every
+camera has a flawed pixel, and one must not slow down the rest of the field.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.acquisition.focus_stack import FieldStack, Image
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.height_map import Origin
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.numerics.registration.lanczos import Taps, resampled
+from wafer_viewer.reconstruct.preprocess.defective_pixels import Flaws, find_flaws
+from wafer_viewer.reconstruct.preprocess.drift import Drift, drift_of, told
+from wafer_viewer.reconstruct.preprocess.exposure_fusion import Fusion, fusion_of
+from wafer_viewer.reconstruct.preprocess.frame_health import faulty_frames
+from wafer_viewer.reconstruct.preprocess.frame_motion import sightings
+
+CLIPPED_SHARE_OF_WHITE = 0.98
+"""From 98 % of white on a pixel counts as clipped: 250 of 255."""
+
+_SAMPLED_ROWS = 24
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """The frames in use: images[index] lie at z_um, which rises; from clipped_counts on a pixel is clipped.
+
+    pixel_um: on the sample; depth_of_field_um: of the objective, 0 when nobody knows;
+    fusion, flaws and drift: what is to be done when pixels are read; notes: what was found, a sentence each.
+    """
+
+    images: Image
+    index: slice | NDArray[np.intp]
+    z_um: NDArray[np.float64]
+    clipped_counts: int
+    pixel_um: float = 1.0
+    depth_of_field_um: float = 0.0
+    fusion: Fusion | None = None
+    flaws: Flaws | None = None
+    drift: Drift | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def n_frames(self) -> int:
+        """Frames in use."""
+        return len(self.z_um)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols) of a frame."""
+        return self.images.shape[1], self.images.shape[2]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """What `read_block` gives, in the byte order of this machine."""
+        return np.dtype(np.uint16) if self.fusion is not None else self.images.dtype.newbyteorder("=")
+
+    @property
+    def as_stored(self) -> bool:
+        """Whether the kernels can read the images where they lie: whole rows, with nothing to be done to the pixels."""
+        return self.steady and self.flaws is None and self._in_whole_rows
+
+    @property
+    def steady(self) -> bool:
+        """Whether a pixel is made of the same pixel of one image, and of those beside it where it is flawed."""
+        return self.fusion is None and self.drift is None
+
+    @property
+    def _in_whole_rows(self) -> bool:
+        return self.images.flags.c_contiguous and self.images.dtype.isnative
+
+    def ready(self, rows: slice, margin: int) -> bool:
+        """Whether the kernels can read these rows, and `margin` more on both sides, where they lie."""
+        if not (self.steady and self._in_whole_rows):
+            return False
+        return self.flaws is None or not self.flaws.touch(slice(rows.start - margin, rows.stop + margin))
+
+    @property
+    def step_um(self) -> float:
+        """The usual distance between neighbouring frames."""
+        return float(np.median(np.diff(self.z_um)))
+
+    @property
+    def slots(self) -> NDArray[np.intp]:
+        """The slots of the stack that the frames are in."""
+        return np.arange(len(self.images))[self.index]
+
+    def part(self, rows: slice, cols: slice) -> Frames:
+        """The pixels [rows, cols] alone, with what was found on the whole field; its border pixels repeat beyond it."""
+        at = rows.start, cols.start
+        fusion, flaws, drift = self.fusion, self.flaws, self.drift
+        if fusion is not None:
+            fusion = dataclasses.replace(fusion, images=tuple(i[:, rows, cols] for i in fusion.images))
+        if flaws is not None:
+            flaws = flaws.part(rows, cols)
+        if drift is not None:
+            drift = dataclasses.replace(drift, corner=(drift.corner[0] + at[0], drift.corner[1] + at[1]))
+        return dataclasses.replace(self, images=self.images[:, rows, cols], fusion=fusion, flaws=flaws, drift=drift)
+
+
+def prepare(stack: FieldStack, recipe: Recipe = Recipe()) -> Frames:
+    """Skip absent slots, flashes and dead frames, put the rest in the order of rising z, and find what pixels need.
+
+    Raises ComputeError for pixels that are neither uint8 nor uint16, for a z that is not a number, for frames that
+    share a z, for fewer than three frames, and for exposures that cannot be compared.
+    """
+    if stack.images.dtype.kind != "u" or stack.images.dtype.itemsize > 2:
+        raise ComputeError(
+            f"The images of field {stack.field.number} are {stack.images.dtype}: give 8- or 16-bit grey, unsigned."
+        )
+    present = np.flatnonzero(np.logical_and.reduce([one.present for one in stack.exposures]))
+    z_um = np.asarray(stack.z_um, np.float64)[present]
+    order = np.argsort(z_um, kind="stable")
+    _check(stack, z_um[order])
+    slots = present[order]
+    white = _white_counts(stack, slots)
+    clipped = clipped_from(white)
+    slots, faults = _sound_slots(stack, slots, white, clipped)
+    optics = stack.pixel_um, stack.optical_depth_um
+    z_um, notes = np.asarray(stack.z_um, np.float64)[slots], (*_missing(stack, len(present)), *faults)
+    frames = Frames(stack.images, _as_slice(slots), z_um, clipped, *optics, notes=notes)
+    frames = _fused(stack, frames, white)
+    frames = dataclasses.replace(frames, flaws=find_flaws([e.images for e in stack.exposures], slots, white))
+    return frames if recipe.drift == "none" else _steadied(stack, frames)
+
+
+def clipped_from(white_counts: int) -> int:
+    """The grey value from which a pixel counts as clipped."""
+    return int(CLIPPED_SHARE_OF_WHITE * white_counts) + (white_counts == 255)
+
+
+def read_block(frames: Frames, rows: slice, cols: slice, margin: int, block: Image) -> None:
+    """Copy a part of every frame into `block` [k, rows + 2 margin, cols + 2 margin].
+
+    Beyond the frame its border pixels repeat, so that the kernels know no borders.
+    """
+    n_rows, n_cols = frames.shape
+    top, bottom = max(0, rows.start - margin), min(n_rows, rows.stop + margin)
+    left, right = max(0, cols.start - margin), min(n_cols, cols.stop + margin)
+    r, c = top - rows.start + margin, left - cols.start + margin
+    r_end, c_end = r + bottom - top, c + right - left
+    _develop(frames, slice(top, bottom), slice(left, right), block[:, r:r_end, c:c_end])
+    block[:, r:r_end, :c] = block[:, r:r_end, c : c + 1]
+    block[:, r:r_end, c_end:] = block[:, r:r_end, c_end - 1 : c_end]
+    block[:, :r] = block[:, r : r + 1]
+    block[:, r_end:] = block[:, r_end - 1 : r_end]
+
+
+def mark_uncovered(origin: NDArray[np.uint8], frames: Frames, margin: int) -> NDArray[np.uint8]:
+    """The origins of a field, too few frames where a window of `margin` to each side is not whole in every frame."""
+    if frames.drift is None:
+        return origin
+    inside = [_shrunk(frames.drift.covered(axis, length), margin, length) for axis, length in enumerate(origin.shape)]
+    marked = np.full_like(origin, Origin.TOO_FEW_FRAMES)
+    marked[tuple(inside)] = origin[tuple(inside)]
+    return marked
+
+
+def _shrunk(seen: slice, margin: int, length: int) -> slice:
+    """Less a margin where it does not end with the frame."""
+    first = seen.start + (margin if seen.start > 0 else 0)
+    return slice(first, max(first, seen.stop - (margin if seen.stop < length else 0)))
+
+
+def _develop(frames: Frames, rows: slice, cols: slice, out: Image) -> None:
+    """The pixels [rows, cols] of every frame into `out`: mended, fused, put right."""
+    if frames.steady:
+        out[:] = frames.images[frames.index, rows, cols]
+        if frames.flaws is not None:
+            frames.flaws.mend(out, frames.images, frames.slots, rows, cols)
+        return
+    for k, slot in enumerate(frames.slots):
+        if frames.drift is None:
+            out[k] = _pixels(frames, int(slot), rows, cols)
+            continue
+        down = Taps.at(frames.drift.places(k, 0, rows.start, rows.stop))
+        across = Taps.at(frames.drift.places(k, 1, cols.start, cols.stop))
+        window = [_within(taps.span, length) for taps, length in zip((down, across), frames.shape, strict=True)]
+        part = _pixels(frames, int(slot), *window)
+        out[k] = resampled(part, down.seen_from(window[0].start), across.seen_from(window[1].start))
+
+
+def _within(span: tuple[int, int], length: int) -> slice:
+    """What of a span lies in a frame; at least its border."""
+    return slice(min(max(0, span[0]), length - 1), max(1, min(span[1], length)))
+
+
+def _pixels(frames: Frames, slot: int, rows: slice, cols: slice) -> Image:
+    """The pixels [rows, cols] of one slot, mended and fused."""
+    exposures = (frames.images,) if frames.fusion is None else frames.fusion.images
+    parts = [_sound(frames.flaws, images, slot, rows, cols) for images in exposures]
+    return parts[0] if frames.fusion is None else frames.fusion.fused(parts)
+
+
+def _sound(flaws: Flaws | None, images: Image, slot: int, rows: slice, cols: slice) -> Image:
+    """The pixels [rows, cols] of one image, mended."""
+    if flaws is None or not flaws.touch(rows):
+        return images[slot, rows, cols]
+    part = images[slot, rows, cols].copy()
+    flaws.mend(part[None], images, np.array([slot]), rows, cols)
+    return part
+
+
+def _fused(stack: FieldStack, frames: Frames, white_counts: int) -> Frames:
+    """With all exposures, where there are several."""
+    if not stack.brackets:
+        return frames
+    images = tuple(one.images for one in stack.exposures)
+    times_us = tuple(one.exposure_us for one in stack.exposures)
+    fusion = fusion_of(images, frames.slots, times_us, white_counts, frames.clipped_counts)
+    apart = ", ".join(f"x{gain:.3g}" for gain in fusion.gains[1:])
+    note = f"{len(images)} exposures were fused, the longer ones {apart} as bright as the shortest."
+    clipped = fusion.fused_clipped_counts
+    return dataclasses.replace(frames, fusion=fusion, clipped_counts=clipped, notes=(*frames.notes, note))
+
+
+def _steadied(stack: FieldStack, frames: Frames) -> Frames:
+    """With the drift of the frames, where there is any."""
+
+    def read(rows: slice, cols: slice) -> Image:
+        block = np.empty((frames.n_frames, rows.stop - rows.start, cols.stop - cols.start), frames.dtype)
+        read_block(frames, rows, cols, 0, block)
+        return block
+
+    drift = drift_of(sightings(read, frames.shape, frames.n_frames), frames.n_frames, frames.shape)
+    if drift is None:
+        return frames
+    return dataclasses.replace(frames, drift=drift, notes=(*frames.notes, told(drift, stack.pixel_um)))
+
+
+def _missing(stack: FieldStack, n_frames: int) -> tuple[str, ...]:
+    missing = stack.n_frames - n_frames
+    return (f"{missing} of {stack.n_frames} frames of field {stack.field.number} are missing",) if missing else ()
+
+
+def _sound_slots(
+    stack: FieldStack, slots: NDArray[np.intp], white_counts: int, clipped_counts: int
+) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """The slots without flashes and dead frames, and a sentence for each of those."""
+    faults = faulty_frames(stack.exposures, slots, white_counts, clipped_counts)
+    sound = slots[~np.isin(slots, list(faults))]
+    if len(sound) < MIN_FRAMES:
+        return slots, ()
+    which = f"of {stack.n_frames} of field {stack.field.number}"
+    return sound, tuple(f"Frame {slot + 1} {which} {faults[slot]}: left out." for slot in sorted(faults))
+
+
+def _check(stack: FieldStack, z_um: NDArray[np.float64]) -> None:
+    if len(z_um) < MIN_FRAMES:
+        raise ComputeError(f"Field {stack.field.number} has {len(z_um)} frames: at least {MIN_FRAMES} are needed.")
+    if not np.isfinite(z_um).all():
+        raise ComputeError(f"Field {stack.field.number} has frames without a z position: give every frame its z.")
+    same = np.flatnonzero(np.diff(z_um) <= 0)
+    if same.size:
+        raise ComputeError(
+            f"Field {stack.field.number} has two frames at z = {z_um[same[0]]:.3f} um: "
+            "give every frame a z of its own, or a z step over 0."
+        )
+
+
+def _as_slice(index: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Evenly spaced indices as a slice: it reads a memory-mapped stack without a copy of its own."""
+    steps = np.unique(np.diff(index))
+    if len(steps) != 1:
+        return index
+    step = int(steps[0])
+    stop = int(index[-1]) + (1 if step > 0 else -1)
+    return slice(int(index[0]), stop if stop >= 0 else None, step)
+
+
+def _white_counts(stack: FieldStack, slots: NDArray[np.intp]) -> int:
+    """The highest grey of the camera; 16-bit files often hold 10, 12 or 14 bits."""
+    if stack.images.dtype.itemsize == 1:
+        return 255
+    step = max(1, stack.images.shape[1] // _SAMPLED_ROWS)
+    most = max(int(one.images[slot, ::step].max()) for one in stack.exposures for slot in slots)
+    bits = max(8, most.bit_length())
+    return 2 ** (bits + bits % 2) - 1

@@ -1,0 +1,1 @@
+"""Registration of neighbouring fields in their overlap."""

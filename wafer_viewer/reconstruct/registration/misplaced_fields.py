@@ -1,0 +1,165 @@
+"""Fields that fit none of their neighbours: turned, mirrored, of another sample or from elsewhere; which, and why."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.surface.field_poses import Doubt, Poses, Shifts
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.reconstruct.registration.pair_registration import REACH_PX, register_pair
+
+LEAST_NEIGHBOURS = 2
+"""One overlap that does not fit may be the neighbour's fault; two neighbours that fit others are believed."""
+
+FEWER = 2
+"""Of two groups of fields that are nearly as large neither is thrown away for the other's sake."""
+
+_LOST = (Doubt.UNLIKE, Doubt.END_OF_SEARCH)
+_FITS = (Doubt.NONE, Doubt.DISAGREES)
+_EVERY = 16
+
+Layer = NDArray[np.generic]
+Turn = Callable[[Layer], Layer]
+
+TURNS: dict[str, Turn] = {
+    "turned by half a turn": lambda layer: np.rot90(layer, 2),
+    "mirrored left to right": np.fliplr,
+    "mirrored top to bottom": np.flipud,
+    "turned by 90 degrees clockwise": np.rot90,
+    "turned by 90 degrees anticlockwise": lambda layer: np.rot90(layer, -1),
+    "mirrored and turned by 90 degrees clockwise": lambda layer: np.rot90(np.fliplr(layer), -1),
+    "mirrored and turned by 90 degrees anticlockwise": lambda layer: np.rot90(np.fliplr(layer)),
+}
+"""How a field may have been held, and what puts it right."""
+
+
+def suspects(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+    """The fields to leave out, by their place in the list: they show enough, but fit nowhere where others fit.
+
+    Fields that fit each other hang together. Of all that are compared with each other, the largest such group is
+    believed; another one, at most half as large, is left out when at least two of its overlaps with that group, and
+    more than are ambiguous, should fit and none does.
+    """
+    lost = _lost_overlaps(n_fields, shifts)
+    return np.flatnonzero(lost >= LEAST_NEIGHBOURS).astype(np.int32)
+
+
+def loose(n_fields: int, shifts: Shifts) -> NDArray[np.int32]:
+    """The fields that fit nowhere either, but have too few neighbours to tell whose fault it is: they stay."""
+    lost = _lost_overlaps(n_fields, shifts)
+    return np.flatnonzero((lost > 0) & (lost < LEAST_NEIGHBOURS)).astype(np.int32)
+
+
+def placed_by_stage(poses: Poses) -> NDArray[np.bool_]:
+    """Return which fields nothing but the stage places, bool [n], of those that overlap others.
+
+    Fields that believed overlaps join hang together. Of all that overlap, the largest such group of two or more is
+    placed by its overlaps; every other field hangs on the stage alone. Fields left out do not count.
+    """
+    n_fields, shifts = poses.numbers.size, poses.shifts
+    between = ~(poses.left_out[shifts.first] | poses.left_out[shifts.second])
+    group, whole = (_joined(n_fields, shifts, some) for some in (between & shifts.believed, between))
+    size, of_whole = (np.bincount(numbers, minlength=n_fields) for numbers in (group, whole))
+    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
+    _, first = np.unique(whole[largest], return_index=True)
+    leading = group[largest[first]]
+    held = (group == leading[whole]) & (size[group] > 1)
+    return ~held & (of_whole[whole] > 1) & ~poses.left_out
+
+
+def has_no_heights(height: HeightMap) -> bool:
+    """Whether nothing at all was measured in a field; reads all of it only where a part is empty."""
+    some = np.isfinite(height.z_raw_um[::_EVERY, ::_EVERY]).any()
+    return not (some or np.isfinite(height.z_raw_um).any())
+
+
+def of_empty(number: int) -> str:
+    """What to say of a field without heights."""
+    return f"Field {number} has no height at all: it adds nothing to the surface; look at its images and scan it again."
+
+
+def of_loose(number: int) -> str:
+    """What to say of a field that does not fit the only neighbour that could tell."""
+    return (
+        f"Field {number} does not fit its neighbour, and no other overlap tells which of them is wrong: it stays where "
+        "the stage says; scan both again if the seam shows."
+    )
+
+
+def judge_misfit(number: int, height: HeightMap, neighbours: Sequence[HeightMap]) -> str:
+    """What to say of a field that is left out: tried turned and mirrored against its neighbours."""
+    fits = {how: _fits(turned(height, turn), neighbours) for how, turn in TURNS.items()}
+    how = max(fits, key=lambda name: fits[name])
+    if fits[how] * 2 >= max(1, len(neighbours)):
+        return f"Field {number} is {how} and was left out: put its images the right way round and reconstruct it again."
+    return (
+        f"Field {number} fits {_none_of(len(neighbours))} and was left out: it belongs to another sample or lies "
+        "elsewhere; scan it again."
+    )
+
+
+def _none_of(n_neighbours: int) -> str:
+    return "not its one neighbour" if n_neighbours == 1 else f"none of its {n_neighbours} neighbours"
+
+
+def turned(height: HeightMap, turn: Turn) -> HeightMap:
+    """A field held in another way, its centre where it was."""
+    rows, cols = height.shape
+    z_um, z_raw_um, confidence, all_in_focus, origin = (
+        turn(layer) for layer in (height.z_um, height.z_raw_um, height.confidence, height.all_in_focus, height.origin)
+    )
+    wider, taller = (z_um.shape[1] - cols) / 2, (z_um.shape[0] - rows) / 2
+    return dataclasses.replace(
+        height,
+        z_um=z_um,
+        z_raw_um=z_raw_um,
+        confidence=confidence,
+        all_in_focus=all_in_focus,
+        origin=origin,
+        x0_um=height.x0_um - wider * height.pixel_um,
+        y0_um=height.y0_um + taller * height.pixel_um,
+    )
+
+
+def _fits(height: HeightMap, neighbours: Sequence[HeightMap]) -> int:
+    return sum(register_pair(height, other, REACH_PX).doubt is Doubt.NONE for other in neighbours)
+
+
+def _lost_overlaps(n_fields: int, shifts: Shifts) -> NDArray[np.intp]:
+    """How many overlaps of each field's group with the believed one should fit and do not, int [n].
+
+    0 for the fields of believed groups, and for groups that as many overlaps leave open.
+    """
+    fits, lost, open_ = (np.isin(shifts.doubt, some) for some in (_FITS, _LOST, (Doubt.AMBIGUOUS,)))
+    group, whole = _joined(n_fields, shifts, fits), _joined(n_fields, shifts, fits | lost | open_)
+    size = np.bincount(group, minlength=n_fields)
+    largest = np.lexsort((np.arange(n_fields), -size[group], whole))
+    _, first = np.unique(whole[largest], return_index=True)
+    leading = group[largest[first]]
+    believed = np.isin(group, leading[size[leading] > 1])
+    n_lost, n_open = (_of_groups(shifts, some, group, believed) for some in (lost, open_))
+    nearly_as_large = FEWER * size[group] > size[leading][whole]
+    n_lost = np.where(nearly_as_large, np.minimum(n_lost, LEAST_NEIGHBOURS - 1), n_lost)
+    return np.where(believed | (n_lost <= n_open), 0, n_lost)
+
+
+def _of_groups(
+    shifts: Shifts, some: NDArray[np.bool_], group: NDArray[np.intp], believed: NDArray[np.bool_]
+) -> NDArray[np.intp]:
+    """How many of some overlaps join each field's group with a believed one, int [n]."""
+    a, b = shifts.first[some], shifts.second[some]
+    outside = np.concatenate([a[believed[b] & ~believed[a]], b[believed[a] & ~believed[b]]])
+    return np.bincount(group[outside], minlength=len(group))[group]
+
+
+def _joined(n_fields: int, shifts: Shifts, kept: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """The number of the group of fields that some overlaps join."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    links = (np.ones(int(kept.sum()), np.int8), (shifts.first[kept], shifts.second[kept]))
+    return np.asarray(connected_components(coo_array(links, (n_fields, n_fields)), directed=False)[1], np.intp)

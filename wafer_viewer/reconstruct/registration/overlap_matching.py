@@ -1,0 +1,205 @@
+"""Where one overlap fits: candidates from the correlation at every shift, refined, compared and doubted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.model.surface.field_poses import Doubt
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.numerics.registration.cross_correlation import Likeness, contrast, likeness
+from wafer_viewer.numerics.registration.subpixel_registration import Alignment, Lag, Picture, align
+from wafer_viewer.reconstruct.registration.overlap_strips import Read, Window, shrunk
+
+SURE_SIGMAS = 7.0
+"""The highest of some hundred correlations of unlike pictures is three to four deviations high."""
+LIKE, SURELY_LIKE = 0.7, 0.9
+"""What goes on over many pixels has few that are independent: it may be alike by chance, which is ambiguous and not
+unlike; but not when it fits at one place only and as well as this."""
+NEARLY = 0.35
+"""Candidates have at least so much of the best one's significance: a fine pattern may lose half of it between the
+pixels of the search."""
+PATTERNED = 6
+"""What fits at more places may repeat more finely than the search looks: it is searched with pixels half as large."""
+CANDIDATES = 60
+CLEARLY, UNEXPLAINED = 0.8, 2.0
+"""A rival has four fifths of the best correlation, and leaves no more than twice as much unexplained."""
+LEAST_AGREEING = 0.5
+"""Half of the contrast must lie where the two agree: content that is turned agrees round one spot only."""
+MOST_BENT_PX, SURELY_BENT = 1.0, 6.0
+"""Ends of an overlap that want to be so much further than its middle, so surely, tell of content that is turned."""
+MOST_U_PX = 0.5
+"""Along lines nothing holds a field: what is left of its certainty is that of noise on noise."""
+LEAST_U_PX = 0.01
+"""What the form of the pixels and the optics add, that no residual shows."""
+
+_FACTORS, _FINER = (4, 2, 1), 2
+_LEAST_SIDE = 12
+_AROUND = 11
+_LEAST_SHARE = 0.3
+"""At a shift that leaves less of the overlap nothing is looked for."""
+_BLOCKS, _LEAST_BLOCK, _LARGEST_BLOCK = 24, 8, 32
+_LAGS = (2, 8)
+_BLANK = 0.88
+"""In mere noise, pixels two apart differ as much as pixels eight apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """How far off the stage's word the second lies, (rows, cols) in pixels, with standard uncertainties."""
+
+    off_px: Lag
+    u_px: Lag
+    correlation: float
+    doubt: Doubt
+
+
+def match(first: HeightMap, second: HeightMap, reach_px: float, read: Read) -> Match:
+    """Where the second field fits the first, within reach of the stage's word."""
+    factor = _coarsest(first, second)
+    window, reach = _window(first, second, reach_px, factor)
+    if min(window.overlap) < _LEAST_SIDE / 2:
+        return _nowhere(Doubt.BLANK)
+    one, other = read(first, *window.first), read(second, *window.second)
+    lags, by_chance = _candidates(one, other, window, factor, reach)
+    if len(lags) > PATTERNED and factor > _FINER:
+        factor = _FINER
+        window, reach = _window(first, second, reach_px, factor)
+        one, other = read(first, *window.first), read(second, *window.second)
+        lags, by_chance = _candidates(one, other, window, factor, reach)
+    if not lags:
+        both_show = _shows(read(first, *window.common[0])) and _shows(read(second, *window.common[1]))
+        return _nowhere(Doubt.UNLIKE if both_show else Doubt.BLANK)
+    fits = _refined(one, other, lags, factor, _block_side(window))
+    return _judged(fits, by_chance, window, reach_px) if fits else _nowhere(Doubt.UNLIKE)
+
+
+def _window(first: HeightMap, second: HeightMap, reach_px: float, factor: int) -> tuple[Window, int]:
+    """What may be common, and the reach in pixels of the search, with one to spare."""
+    reach = int(np.ceil(reach_px / factor)) + 1
+    return Window.of(first, second, reach * factor, factor), reach
+
+
+def _nowhere(doubt: Doubt) -> Match:
+    return Match((0.0, 0.0), (float("inf"), float("inf")), 0.0, doubt)
+
+
+def _coarsest(first: HeightMap, second: HeightMap) -> int:
+    """How many pixels are looked at as one in the search."""
+    side = min(Window.of(first, second, 0, 1).overlap)
+    return next((f for f in _FACTORS if side >= f * _LEAST_SIDE), 1)
+
+
+def _block_side(window: Window) -> int:
+    """Blocks are small enough for some two dozen of them."""
+    area = max(window.overlap[0], 1) * max(window.overlap[1], 1)
+    return int(np.clip((area / _BLOCKS) ** 0.5, _LEAST_BLOCK, _LARGEST_BLOCK))
+
+
+def _candidates(one: Picture, other: Picture, window: Window, factor: int, reach: int) -> tuple[list[Lag], bool]:
+    """Lags in full pixels at which the two look alike, the surest first, and whether that may be chance."""
+    one, other = shrunk(one, factor), shrunk(other, factor)
+    knowns = one.known > 0, other.known > 0
+    details = contrast(one.values, knowns[0], _AROUND), contrast(other.values, knowns[1], _AROUND)
+    middle = window.lag[0] // factor, window.lag[1] // factor
+    alike = likeness(details[0], knowns[0], details[1], knowns[1], middle, reach)
+    least = _LEAST_SHARE * window.overlap[0] * window.overlap[1] / factor**2
+    peaks, by_chance = _peaks(alike, least, reach)
+    return [((r + middle[0]) * factor, (c + middle[1]) * factor) for r, c in peaks], by_chance
+
+
+def _peaks(alike: Likeness, least_pixels: float, reach: int) -> tuple[list[tuple[int, int]], bool]:
+    """The highest local maxima, from the middle; none where nothing is alike."""
+    from wafer_viewer.numerics.filters.sliding_filters import highest
+
+    sigmas = np.where(alike.pixels >= least_pixels, alike.sigmas, 0.0)
+    top = float(sigmas.max())
+    by_chance = top < SURE_SIGMAS
+    if by_chance and float(alike.correlation[sigmas == top].max()) < LIKE:
+        return [], by_chance
+    rows, cols = np.nonzero((sigmas == highest(sigmas, 3)) & (sigmas >= NEARLY * top))
+    order = np.argsort(-sigmas[rows, cols], kind="stable")[:CANDIDATES]
+    return [(int(rows[n]) - reach, int(cols[n]) - reach) for n in order], by_chance
+
+
+def _refined(one: Picture, other: Picture, lags: list[Lag], factor: int, side: int) -> list[Alignment]:
+    """The best fit and its rivals: all candidates are refined, and the rivals again at the next resolution."""
+    fits: list[Alignment] = []
+    for f in _FACTORS[_FACTORS.index(factor) :]:
+        levels = shrunk(one, f), shrunk(other, f)
+        fits = [_scaled(align(*levels, (r / f, c / f), max(6, side // f), f > 1), f) for r, c in lags]
+        near = [fit for fit, lag in zip(fits, lags, strict=True) if _distance(fit.lag, lag) <= 2.0 * f]
+        fits = _with_rivals(near, 1.5 * factor)
+        lags = [fit.lag for fit in fits]
+    return fits
+
+
+def _scaled(fit: Alignment, factor: int) -> Alignment:
+    """In full pixels."""
+    lag = fit.lag[0] * factor, fit.lag[1] * factor
+    return Alignment(
+        lag,
+        fit.covariance * factor**2,
+        fit.correlation,
+        fit.agreeing,
+        fit.bent_px * factor,
+        fit.bent_sigmas,
+        fit.n_pixels * factor**2,
+    )
+
+
+def _distance(a: Lag, b: Lag) -> float:
+    return max(abs(a[0] - b[0]), abs(a[1] - b[1]))
+
+
+def _with_rivals(fits: list[Alignment], apart_px: float) -> list[Alignment]:
+    """The best of them, and those elsewhere that are nearly as good."""
+    if not fits:
+        return []
+    best = max(fits, key=lambda fit: (fit.agreeing >= LEAST_AGREEING, fit.correlation * fit.n_pixels**0.5))
+    return [best, *(fit for fit in fits if _distance(fit.lag, best.lag) > apart_px and _nearly(fit, best))]
+
+
+def _nearly(fit: Alignment, best: Alignment) -> bool:
+    unexplained, least = 1 - fit.correlation**2, 1 - best.correlation**2
+    agrees = fit.agreeing >= LEAST_AGREEING or best.agreeing < LEAST_AGREEING
+    return agrees and fit.correlation > CLEARLY * best.correlation and unexplained < UNEXPLAINED * least
+
+
+def _judged(fits: list[Alignment], by_chance: bool, window: Window, reach_px: float) -> Match:
+    best = fits[0]
+    off = tuple(at - lag - part for at, lag, part in zip(best.lag, window.lag, window.part, strict=True))
+    u = tuple(np.sqrt(np.diag(best.covariance) + LEAST_U_PX**2).tolist())
+    doubt = _doubt(fits, by_chance, max(map(abs, off)) > reach_px)
+    return Match((off[0], off[1]), (u[0], u[1]), best.correlation, doubt)
+
+
+def _doubt(fits: list[Alignment], by_chance: bool, beyond: bool) -> Doubt:
+    best = fits[0]
+    turned = best.bent_px > MOST_BENT_PX and best.bent_sigmas > SURELY_BENT
+    if turned or best.agreeing < LEAST_AGREEING:
+        return Doubt.UNLIKE
+    held = best.covariance.max() < MOST_U_PX**2
+    if not held or len(fits) > 1 or (by_chance and best.correlation < SURELY_LIKE):
+        return Doubt.AMBIGUOUS
+    return Doubt.END_OF_SEARCH if beyond else Doubt.NONE
+
+
+def _shows(picture: Picture) -> bool:
+    """Whether anything but noise is to be seen along both axes: then pixels near each other are more alike than others.
+
+    A line alone leaves open where along it a field lies.
+    """
+    near, far = _LAGS
+    return all(_difference(picture, near, axis) < _BLANK * _difference(picture, far, axis) for axis in (0, 1))
+
+
+def _difference(picture: Picture, lag: int, axis: int) -> float:
+    """The mean square by which known pixels differ that are `lag` apart along an axis."""
+    ahead, behind = [slice(None), slice(None)], [slice(None), slice(None)]
+    ahead[axis], behind[axis] = slice(lag, None), slice(None, -lag)
+    a, b = tuple(ahead), tuple(behind)
+    known = picture.known[a] * picture.known[b]
+    off = (picture.values[a] - picture.values[b]) * known
+    return float(np.vdot(off, off)) / max(1.0, float(known.sum()))
