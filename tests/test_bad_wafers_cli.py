@@ -11,8 +11,8 @@ import pytest
 
 from tests.measure.patterned import Wafer, made
 from wafer_viewer.cli.app import main
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import DiesNotFound, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin

@@ -13,32 +13,32 @@ from wafer_viewer._api import MODULES
 from wafer_viewer._version import __version__
 
 if TYPE_CHECKING:
-    from wafer_viewer.measure.angle import face_angle
-    from wafer_viewer.measure.chipping import chipping
-    from wafer_viewer.measure.circle import circle_size
-    from wafer_viewer.measure.coplanarity import coplanarity
-    from wafer_viewer.measure.defects import golden_of_surface, inspect
-    from wafer_viewer.measure.die_fit import fitted_dies
-    from wafer_viewer.measure.die_grid import find_dies
-    from wafer_viewer.measure.die_size import die_size
-    from wafer_viewer.measure.die_stack import repeated_places
-    from wafer_viewer.measure.die_status import statuses
-    from wafer_viewer.measure.find_faces import find_faces
-    from wafer_viewer.measure.flatness import flatness
-    from wafer_viewer.measure.gauge import gauge_check, gauge_repeat
-    from wafer_viewer.measure.kerf import kerf_width
-    from wafer_viewer.measure.levelled import levelled
-    from wafer_viewer.measure.one_sided import site_ranges
-    from wafer_viewer.measure.point import distance, point_height
-    from wafer_viewer.measure.profile import profile
-    from wafer_viewer.measure.quality import Quality, compare_with_truth
-    from wafer_viewer.measure.radius import bump_radius
-    from wafer_viewer.measure.repeatability import gauge_rr, repeats_of, study_rr
-    from wafer_viewer.measure.roughness import roughness
-    from wafer_viewer.measure.step import step_height
-    from wafer_viewer.measure.step_profile import step_profile
-    from wafer_viewer.measure.texture import texture
-    from wafer_viewer.measure.volume import area_volume
+    from wafer_viewer.measure.base.levelled_surface import levelled
+    from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
+    from wafer_viewer.measure.defects.repeaters import repeated_places
+    from wafer_viewer.measure.dies.die_lattice import find_dies
+    from wafer_viewer.measure.dies.die_status import statuses
+    from wafer_viewer.measure.dies.given_lattice_fit import fitted_dies
+    from wafer_viewer.measure.gauge.find_faces import find_faces
+    from wafer_viewer.measure.gauge.gauge_check import gauge_check, gauge_repeat
+    from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, repeats_of, study_rr
+    from wafer_viewer.measure.texture.areal_texture import texture
+    from wafer_viewer.measure.texture.roughness import roughness
+    from wafer_viewer.measure.tools.angle import face_angle
+    from wafer_viewer.measure.tools.chipping import chipping
+    from wafer_viewer.measure.tools.circle import circle_size
+    from wafer_viewer.measure.tools.coplanarity import coplanarity
+    from wafer_viewer.measure.tools.die_size import die_size
+    from wafer_viewer.measure.tools.flatness import flatness
+    from wafer_viewer.measure.tools.kerf import kerf_width
+    from wafer_viewer.measure.tools.point import distance, point_height
+    from wafer_viewer.measure.tools.profile import profile
+    from wafer_viewer.measure.tools.radius import bump_radius
+    from wafer_viewer.measure.tools.site_range import site_ranges
+    from wafer_viewer.measure.tools.step_height import step_height
+    from wafer_viewer.measure.tools.step_profile import step_profile
+    from wafer_viewer.measure.tools.volume import area_volume
+    from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth
     from wafer_viewer.model.acquisition.calibration import Calibration
     from wafer_viewer.model.acquisition.focus_stack import FieldStack
     from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan

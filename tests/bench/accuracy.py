@@ -33,7 +33,7 @@ from tests.bench.seen import seen  # noqa: E402
 from tests.bench.tables import met, percent, show  # noqa: E402
 from tests.truth.layouts import HELD_OUT, PILLBOX, TUNING, Layout, Taken  # noqa: E402
 from tests.truth.views import Camera  # noqa: E402
-from wafer_viewer.measure.quality import Quality, error_by_distance, quality  # noqa: E402
+from wafer_viewer.measure.truth_comparison import Quality, error_by_distance, quality  # noqa: E402
 from wafer_viewer.model.acquisition.focus_stack import FieldStack  # noqa: E402
 from wafer_viewer.model.spec import replace as changed  # noqa: E402
 from wafer_viewer.model.surface.recipe import Recipe  # noqa: E402

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.defects_speed import show_speed
 from tests.bench.tables import Cell, met, percent, show
 from tests.measure.noisy_wafer import Planted, Wafer, scattered, wafer
-from wafer_viewer.measure.defects import inspect
+from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.model.inspection.defect import Inspection
 
 DIE_PX, STREET_PX = 360, 20

@@ -33,8 +33,8 @@ from tests.bench.tables import Cell, met, percent, show
 from tests.truth.defects import Plan, make
 from tests.truth.matching import Rate, false_limit_per_mm2
 from tests.truth.planted import DIAMETERS_PX, GEOMETRIC, HEIGHTS_SIGMA
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 

@@ -17,8 +17,8 @@ from functools import partial
 
 from tests.bench.big_mosaic import BLOCKS_PX, PIXEL_UM, WAFER_PX, big_dataset
 from tests.bench.tables import met, show
-from wafer_viewer.measure.levelled import Levelled, datum
-from wafer_viewer.measure.tools import measured
+from wafer_viewer.measure.base.levelled_surface import Levelled, datum
+from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling

@@ -24,12 +24,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.bench.tables import met, percent, show
 from tests.measure.bumped import bumped
 from tests.measure.pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
-from wafer_viewer.measure.chipping import edge_depths
-from wafer_viewer.measure.coplanarity import coplanarity
-from wafer_viewer.measure.die_edges import DieEdges, die_edges
-from wafer_viewer.measure.edge_circle import find_circle
-from wafer_viewer.measure.edge_line import find_edge, find_edge_any_way
-from wafer_viewer.measure.kerf import kerf_edges
+from wafer_viewer.measure.edges.circular_edges import find_circle
+from wafer_viewer.measure.edges.rectangle_edges import DieEdges, die_edges
+from wafer_viewer.measure.edges.straight_edges import find_edge, find_edge_any_way
+from wafer_viewer.measure.tools.chipping import edge_depths
+from wafer_viewer.measure.tools.coplanarity import coplanarity
+from wafer_viewer.measure.tools.kerf import kerf_edges
 
 RUNS, QUICK_RUNS = 400, 40
 FEWER = 8

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tests.bench.tables import show
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance

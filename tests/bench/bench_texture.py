@@ -19,8 +19,8 @@ from scipy.ndimage import gaussian_filter
 from tests.bench.big_mosaic import BLOCKS_PX, big_dataset
 from tests.bench.tables import show
 from tests.bench.texture_peers import PIXEL_UM, as_map
-from wafer_viewer.measure.roughness import roughness
-from wafer_viewer.measure.texture import texture
+from wafer_viewer.measure.texture.areal_texture import texture
+from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.model.region import Region
 from wafer_viewer.store.dataset.dataset import Dataset
 

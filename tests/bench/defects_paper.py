@@ -19,8 +19,8 @@ import numpy as np
 
 from tests.bench.tables import met, show
 from tests.truth.virtual_wafer import PIXEL_UM, ROOM_UM, Known, chipped_share, ground, known, own_to_the_die
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.inspection.defect import Defect, Inspection

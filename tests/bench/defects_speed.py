@@ -163,8 +163,8 @@ def timed(path: Path, crew: Crew, asked: Callable[[], list[tuple[float, float]]]
 
 def inspected(path: Path, crew: Crew) -> tuple[int, Inspection, float]:
     """(pixels, what was found, s that the search for dies took)."""
-    from wafer_viewer.measure.defects import inspect
-    from wafer_viewer.measure.die_grid import find_dies
+    from wafer_viewer.measure.defects.inspection import inspect
+    from wafer_viewer.measure.dies.die_lattice import find_dies
 
     mosaic, begin = ZarrMosaic.open(path), time.perf_counter()
     grid = find_dies(mosaic)

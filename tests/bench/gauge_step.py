@@ -13,7 +13,7 @@ from tests.bench.seen import seen
 from tests.bench.tables import met, show
 from tests.truth.layouts import PILLBOX, Layout
 from tests.truth.scenes import BLOCKS_STEP_UM, STEP_SWEEP_UM
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.region import Region
 from wafer_viewer.reconstruct.field_pipeline import reconstruct

@@ -6,7 +6,7 @@ import numpy as np
 
 from tests.bench.recipes import DEFAULT
 from tests.bench.tables import percent, show
-from wafer_viewer.measure.quality import quality
+from wafer_viewer.measure.truth_comparison import quality
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.reconstruct.field_pipeline import reconstruct

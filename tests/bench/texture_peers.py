@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from tests.bench.tables import show
-from wafer_viewer.measure.roughness import roughness
-from wafer_viewer.measure.scale_limited import scale_limited
-from wafer_viewer.measure.texture import texture
-from wafer_viewer.measure.texture_slopes import developed_fraction
+from wafer_viewer.measure.texture.areal_texture import texture
+from wafer_viewer.measure.texture.hybrid_parameters import developed_fraction
+from wafer_viewer.measure.texture.roughness import roughness
+from wafer_viewer.measure.texture.scale_limited_surface import scale_limited
 from wafer_viewer.model.measurement.tool_options import TextureOptions
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap

@@ -15,7 +15,7 @@ from tests.browser.gauge_blocks import CALIBRATION, COLS, PIXEL_UM, ROWS, STEP_U
 from tests.browser.measuring_session import done as came_to
 from tests.browser.recording import Recording
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
-from wafer_viewer.measure.run_chart import run_chart
+from wafer_viewer.measure.gauge.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import (
     Certificate,
@@ -150,7 +150,7 @@ class GaugeSession(FakeSession):
 
 
 def repeat_of(surface: HeightMap, upper: Region = UPPER, lower: Region = LOWER, n: int = 0) -> GaugeRepeat:
-    from wafer_viewer.measure.gauge import gauge_repeat
+    from wafer_viewer.measure.gauge.gauge_check import gauge_repeat
 
     taken = f"{DAY}09:{20 + 8 * n:02d}:00"
     return gauge_repeat(surface, upper, lower, dataset=f"step-400-check-{n + 1}.wafer", taken=taken)

@@ -13,7 +13,7 @@ import numpy as np
 from tests.browser.fake_session import FakeSession
 from tests.browser.recording import Recording
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
-from wafer_viewer.measure.find_faces import find_faces
+from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import AnyFinding

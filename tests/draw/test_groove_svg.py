@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 
 from tests.measure.test_step_profile import ACROSS, grooved
 from wafer_viewer.draw.charts.groove_svg import groove_svg
-from wafer_viewer.measure.step_profile import step_profile
+from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.spec import replace
 
 

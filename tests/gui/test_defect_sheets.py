@@ -10,7 +10,7 @@ from wafer_viewer.gui import defect_beside_html as beside
 from wafer_viewer.gui import defect_stack_html as stacked
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.gui.view import View
-from wafer_viewer.measure.die_stack import repeated_places
+from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.like_place import DiePicture, Seen, SideBySide
 

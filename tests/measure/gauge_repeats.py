@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 
 from tests.measure.surfaces import calibration
-from wafer_viewer.measure.gauge import gauge_check
+from wafer_viewer.measure.gauge.gauge_check import gauge_check
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeRepeat, GaugeTerms
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region

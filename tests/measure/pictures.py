@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.strip import Strip
+from wafer_viewer.measure.edges.search_strip import Strip
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.angle import face_angle
-from wafer_viewer.measure.levelled import levelled
+from wafer_viewer.measure.base.levelled_surface import levelled
+from wafer_viewer.measure.tools.angle import face_angle
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure import heights
-from wafer_viewer.measure.flatness import flatness
-from wafer_viewer.measure.levelled import levelled
-from wafer_viewer.measure.texture import texture
-from wafer_viewer.measure.volume import area_volume
+from wafer_viewer.measure.base import height_samples
+from wafer_viewer.measure.base.levelled_surface import levelled
+from wafer_viewer.measure.texture.areal_texture import texture
+from wafer_viewer.measure.tools.flatness import flatness
+from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
@@ -203,7 +203,7 @@ def test_a_region_too_large_for_memory_is_read_coarser_and_says_so(monkeypatch):
             assert level == 1
             return fine
 
-    monkeypatch.setattr(heights, "MAX_PIXELS", 10_000)
+    monkeypatch.setattr(height_samples, "MAX_PIXELS", 10_000)
     assert "Read at level 1: each pixel is the mean of 4." in flatness(Pyramid(), FACE).notes
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.measure.classify import RULES, classify
+from wafer_viewer.measure.defects.classification import RULES, classify
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.class_rules import ClassRules, DefectShape
 

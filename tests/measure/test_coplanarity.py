@@ -8,8 +8,8 @@ import pytest
 from tests.measure.bumped import HEIGHT_UM, PITCH_UM, bumped
 from tests.measure.pictures import all_of, covered
 from tests.measure.surfaces import noise_of, surface_of
-from wafer_viewer.measure.bumps import Top
-from wafer_viewer.measure.coplanarity import coplanarity, least_squares, seating
+from wafer_viewer.measure.tools.bumps import Top
+from wafer_viewer.measure.tools.coplanarity import coplanarity, least_squares, seating
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 

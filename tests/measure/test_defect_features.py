@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from wafer_viewer.measure.classify import classify
-from wafer_viewer.measure.defect_features import shape_of
-from wafer_viewer.measure.defect_outline import Gathered, height_of, outline_of
-from wafer_viewer.measure.defect_pieces import Piece
-from wafer_viewer.measure.die_cells import CellGrid
+from wafer_viewer.measure.defects.classification import classify
+from wafer_viewer.measure.defects.features import shape_of
+from wafer_viewer.measure.defects.outline import Gathered, height_of, outline_of
+from wafer_viewer.measure.defects.segmentation import Piece
+from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.inspection.class_rules import DefectShape
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.die_grid import DieGrid

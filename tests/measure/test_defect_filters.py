@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from wafer_viewer.measure.defect_filters import BINS, DIAMETERS_PX, SHARP, SOFT, matched, spectrum_of
+from wafer_viewer.measure.defects.matched_filters import BINS, DIAMETERS_PX, SHARP, SOFT, matched, spectrum_of
 from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness
 
 SHAPE, CELLS = (180, 200), 6

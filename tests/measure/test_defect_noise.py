@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.measure.defect_filters import BINS
-from wafer_viewer.measure.defect_noise import NORMAL_FALL, START, Noise, Planes, as_normal
-from wafer_viewer.measure.defect_noise import noise_of as noise_over
-from wafer_viewer.measure.unevenness import KINDS
+from wafer_viewer.measure.defects.ground_kinds import KINDS
+from wafer_viewer.measure.defects.matched_filters import BINS
+from wafer_viewer.measure.defects.noise_model import NORMAL_FALL, START, Noise, Planes, as_normal
+from wafer_viewer.measure.defects.noise_model import noise_of as noise_over
 
 KEY = ("height", 0.0)
 SIDE, CELLS = 200, 6

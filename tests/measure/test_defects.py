@@ -10,7 +10,7 @@ import pytest
 
 from tests.measure.noisy_wafer import PIXEL_UM, SIGMA_UM, Planted, Wafer, wafer
 from tests.measure.surfaces import calibration
-from wafer_viewer.measure.defects import golden_of_surface, inspect
+from wafer_viewer.measure.defects.inspection import golden_of_surface, inspect
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import calibration, coordinates, gauge_blocks, noise_of, surface_of
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
 from wafer_viewer.model.region import Region

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.measure.noisy_wafer import wafer
-from wafer_viewer.measure import die_cells
-from wafer_viewer.measure.die_cells import CellGrid, source_of
+from wafer_viewer.measure.dies import die_cells
+from wafer_viewer.measure.dies.die_cells import CellGrid, source_of
 from wafer_viewer.model.inspection.die_grid import DieGrid
 
 

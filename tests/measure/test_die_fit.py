@@ -11,7 +11,7 @@ import pytest
 
 from tests.measure.patterned import Wafer
 from tests.measure.patterned import made as freshly_made
-from wafer_viewer.measure.die_fit import fitted_dies
+from wafer_viewer.measure.dies.given_lattice_fit import fitted_dies
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
 

@@ -13,9 +13,9 @@ import pytest
 from tests.measure.patterned import Wafer
 from tests.measure.patterned import made as freshly_made
 from tests.measure.surfaces import calibration
-from wafer_viewer.measure import die_registration
-from wafer_viewer.measure.die_grid import find_dies, on_surface, pitches
-from wafer_viewer.measure.die_status import statuses, without_bare_rim
+from wafer_viewer.measure.dies import lattice_refinement
+from wafer_viewer.measure.dies.die_lattice import find_dies, on_surface, pitches
+from wafer_viewer.measure.dies.die_status import statuses, without_bare_rim
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError, PlanError
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
@@ -116,7 +116,7 @@ def test_dies_missing_beside_a_gap_within_the_wafer_are_no_rim():
 
 
 def test_a_lattice_is_found_whose_corners_hold_no_dies(monkeypatch):
-    monkeypatch.setattr(die_registration, "CELLS_PIXELS", 1)
+    monkeypatch.setattr(lattice_refinement, "CELLS_PIXELS", 1)
     out, _, _ = corners(Wafer())
     require_found(find_dies(made(no_die=tuple(sorted(out)))), Wafer())
 

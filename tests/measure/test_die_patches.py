@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.measure.die_patches import (
+from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
     Cut,
     Patch,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.store.inspections import GRID, defect, inspection
-from wafer_viewer.measure.die_stack import repeated_places
+from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.quantity import Length

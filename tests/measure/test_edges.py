@@ -7,12 +7,12 @@ import pytest
 from scipy.special import ndtr
 
 from tests.measure.pictures import covered, disc, edge, pixels, strip
-from wafer_viewer.measure.chain import alike, chain_u
-from wafer_viewer.measure.edge_circle import find_circle
-from wafer_viewer.measure.edge_line import find_edge
-from wafer_viewer.measure.edges import U_SUBPIXEL_PX
-from wafer_viewer.measure.line_fit import fit_line
-from wafer_viewer.measure.strip import Strip
+from wafer_viewer.measure.base.chain_statistics import alike, chain_u
+from wafer_viewer.measure.base.line_fit import fit_line
+from wafer_viewer.measure.edges.circular_edges import find_circle
+from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.straight_edges import find_edge
+from wafer_viewer.measure.edges.subpixel_edges import U_SUBPIXEL_PX
 from wafer_viewer.model.errors import MeasureError
 
 RUNS = 40

@@ -7,9 +7,9 @@ import pytest
 
 from tests.measure.noisy_wafer import PIXEL_UM
 from tests.measure.test_defects import BUMP, DULL, PLANTED, at, inspected, made
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_cells import CellGrid
-from wafer_viewer.measure.excluded import excluded_of
+from wafer_viewer.measure.defects.exclusion_areas import excluded_of
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_cells import CellGrid
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.region import Region

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import STEP_UM, coordinates, gauge_blocks, noise_of, surface_of
-from wafer_viewer.measure.find_faces import find_faces
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.gauge.find_faces import find_faces
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from tests.measure.gauge_repeats import CALIBRATION, LOWER, UPPER, certificate, repeat, repeats
 from tests.measure.surfaces import gauge_blocks, surface_of
-from wafer_viewer.measure.gauge import en, gauge_check, gauge_repeat, judged, refusal
-from wafer_viewer.measure.gauge_budget import Known
+from wafer_viewer.measure.gauge.gauge_budget import Known
+from wafer_viewer.measure.gauge.gauge_check import en, gauge_check, gauge_repeat, judged, refusal
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeTerms
 from wafer_viewer.model.quantity import Length

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.measure.noisy_wafer import PIXEL_UM, SIGMA_UM, Wafer, wafer
-from wafer_viewer.measure.die_cells import CellGrid, source_of
-from wafer_viewer.measure.golden import Golden, golden_of
+from wafer_viewer.measure.defects.golden_die import Golden, golden_of
+from wafer_viewer.measure.dies.die_cells import CellGrid, source_of
 
 DIES = (4, 4)
 

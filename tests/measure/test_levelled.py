@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import coordinates, noise_of, surface_of
-from wafer_viewer.measure import levelled as module
-from wafer_viewer.measure.heights import level_for
-from wafer_viewer.measure.levelled import Levelled, datum, levelled, levelling_of
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.base import levelled_surface as module
+from wafer_viewer.measure.base.height_samples import level_for
+from wafer_viewer.measure.base.levelled_surface import Levelled, datum, levelled, levelling_of
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.region import Region

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import DiesNotFound
 
 GROUND_UM = 26.0

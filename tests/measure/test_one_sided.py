@@ -9,7 +9,7 @@ import pytest
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, surface_of
 from wafer_viewer.cli.app import main
-from wafer_viewer.measure.one_sided import REFUSED, site_ranges
+from wafer_viewer.measure.tools.site_range import REFUSED, site_ranges
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.store.formats.npz_file import write_npz

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.measure.surfaces import calibration, coordinates, surface_of
-from wafer_viewer.measure import profile as module
-from wafer_viewer.measure.profile import profile
+from wafer_viewer.measure.tools import profile as module
+from wafer_viewer.measure.tools.profile import profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin

@@ -15,7 +15,7 @@ from scipy.stats import pearsonr
 from skimage.metrics import mean_squared_error, peak_signal_noise_ratio
 
 import wafer_viewer as wv
-from wafer_viewer.measure.quality import Quality, compare_with_truth, error_by_distance, quality, smoothness
+from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth, error_by_distance, quality, smoothness
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.radius import bump_radius
+from wafer_viewer.measure.tools.radius import bump_radius
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

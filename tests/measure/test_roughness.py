@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import PIXEL_UM, coordinates, noise_of, surface_of
-from wafer_viewer.measure.roughness import roughness
-from wafer_viewer.measure.tools import measured
+from wafer_viewer.measure.registry import measured
+from wafer_viewer.measure.texture.roughness import roughness
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tool_options import RoughnessOptions, ToolOptions
 from wafer_viewer.model.region import Region

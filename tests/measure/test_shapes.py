@@ -7,11 +7,11 @@ import pytest
 
 from tests.measure.pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, surface
 from tests.measure.surfaces import PIXEL_UM
-from wafer_viewer.measure.chipping import chipping
-from wafer_viewer.measure.circle import circle_size
-from wafer_viewer.measure.die_size import die_size
-from wafer_viewer.measure.heights import MAX_PIXELS
-from wafer_viewer.measure.kerf import kerf_width
+from wafer_viewer.measure.base.height_samples import MAX_PIXELS
+from wafer_viewer.measure.tools.chipping import chipping
+from wafer_viewer.measure.tools.circle import circle_size
+from wafer_viewer.measure.tools.die_size import die_size
+from wafer_viewer.measure.tools.kerf import kerf_width
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.region import Region

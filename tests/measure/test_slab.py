@@ -10,8 +10,8 @@ import pytest
 from tests.gui.stand_in import height_map
 from wafer_viewer.draw.charts.profile_axes import dots, frame_of
 from wafer_viewer.draw.charts.profile_plot import profile_plot_html
-from wafer_viewer.measure import slab as slabs
-from wafer_viewer.measure.slab import running_median, slab_profile
+from wafer_viewer.measure.tools import slab as slabs
+from wafer_viewer.measure.tools.slab import running_median, slab_profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.region import Region

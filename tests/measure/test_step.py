@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.measure.surfaces import STEP_UM, calibration, gauge_blocks, surface_of
-from wafer_viewer.measure import heights
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.base import height_samples
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.region import Region
@@ -186,7 +186,7 @@ def test_a_large_region_is_read_at_a_coarser_level(monkeypatch):
             self.asked += (level,)
             return surface_of_half(fine).window(region)
 
-    monkeypatch.setattr(heights, "MAX_PIXELS", 20_000)
+    monkeypatch.setattr(height_samples, "MAX_PIXELS", 20_000)
     pyramid = Pyramid()
     step = step_height(pyramid, UPPER, LOWER)
     assert set(pyramid.asked) == {1}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import PIXEL_UM, calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.step_profile import step_profile
+from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
 from wafer_viewer.model.region import Region

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.measure.virtual_part import virtual_part
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.terraces import levels_of, over_levels
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.defects.terraces import levels_of, over_levels
 from wafer_viewer.rigs.virtual.scenes import wafer
 
 GEL_UM = (

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from wafer_viewer.measure.golden import Golden
-from wafer_viewer.measure.unevenness import coarser, kinds_of
+from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.ground_kinds import coarser, kinds_of
 
 SHAPE = (60, 80)
 

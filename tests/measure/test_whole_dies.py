@@ -9,13 +9,13 @@ import pytest
 
 from tests.measure.noisy_wafer import wafer
 from tests.measure.patterned import Wafer, made
-from wafer_viewer.measure.defect_cells import CellResult, Work
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_cells import CellGrid, source_of
-from wafer_viewer.measure.die_grid import find_dies
-from wafer_viewer.measure.golden import Golden
-from wafer_viewer.measure.reading import Reading
-from wafer_viewer.measure.whole_dies import whole_die_defects
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.defects.cell_comparison import CellResult, Work
+from wafer_viewer.measure.defects.die_level_defects import whole_die_defects
+from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_cells import CellGrid, source_of
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.inspection.defect import DefectRecipe
 
 LEVEL, TILTED = (1e-4, -1e-4), (0.05, 0.0)

@@ -12,11 +12,11 @@ import pytest
 
 from tests.session.patterned_dataset import PLANTED, patterned_dataset
 from wafer_viewer.compute.task_runner import Crew, Done, Here, crew_for
-from wafer_viewer.measure import die_cells
-from wafer_viewer.measure.defect_filters import BINS
-from wafer_viewer.measure.defect_noise import Noise
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.golden import Golden
+from wafer_viewer.measure.defects.golden_die import Golden
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.defects.matched_filters import BINS
+from wafer_viewer.measure.defects.noise_model import Noise
+from wafer_viewer.measure.dies import die_cells
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.session import defect_rows

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.measure.surfaces import calibration, coordinates, noise_of, surface_of
-from wafer_viewer.measure.tools import MEASUREMENTS
+from wafer_viewer.measure.registry import MEASUREMENTS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.tools import TOOLS

@@ -13,7 +13,7 @@ import pytest
 from tests.measure.gauge_repeats import signed
 from tests.session.judged_datasets import RESULT, STEP, judged_dataset, released_job
 from wafer_viewer.cli.app import main
-from wafer_viewer.measure.tools import measured
+from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.measurements import Findings

@@ -13,7 +13,7 @@ from PIL import Image
 from tests.session.grid_dataset import RESULT
 from tests.store.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.cli.app import main
-from wafer_viewer.measure.step import step_height
+from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError
 from wafer_viewer.model.job.review_notes import Judgement, Notebook

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.store.samples import assert_same_surface, make_surface
-from wafer_viewer.measure.heights import heights
+from wafer_viewer.measure.base.height_samples import heights
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Origin

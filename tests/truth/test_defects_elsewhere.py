@@ -11,8 +11,8 @@ from tests.truth.defects import Plan, field_of, first_um, make
 from tests.truth.matching import Matched, capture, match, plain
 from tests.truth.patterned import scene_of
 from tests.truth.planted import PITCH_PX, PIXEL_UM, Planted, planted
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
 from wafer_viewer.model.surface.recipe import Recipe

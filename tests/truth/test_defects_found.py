@@ -10,8 +10,8 @@ import pytest
 from tests.truth.defects import Made, Plan, make
 from tests.truth.matching import Matched, capture, match
 from tests.truth.planted import GEOMETRIC, PITCH_UM, Planted
-from wafer_viewer.measure.defects import inspect
-from wafer_viewer.measure.die_grid import find_dies
+from wafer_viewer.measure.defects.inspection import inspect
+from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 

@@ -115,7 +115,7 @@ def _command(argv: list[str]) -> tuple[str, list[str]]:
 
 def _refuse_two_sided(terms: list[str]) -> None:
     """Raise MeasureError for a term that a map of one side cannot have."""
-    from wafer_viewer.measure.one_sided import REFUSED, refuse
+    from wafer_viewer.measure.tools.site_range import REFUSED, refuse
 
     for term in terms:
         if term.lower() in REFUSED:

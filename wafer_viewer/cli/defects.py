@@ -83,7 +83,7 @@ def measure_defects(
         scheduler: A dask cluster that works on a NAME.wafer, tls://HOST:PORT.
         workers: Processes of this machine that work on a NAME.wafer; 1 is this one alone. As many as help by default.
     """
-    from wafer_viewer.measure.die_stack import repeated_places
+    from wafer_viewer.measure.defects.repeaters import repeated_places
 
     given, hire = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given), Hire(scheduler, workers)
     limits = DefectLimits(max_per_die=max_per_die, max_per_mm2=max_per_mm2)
@@ -160,7 +160,7 @@ def _beside(path: Path | None, wafer: Wafer, found: Inspection) -> dict[str, Any
 
 
 def _keep_golden(wafer: Wafer, found: Inspection, given: GivenDies, path: Path | None) -> dict[str, str]:
-    from wafer_viewer.measure.defects import golden_of_surface
+    from wafer_viewer.measure.defects.inspection import golden_of_surface
     from wafer_viewer.store.records.golden_dies import save_golden
 
     if path is None:

@@ -47,8 +47,8 @@ def measure_dies(
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.measure.die_grid import pitches
-    from wafer_viewer.measure.die_status import statuses
+    from wafer_viewer.measure.dies.die_lattice import pitches
+    from wafer_viewer.measure.dies.die_status import statuses
     from wafer_viewer.session.offline import job_of, measured_surface
 
     given = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given)

@@ -121,7 +121,7 @@ def measure_rr(
         tolerance: Upper limit less lower, in the unit of the values; of a feature, that of its limits by default.
         result: Name of the reconstruction, of datasets.
     """
-    from wafer_viewer.measure.repeatability import gauge_rr, study_rr
+    from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, study_rr
     from wafer_viewer.session.repeat_study import studies_of
     from wafer_viewer.store.tables.study_csv import read_study
 

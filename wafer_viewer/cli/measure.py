@@ -95,7 +95,7 @@ def measure_volume(
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.measure.volume import area_volume
+    from wafer_viewer.measure.tools.volume import area_volume
 
     surface, calibrated = _surface(src, level, field, result)
     place = Region.rectangle(*region)
@@ -188,7 +188,7 @@ def measure_site_range(
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.measure.one_sided import site_ranges
+    from wafer_viewer.measure.tools.site_range import site_ranges
 
     surface, calibrated = _surface(src, level, field, result)
     within = Region.rectangle(*region) if region is not None else None

@@ -26,7 +26,7 @@ def measure(
     options: ToolOptions | None = None,
 ) -> None:
     """Print what a tool finds at its places."""
-    from wafer_viewer.measure.tools import measured
+    from wafer_viewer.measure.registry import measured
 
     surface, calibrated = surface_over(src, level, field, result)
     print_finding(measured(surface, tool, places, calibrated, options), field)
@@ -34,7 +34,7 @@ def measure(
 
 def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
     """The surface with its heights over what --level says, and whether its calibration holds."""
-    from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.offline import measured_surface
 
     levelling = levelling_from(level)

@@ -92,7 +92,7 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
 
 def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
     """Every line cut, from the zero that they all ask for."""
-    from wafer_viewer.measure.levelled import levelled
+    from wafer_viewer.measure.base.levelled_surface import levelled
     from wafer_viewer.session.cutting import cut
 
     from_zero = levelled(surface, asked[0].levelling)

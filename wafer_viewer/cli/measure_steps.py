@@ -76,7 +76,7 @@ def measure_step(
         field: A field of the dataset; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.measure.step import step_height
+    from wafer_viewer.measure.tools.step_height import step_height
 
     _require_one_way(bool(upper), bool(lower), faces)
     surface, calibrated = surface_over(src, level, field, result)
@@ -128,7 +128,7 @@ def _faces(
     if upper:
         high, low = (tuple(Region.rectangle(*corners) for corners in each) for each in (upper, lower))
         return high, low, ()
-    from wafer_viewer.measure.find_faces import find_faces
+    from wafer_viewer.measure.gauge.find_faces import find_faces
 
     found = find_faces(surface)
     return (found.upper,), (found.lower,), ("The faces were found automatically.", *found.notes)

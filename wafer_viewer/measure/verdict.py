@@ -6,8 +6,8 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from wafer_viewer.measure.budget import LESS_WITH_REPEATS
-from wafer_viewer.measure.tools import measured
+from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
+from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.job.verdict import GRAVEST, Judged, JudgedDie, Word

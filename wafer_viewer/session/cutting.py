@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from wafer_viewer._version import __version__
-from wafer_viewer.measure.heights import Layer
+from wafer_viewer.measure.base.height_samples import Layer
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
 from wafer_viewer.model.surface.height_map import Mosaic
@@ -14,7 +14,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 
 def cut(asked: SectionAsked, surface: Mosaic, calibrated: bool, source: str) -> Section:
     """A section of a surface. Raises MeasureError when nothing was measured along the line."""
-    from wafer_viewer.measure.profile import profile
+    from wafer_viewer.measure.tools.profile import profile
 
     layer = other_layer(surface) if asked.cleaned else None
     try:

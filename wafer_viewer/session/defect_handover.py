@@ -77,7 +77,7 @@ def keep_golden(
     Raises DatasetError where this surface was not inspected, the name is none or another product's, or the folder
     cannot be written to; MeasureError where there are no dies, or too few of them.
     """
-    from wafer_viewer.measure.defects import golden_of_surface
+    from wafer_viewer.measure.defects.inspection import golden_of_surface
     from wafer_viewer.store.records.golden_dies import FOLDER, save_golden
 
     wafer, found = _inspected(dataset, result, same_surface=True)

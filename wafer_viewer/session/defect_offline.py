@@ -69,7 +69,7 @@ def inspected(
     Where no dies are found it is compared with the fitted form, and a note says why. Raises MeasureError where nothing
     can be said.
     """
-    from wafer_viewer.measure.defects import inspect
+    from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.records.inspection_file import carry_over
 
     known = replace(recipe, product=recipe.product or wafer.sample.product)

@@ -24,10 +24,10 @@ from wafer_viewer.store.io.atomic_files import remove
 from wafer_viewer.store.mosaic.array_bundle import read_planes, write_planes
 
 if TYPE_CHECKING:
-    from wafer_viewer.measure.defect_cells import CellResult, Work
-    from wafer_viewer.measure.defect_noise import Noise
-    from wafer_viewer.measure.die_cells import Place
-    from wafer_viewer.measure.golden import Golden
+    from wafer_viewer.measure.defects.cell_comparison import CellResult, Work
+    from wafer_viewer.measure.defects.golden_die import Golden
+    from wafer_viewer.measure.defects.noise_model import Noise
+    from wafer_viewer.measure.dies.die_cells import Place
 
 PLANES = ("z_um", "z_spread_um", "picture", "picture_spread")
 BY_KEY, OF_ALL = ("spread", "fall", "places"), ("kinds", "spectrum")
@@ -72,7 +72,7 @@ def compare_row(work: Work, reference: Path, row: tuple[Place, ...]) -> list[Cel
 
 def compare_here(work: Work, noise: Noise, row: tuple[Place, ...]) -> list[CellResult]:
     """The dies of one strip."""
-    from wafer_viewer.measure.defect_cells import compared
+    from wafer_viewer.measure.defects.cell_comparison import compared
 
     return compared(work, row, noise)
 
@@ -123,7 +123,7 @@ def _planes_of(noise: Noise) -> dict[str, NDArray[Any]]:
 
 
 def _noise_of(planes: dict[str, NDArray[Any]]) -> Noise:
-    from wafer_viewer.measure.defect_noise import Noise
+    from wafer_viewer.measure.defects.noise_model import Noise
 
     whole: dict[str, Any] = {name: planes.pop(name) for name in OF_ALL}
     facts: dict[str, dict[tuple[str, float], Any]] = {name: {} for name in BY_KEY}

@@ -81,7 +81,7 @@ class DefectViews:
 
     def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
         """The places at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
-        from wafer_viewer.measure.die_stack import repeated_places
+        from wafer_viewer.measure.defects.repeaters import repeated_places
 
         inspection = self._snapshot().inspection.inspection
         return () if inspection is None else repeated_places(inspection, within_um)

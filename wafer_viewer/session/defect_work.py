@@ -50,7 +50,7 @@ def inspect_dataset(
 
     Raises MeasureError where nothing can be said, DatasetError where there is no surface, ComputeError when stopped.
     """
-    from wafer_viewer.measure.defects import inspect
+    from wafer_viewer.measure.defects.inspection import inspect
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
 
@@ -91,8 +91,8 @@ def _until_stopped(should_stop: ShouldStop) -> Generator[None]:
 
 def _laid(dies: Dies, data: Dataset, surface: Mosaic) -> DieGrid:
     """The lattice on a surface. Raises MeasureError where none is found, or the one given lies beside its dies."""
-    from wafer_viewer.measure.die_fit import fitted_dies
-    from wafer_viewer.measure.die_grid import find_dies, over_surface
+    from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
+    from wafer_viewer.measure.dies.given_lattice_fit import fitted_dies
 
     if isinstance(dies, DieGrid):
         return over_surface(fitted_dies(surface, dies).grid, surface)

@@ -55,7 +55,7 @@ def source_of(src: Path, field_number: int, result: str) -> Source:
 
 def find_faces(surface: Mosaic) -> Faces:
     """The faces of two blocks, found by themselves. Raises MeasureError where there are none."""
-    from wafer_viewer.measure.find_faces import find_faces
+    from wafer_viewer.measure.gauge.find_faces import find_faces
 
     found = find_faces(surface)
     return found.upper, found.lower
@@ -66,7 +66,7 @@ def repeat_of(source: Source, certificate: Certificate, faces: Faces | None = No
 
     Raises MeasureError where there is no check of this scan against the certificate, or the step cannot be measured.
     """
-    from wafer_viewer.measure.gauge import gauge_repeat, refusal
+    from wafer_viewer.measure.gauge.gauge_check import gauge_repeat, refusal
 
     why = refusal(certificate, source.calibration, source.problem, source.day)
     if why is not None:
@@ -79,8 +79,8 @@ def check_of(
     repeats: Sequence[GaugeRepeat], certificate: Certificate, terms: GaugeTerms, records: Sequence[GaugeRecord]
 ) -> GaugeCheck:
     """What repeats come to, with the scatter that signed checks of these blocks found before in other scans."""
-    from wafer_viewer.measure.gauge import gauge_check
-    from wafer_viewer.measure.run_chart import pooled_scatter
+    from wafer_viewer.measure.gauge.gauge_check import gauge_check
+    from wafer_viewer.measure.gauge.run_chart import pooled_scatter
 
     return gauge_check(repeats, certificate, terms, known=pooled_scatter(_others(records, repeats)))
 
@@ -118,8 +118,8 @@ def capability_of(
     records: Sequence[GaugeRecord], tolerance_um: float | None, latest: GaugeCheck | None = None
 ) -> Capability | None:
     """Cg and Cgk over every scan of signed checks and of the latest, signed or not; None without a tolerance."""
-    from wafer_viewer.measure.capability import capability
-    from wafer_viewer.measure.run_chart import errors_of_scans, same_scale
+    from wafer_viewer.measure.gauge.capability import capability
+    from wafer_viewer.measure.gauge.run_chart import errors_of_scans, same_scale
 
     if tolerance_um is None:
         return None

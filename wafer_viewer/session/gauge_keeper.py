@@ -133,7 +133,7 @@ class GaugeKeeper:
 
     def _count(self, repeat: GaugeRepeat) -> GaugeRepeat:
         """One more repeat; the first after a signed check begins another."""
-        from wafer_viewer.measure.gauge import require_new
+        from wafer_viewer.measure.gauge.gauge_check import require_new
 
         before = () if self.state.signed is not None else self.state.repeats
         require_new(repeat, before)
@@ -176,7 +176,7 @@ class GaugeKeeper:
         return tuple(record for record in records if record.rig == rig)
 
     def _refusal(self, certificate: Certificate | None) -> str | None:
-        from wafer_viewer.measure.gauge import refusal
+        from wafer_viewer.measure.gauge.gauge_check import refusal
 
         shown = self._desk.now.dataset
         if certificate is None or shown is None:
@@ -211,6 +211,6 @@ def _check(state: GaugeState, records: tuple[GaugeRecord, ...]) -> GaugeCheck | 
 
 
 def _chart(records: tuple[GaugeRecord, ...]) -> RunChart | None:
-    from wafer_viewer.measure.run_chart import run_chart
+    from wafer_viewer.measure.gauge.run_chart import run_chart
 
     return run_chart(records)

@@ -72,7 +72,7 @@ def sign_sources(check: GaugeCheck, src: Sequence[Path], operator: str, log: Pat
 
 def history(folder: Path, serials: Sequence[str], rig: str | None, tolerance_um: float | None) -> History:
     """The signed checks of a folder. Raises MeasureError where there are none, or of several pairs of blocks."""
-    from wafer_viewer.measure.run_chart import run_chart
+    from wafer_viewer.measure.gauge.run_chart import run_chart
 
     records = signed_checks(folder, serials)
     records = records if rig is None else _of_rig(records, rig)

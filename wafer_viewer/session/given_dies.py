@@ -15,7 +15,7 @@ from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.surface.height_map import Mosaic
 
 if TYPE_CHECKING:
-    from wafer_viewer.measure.die_fit import FittedDies
+    from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
 
 Evidence = Literal["height", "picture", "both"]
 
@@ -48,8 +48,8 @@ class GivenDies:
 
         Raises MeasureError where none lie there, PlanError for a job that cannot be read or lists its dies one by one.
         """
-        from wafer_viewer.measure.die_fit import FittedDies
-        from wafer_viewer.measure.die_grid import find_dies, over_surface
+        from wafer_viewer.measure.dies.die_lattice import find_dies, over_surface
+        from wafer_viewer.measure.dies.given_lattice_fit import FittedDies
 
         if self.pitch_um is not None:
             fitted = self._fitted(surface, self._lattice(), evidence)
@@ -58,7 +58,7 @@ class GivenDies:
         return self._fitted(surface, named, evidence) if named else FittedDies(find_dies(surface, evidence=evidence))
 
     def _fitted(self, surface: Mosaic, grid: DieGrid, evidence: Evidence) -> FittedDies:
-        from wafer_viewer.measure.die_fit import FittedDies, fitted_dies
+        from wafer_viewer.measure.dies.given_lattice_fit import FittedDies, fitted_dies
 
         return FittedDies(grid) if self.as_given else fitted_dies(surface, grid, evidence)
 

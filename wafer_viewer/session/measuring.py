@@ -16,7 +16,7 @@ from wafer_viewer.model.surface.height_map import Mosaic
 from wafer_viewer.session.state import Snapshot
 
 if TYPE_CHECKING:
-    from wafer_viewer.measure.heights import Layer
+    from wafer_viewer.measure.base.height_samples import Layer
 
 BY_STAGE = Levelling()
 REMEMBERED = 16
@@ -40,7 +40,7 @@ class Measuring:
         options: ToolOptions | None = None,
     ) -> AnyFinding:
         """What a tool finds at its places on what a browser shows."""
-        from wafer_viewer.measure.tools import measured
+        from wafer_viewer.measure.registry import measured
 
         found = measured(self._levelled(levelling, show), tool, places, self._calibrated(), options)
         return self._told(found, show, levelling)
@@ -49,7 +49,7 @@ class Measuring:
         self, line: Region, show: int = 0, levelling: Levelling | None = None, layer: Layer | None = None
     ) -> tuple[Profile, ProfileCurve]:
         """A section along a line."""
-        from wafer_viewer.measure.profile import profile
+        from wafer_viewer.measure.tools.profile import profile
 
         surface = self._levelled(levelling, show)
         found, curve = profile(surface, line, calibration_valid=self._calibrated(), layer=layer)
@@ -59,7 +59,7 @@ class Measuring:
         self, line: Region, show: int = 0, levelling: Levelling | None = None
     ) -> tuple[Profile, ProfileCurve, SlabPoints]:
         """A section through the slab along a line."""
-        from wafer_viewer.measure.slab import slab_profile
+        from wafer_viewer.measure.tools.slab import slab_profile
 
         surface = self._levelled(levelling, show)
         found, curve, points = slab_profile(surface, line, calibration_valid=self._calibrated())
@@ -67,7 +67,7 @@ class Measuring:
 
     def datum(self, levelling: Levelling, show: int = 0) -> Datum:
         """The zero that a way of levelling lays through what a browser shows; found once for each state of it."""
-        from wafer_viewer.measure.levelled import datum
+        from wafer_viewer.measure.base.levelled_surface import datum
 
         key = levelling, show, _stamp(self._snapshot(), show)
         if key not in self._datums:
@@ -76,7 +76,7 @@ class Measuring:
         return self._datums[key]
 
     def _levelled(self, levelling: Levelling | None, show: int) -> Mosaic:
-        from wafer_viewer.measure.levelled import Levelled
+        from wafer_viewer.measure.base.levelled_surface import Levelled
 
         surface = self._surfaces(show)
         if levelling is None or levelling == BY_STAGE:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.draw.surface.matched_pictures import Range, greys_of, heights_of, picture_of
-from wafer_viewer.measure.die_patches import (
+from wafer_viewer.measure.dies.die_crops import (
     LEAST_ALIKE,
     Cut,
     Laid,

@@ -148,8 +148,8 @@ def profiles(material: Material) -> Section:
 def _curve(material: Material, finding: AnyFinding, line: Region) -> Figure | None:
     """Cut again where and how it was cut; None where the surface is not there any more."""
     from wafer_viewer.draw.charts.profile_svg import profile_svg
-    from wafer_viewer.measure.levelled import levelled
-    from wafer_viewer.measure.profile import profile
+    from wafer_viewer.measure.base.levelled_surface import levelled
+    from wafer_viewer.measure.tools.profile import profile
     from wafer_viewer.model.measurement.sections import Section as Cut
 
     surface = _surface(material, finding.show)

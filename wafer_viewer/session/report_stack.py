@@ -19,7 +19,7 @@ WIDTH_PX = 420
 
 def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
     """The defects of all dies on one; none without dies or without defects on them."""
-    from wafer_viewer.measure.die_stack import repeated_places
+    from wafer_viewer.measure.defects.repeaters import repeated_places
 
     if found.grid is None or not any(defect.die for defect in found.found):
         return
@@ -31,7 +31,7 @@ def stacked(material: Material, found: Inspection) -> Iterator[Figure]:
 
 def repeated(found: Inspection) -> Iterator[str]:
     """The places at which several dies have a defect."""
-    from wafer_viewer.measure.die_stack import repeated_places
+    from wafer_viewer.measure.defects.repeaters import repeated_places
 
     places = repeated_places(found)
     if places:

@@ -56,7 +56,7 @@ class Sections:
         return cut(asked, surface, calibrated, other.title)
 
     def _levelled(self, other: OtherSurface, surface: Mosaic, levelling: Levelling) -> Mosaic:
-        from wafer_viewer.measure.levelled import Levelled, datum
+        from wafer_viewer.measure.base.levelled_surface import Levelled, datum
 
         if levelling.by == "stage":
             return surface

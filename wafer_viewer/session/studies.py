@@ -29,7 +29,7 @@ class Studies:
         verdict: one study for each feature of their job. tolerance: of a table's values, in their unit; scans have
         those of their job.
         """
-        from wafer_viewer.measure.repeatability import gauge_rr
+        from wafer_viewer.measure.gauge.gauge_rr import gauge_rr
         from wafer_viewer.store.tables.study_csv import read_study
 
         path = Path(path).expanduser()
@@ -39,7 +39,7 @@ class Studies:
 
 
 def _of_scans(folder: Path, method: Method) -> tuple[Studied, ...]:
-    from wafer_viewer.measure.repeatability import study_rr
+    from wafer_viewer.measure.gauge.gauge_rr import study_rr
     from wafer_viewer.session.repeat_study import studies_of
 
     made = studies_of([folder])

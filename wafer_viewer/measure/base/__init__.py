@@ -1,0 +1,1 @@
+"""Samples, faces, fits and uncertainty shared by the measuring tools."""

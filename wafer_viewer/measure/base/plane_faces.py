@@ -1,0 +1,92 @@
+"""The plane faces that steps and angles lie between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer, Points, points_in
+from wafer_viewer.measure.base.robust_plane import Plane, fit_plane, plane_design
+from wafer_viewer.measure.base.tile_statistics import Labels, Scatter, Spread, scatter_of, spreads
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+MIN_POINTS = 200
+"""Fewer say too little of their own scatter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A face's points that were not rejected, the plane through them, and their distance from it.
+
+    part: in which of the face's regions each point lies.
+    """
+
+    points: Points
+    plane: Plane
+    residuals_um: Floats
+    part: Labels
+
+    @property
+    def mean_um(self) -> float:
+        """Mean height."""
+        return float(self.points.z_um.mean())
+
+    @property
+    def sq_um(self) -> float:
+        """Root mean square distance from its own plane."""
+        return float(np.sqrt(np.mean(self.residuals_um**2)))
+
+    @property
+    def design(self) -> Floats:
+        """Columns x, y, 1 about the middle of the plane: its slopes and height are their factors."""
+        return plane_design(self.points, (self.plane.x_um, self.plane.y_um))
+
+    @property
+    def parameters(self) -> Floats:
+        """Slope along x, slope along y, height in the middle."""
+        return np.array([self.plane.slope_x, self.plane.slope_y, self.plane.z_um])
+
+    @cached_property
+    def spreads(self) -> list[Spread]:
+        """How the parameters scatter, by tiles of several sizes."""
+        return spreads(self.points, self.design, self.residuals_um, self.part)
+
+    def scatter(self, gradient: Floats) -> Scatter | None:
+        """How sure gradient [3] times the parameters is; None where there are too few tiles."""
+        return scatter_of(self.spreads, gradient)
+
+
+def enough_points(surface: Mosaic, region: Region, layer: Layer, level: int, which: str, what: str) -> Points:
+    """The measured points of a region. Raises MeasureError when it lies outside or has fewer than 200.
+
+    which, what: the region's name and what it is for, as in 'The upper region … and a step height needs'.
+    """
+    points = points_in(surface, region, layer, level)
+    if len(points) < MIN_POINTS:
+        raise MeasureError(
+            f"The {which} has {len(points)} measured points and {what} needs at least {MIN_POINTS}: "
+            "draw it larger or move it to where heights were measured."
+        )
+    return points
+
+
+def face_of(*parts: Points) -> Face:
+    """The face that points of one or several regions lie on. Raises MeasureError when they span no plane."""
+    points = joined(parts)
+    plane, fit = fit_plane(points)
+    kept = points if fit.kept.all() else points.kept(fit.kept)
+    part = np.repeat(np.arange(len(parts)), [len(p) for p in parts])[fit.kept]
+    return Face(kept, plane, kept.z_um - plane.at(kept.x_um, kept.y_um), part)
+
+
+def joined(parts: Sequence[Points]) -> Points:
+    """Points of several regions, one region after the other."""
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = whole.and_also(part)
+    return whole

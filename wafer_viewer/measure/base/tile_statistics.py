@@ -1,0 +1,175 @@
+"""How sure a fit is when neighbouring points err alike: means of tiles are taken as the observations.
+
+The error of a depth map is correlated over the focus window and by the form of the surface itself; the standard error
+of single points would be several times too small. Means of tiles that are larger than the correlation scatter as much
+as they are wrong. Tiles of a side T still miss what neighbours have in common, a share that falls as 1/T: two sizes,
+one twice the other, tell how large it is, and it is extrapolated to tiles without end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.height_samples import Floats, Points
+
+SIDES = (16, 8, 4)
+"""Tiles along each side of a region: each size is twice the one before."""
+MIN_FILL = 0.25
+"""A tile with fewer points than this share of the median tile is left out."""
+MIN_FREEDOM = 2
+STILL_GROWING = 1.5
+"""Where twice the tile scatters so many times more than the tile, the correlation is longer than the smaller one."""
+SURPRISING = 1.75
+"""Larger tiles that say so many times more than smaller ones have seen a form that those cannot: by chance they do in
+one of a hundred cases."""
+Labels = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """A standard uncertainty (k = 1) and how many degrees of freedom it was found from."""
+
+    u: float
+    freedom: float
+
+    @property
+    def widened(self) -> float:
+        """So that an expansion by k = 2 still covers 95.45 % with few degrees of freedom."""
+        from scipy.special import stdtrit
+
+        return self.u * float(stdtrit(self.freedom, 0.97725)) / 2
+
+    @classmethod
+    def joined(cls, *parts: Scatter) -> Scatter:
+        """Of a sum of independent parts, by Welch and Satterthwaite."""
+        variance = sum(part.u**2 for part in parts)
+        if variance == 0:
+            return cls(0.0, min(part.freedom for part in parts))
+        return cls(math.sqrt(variance), variance**2 / sum(part.u**4 / part.freedom for part in parts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tiles:
+    """What fell into tiles, [region, side, side]: how many points, and sums of the columns over them, [..., c]."""
+
+    count: NDArray[np.intp]
+    sums: Floats
+
+    @classmethod
+    def of(cls, points: Points, columns: Floats, part: Labels | None = None, side: int = SIDES[0]) -> Tiles:
+        """Columns [n, c] of points over side x side tiles; part: in which of several regions each point lies, [n]."""
+        labels = np.zeros(len(points), np.intp) if part is None else part
+        n = int(labels.max(initial=0)) + 1
+        cell = (labels * side + _cells(points.y_um, labels, n, side)) * side + _cells(points.x_um, labels, n, side)
+        count = np.bincount(cell, minlength=n * side**2)
+        sums: Floats = np.stack([np.bincount(cell, column, n * side**2) for column in columns.T], axis=1).astype(float)
+        return cls(count.reshape(n, side, side), sums.reshape(n, side, side, -1))
+
+    @property
+    def halved(self) -> Tiles:
+        """Half as many along each side."""
+        n, side = self.count.shape[0], self.count.shape[1] // 2
+        blocks = (n, side, 2, side, 2)
+        return Tiles(self.count.reshape(blocks).sum(axis=(2, 4)), self.sums.reshape(*blocks, -1).sum(axis=(2, 4)))
+
+    @property
+    def means(self) -> Floats:
+        """Of the columns in each tile that is filled well enough, [tile, c]."""
+        full = self.count >= max(1.0, MIN_FILL * float(np.median(self.count[self.count > 0])))
+        return self.sums[full] / self.count[full][:, None]
+
+
+def tile_means(points: Points, residuals: Floats, side: int) -> tuple[Points, Floats]:
+    """Mean position, height and residual of the points in each of side x side tiles over them; nearly empty ones go."""
+    columns = np.stack([points.x_um, points.y_um, points.z_um, residuals], axis=1)
+    x_um, y_um, z_um, left = Tiles.of(points, columns, side=side).means.T
+    return Points(x_um, y_um, z_um), left
+
+
+def parameter_u(points: Points, design: Floats, residuals: Floats, gradient: Floats) -> float | None:
+    """Standard uncertainty of gradient [p] times the parameters of a fit of `design` [n, p], by the scatter of tiles.
+
+    None when they are too few; widened by Student's t so that an expansion by k = 2 covers 95 %.
+    """
+    found = scatter_of(spreads(points, design, residuals), gradient)
+    return None if found is None else found.widened
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """Covariance [p, p] of the parameters of a fit, as tiles of one size tell it, and its degrees of freedom."""
+
+    covariance: Floats
+    freedom: float
+
+    def scatter(self, gradient: Floats) -> Scatter:
+        """Of gradient [p] times the parameters."""
+        return Scatter(math.sqrt(max(0.0, float(gradient @ self.covariance @ gradient))), self.freedom)
+
+
+def spreads(points: Points, design: Floats, residuals: Floats, part: Labels | None = None) -> list[Spread]:
+    """By tiles of each size that has enough of them, smallest first; part: in which of several regions points lie."""
+    tiles = [Tiles.of(points, np.column_stack([design, residuals]), part)]
+    for _ in SIDES[1:]:
+        tiles.append(tiles[-1].halved)
+    found = (spread_of(each.means) for each in tiles)
+    return [spread for spread in found if spread is not None]
+
+
+def scatter_of(found: Sequence[Spread], gradient: Floats, axes: int = 2) -> Scatter | None:
+    """What tiles without end would say of gradient [p] times the parameters; None where there are no tiles.
+
+    found: by tiles of several sizes, smallest first, each twice the one before; axes: 2 for tiles of an area, 1 for
+    pieces of a line.
+    """
+    known = [spread.scatter(gradient) for spread in found]
+    if len(known) < 2:
+        return known[0] if known else None
+    best = _extrapolated(known[0], known[1], axes)
+    for smallest, small, large in zip(known, known[1:], known[2:], strict=False):
+        coarser = _extrapolated(small, large, axes)
+        if small.u > STILL_GROWING * smallest.u or coarser.u > SURPRISING * best.u:
+            best = coarser
+    return best
+
+
+def _extrapolated(small: Scatter, large: Scatter, axes: int) -> Scatter:
+    """From a pair of sizes; never below what the larger says.
+
+    The variance of means over areas lacks (1 - a/T) for each axis, so for two axes u itself goes as 1 - a/T.
+    """
+    u = 2 * large.u - small.u if axes == 2 else math.sqrt(max(0.0, 2 * large.u**2 - small.u**2))
+    lost = 4 / large.freedom - 3 / small.freedom
+    return Scatter(max(u, large.u), 1 / lost if lost > 0 else large.freedom)
+
+
+def spread_of(means: Floats) -> Spread | None:
+    """By means of tiles, [tile, c]: columns of the design and, last, the residual; None where they are too few."""
+    design, residuals = means[:, :-1], means[:, -1]
+    freedom = len(residuals) - design.shape[1]
+    if freedom < MIN_FREEDOM:
+        return None
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scale = np.where(scale > 0, scale, 1.0)
+    inverse = np.linalg.pinv((design / scale).T @ (design / scale), hermitian=True)
+    return Spread(inverse / np.outer(scale, scale) * float(np.sum(residuals**2)) / freedom, freedom)
+
+
+def _cells(coordinate: Floats, labels: Labels, n: int, side: int) -> Labels:
+    """The tile of each point along one axis, from 0, between the ends of the points of its own region."""
+    if n == 1:
+        return _between(coordinate, float(coordinate.min()), float(coordinate.max()), side)
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, labels, coordinate)
+    np.maximum.at(high, labels, coordinate)
+    return _between(coordinate, low[labels], high[labels], side)
+
+
+def _between(coordinate: Floats, low: Floats | float, high: Floats | float, side: int) -> Labels:
+    wide = np.maximum(np.subtract(high, low), 1e-12)
+    return np.minimum(((coordinate - low) / wide * side).astype(np.intp), side - 1)

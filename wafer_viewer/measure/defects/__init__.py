@@ -1,0 +1,1 @@
+"""Inspection of patterned wafers: scores, segmentation, classification."""

@@ -1,0 +1,145 @@
+"""Cells side by side compared with their reference: a pure function, so that rows of dies may go to other workers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.defects.background_contrast import against_around, contrast_of, is_plain
+from wafer_viewer.measure.defects.golden_die import LEAST_CONTRAST, Golden, registered, robust_sigma, spaced
+from wafer_viewer.measure.defects.ground_kinds import kinds_of
+from wafer_viewer.measure.defects.matched_filters import spectrum_of
+from wafer_viewer.measure.defects.noise_model import Noise, noise_of
+from wafer_viewer.measure.defects.scores import (
+    Mask,
+    Residual,
+    count,
+    new_counts,
+    picture_quotient,
+    quotients,
+    residual_of,
+    scores_of,
+)
+from wafer_viewer.measure.defects.segmentation import Piece, Where, pieces_of
+from wafer_viewer.measure.defects.terraces import over_levels
+from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Read, Shift, Source, Strip
+from wafer_viewer.model.inspection.defect import DefectRecipe
+
+NOISE_CELLS = 24
+NOISE_PIXELS, LEAST_NOISE_CELLS = 20_000_000, 5
+"""Their quotients are in memory together: of large cells so many pixels are taken, and so many cells at least."""
+LEAST_MEASURED = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """What every cell is compared with, and how; on_dies: cells are dies, which are registered and flattened; excluded:
+    of the pixels of every cell those that are left out."""
+
+    source: Source
+    cells: CellGrid
+    golden: Golden
+    recipe: DefectRecipe
+    on_dies: bool
+    excluded: Mask | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellResult:
+    """What one cell showed: its pieces, its histogram of peaks, how it lies, how many pixels were compared or lack."""
+
+    place: Place
+    pieces: list[Piece] = field(default_factory=list[Piece])
+    peaks: NDArray[np.int64] = field(default_factory=new_counts)
+    tilt: tuple[float, float] = (0.0, 0.0)
+    offset_um: float = 0.0
+    compared_px: int = 0
+    missing_px: int = 0
+    differs_fraction: float = 0.0
+
+
+def compared(work: Work, places: Sequence[Place], noise: Noise) -> list[CellResult]:
+    """Cells side by side, each against its reference; the surface is read once for all of them."""
+    strip = work.source.strip(work.cells.around_all(places))
+    return [CellResult(place) if strip is None else _result(work, strip, place, noise) for place in places]
+
+
+def noise_over(work: Work, places: tuple[Place, ...]) -> Noise:
+    """The usual noise at each scale, over a few of the cells."""
+    most = min(NOISE_CELLS, max(LEAST_NOISE_CELLS, NOISE_PIXELS // math.prod(work.cells.shape)))
+    read = (_residual(work, work.source, place) for place in spaced(places, most))
+    some = [found[0] for found in read if found is not None]
+    spectrum = spectrum_of(picture_quotient(residual, work.golden) for residual in some)
+    found = [quotients(residual, work.golden, work.recipe, spectrum) for residual in some]
+    return noise_of(found, kinds_of(work.golden), spectrum)
+
+
+@dataclass(frozen=True, slots=True)
+class Plainness:
+    """What a surface without dies is compared by: deviations over its form and of its picture, and if that is plain."""
+
+    z_um: float
+    grey: float
+    plain: bool
+
+
+def plainness_over(source: Source, cells: CellGrid, places: tuple[Place, ...]) -> Plainness:
+    """Over a few cells: heights over the form, the picture against what is around each place."""
+    sides = slice(0, cells.shape[0]), slice(0, cells.shape[1])
+    read = (source.read(cells, place, *sides, (0.0, 0.0)) for place in spaced(places, NOISE_CELLS))
+    over = ((over_levels(cell[0], source.levels_um), cell[1]) for cell in read if cell is not None)
+    many = [(robust_sigma(z if walls is None else z[~walls]), *contrast_of(grey)) for (z, walls), grey in over]
+    z, grey, patterned = np.array(many).reshape(-1, 3).T
+    return Plainness(max(1e-6, _usual(z)), max(LEAST_CONTRAST, _usual(grey)), is_plain(patterned))
+
+
+def _usual(each: NDArray[np.float64]) -> float:
+    known = each[np.isfinite(each)]
+    return float(np.median(known)) if known.size else 1.0
+
+
+def _residual(work: Work, source: Read, place: Place) -> tuple[Residual, Shift] | None:
+    shift = registered(source, work.cells, place, work.golden) if work.on_dies else (0.0, 0.0)
+    if shift is None:
+        return None
+    rows, cols = work.cells.shape
+    cell = source.read(work.cells, place, slice(0, rows), slice(0, cols), shift)
+    if cell is None or np.isfinite(cell[0]).mean() < LEAST_MEASURED:
+        return None
+    excluded = work.excluded
+    if not work.on_dies:
+        z_um, excluded = over_levels(cell[0], work.source.levels_um)
+        cell = z_um, against_around(cell[1]) if work.recipe.evidence != "height" else cell[1]
+    return residual_of(place, cell, work.golden, work.cells.pixel_um, work.on_dies, excluded), shift
+
+
+def _result(work: Work, strip: Strip, place: Place, noise: Noise) -> CellResult:
+    found = _residual(work, strip, place)
+    if found is None:
+        return CellResult(place)
+    residual, shift = found
+    scores = scores_of(quotients(residual, work.golden, work.recipe, noise.spectrum), noise)
+    where, counts = Where(work.cells, shift), new_counts()
+    count(scores, work.recipe, work.cells.shape, counts)
+    pieces = pieces_of(residual, scores, work.golden.z_spread_um, work.recipe, where)
+    return CellResult(
+        place,
+        pieces,
+        counts,
+        residual.tilt,
+        residual.offset_um,
+        int(np.count_nonzero(np.isfinite(residual.z_um))),
+        int(np.count_nonzero(residual.missing)),
+        _differs(residual.z_um, work.golden.z_spread_um),
+    )
+
+
+def _differs(z_um: Plane, spread_um: Plane) -> float:
+    """The share of what was compared that is far from the reference."""
+    some, by = np.abs(z_um[::3, ::3]), 5 * spread_um[::3, ::3]
+    known = np.isfinite(some) & np.isfinite(by)
+    return float((some[known] > by[known]).mean()) if known.any() else 0.0

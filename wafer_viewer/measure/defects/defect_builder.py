@@ -1,0 +1,149 @@
+"""A defect from the pixels that belong to it: its size, height, volume and class, each as honest as it can be. Pure.
+
+The outline holds the pixels over half of the peak; what is longer than three widths is as long as its pixels reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.defects.classification import classify
+from wafer_viewer.measure.defects.features import shape_of
+from wafer_viewer.measure.defects.outline import Gathered, Mask, Outline, height_of, outline_of
+from wafer_viewer.measure.defects.segmentation import Piece, evidence_of
+from wafer_viewer.measure.dies.die_cells import CellGrid
+from wafer_viewer.model.inspection.defect import RESOLVED_FROM_PX, Defect, DefectRecipe
+from wafer_viewer.model.region import Point, Region
+
+NOT_RESOLVED = "Detected, size not resolved: under 20 px."
+SIZE_NOTE = "Lengths and area are those over half of the peak."
+UNSEEN = "It shows in the picture; most of its heights could not be measured."
+NARROW_WINDOWS = 2
+"""Narrower than so many focus windows heights come out too small: half as deep as they are in scratches of a window."""
+U_EDGE_PX = 0.5
+"""Where an outline lies, standard uncertainty (k = 1): it is made of whole pixels."""
+
+
+def defect_of(
+    pieces: Sequence[Piece], cells: CellGrid, reading: Reading, recipe: DefectRecipe, on_dies: bool
+) -> Defect:
+    """One defect from its pieces; on_dies: the cells are dies."""
+    whole = Gathered.of(pieces)
+    height_um, inside = height_of(whole, cells.pixel_um)
+    outline = outline_of(whole.x_um[inside], whole.y_um[inside], cells.pixel_um)
+    shape = shape_of(whole, inside, outline, height_um, cells, recipe, on_dies)
+    found = classify(shape, recipe.rules)
+    unseen = found.kind == "unmeasured"
+    if unseen:
+        found = classify(replace(shape, unmeasured_fraction=0.0), recipe.rules)
+    resolved = outline.major_um >= RESOLVED_FROM_PX * cells.pixel_um
+    narrow = _narrow(reading, outline) if height_um else ()
+    return Defect(
+        **reading.told("", 0, *_notes(reading, resolved), *narrow, *((UNSEEN,) if unseen else ())),
+        center=Point(x_um=outline.x_um, y_um=outline.y_um),
+        outline=_region(outline, cells.pixel_um),
+        kind=found.kind,
+        reasons=found.reasons,
+        confidence=confidence(whole.first.score, recipe, found.confidence),
+        **_place(outline, cells, on_dies),
+        **_sizes(whole, inside, outline, height_um, cells.pixel_um, reading, resolved, not narrow),
+        mean_height_um=shape.mean_height_um,
+        angle_deg=outline.angle_deg,
+        score=whole.first.score,
+        scale_px=whole.first.scale_px,
+        evidence=evidence_of(whole.peaks, recipe.threshold_sigma),
+        size_resolved=resolved,
+    )
+
+
+def confidence(score: float, recipe: DefectRecipe, of_class: float) -> float:
+    """How sure it is a defect of this class: one half at the threshold, by the class's own margin beyond."""
+    sure = 1 - 0.5 * math.exp(-max(0.0, score - recipe.threshold_sigma) / 2)
+    return min(1.0, max(0.0, sure * of_class))
+
+
+def _region(outline: Outline, pixel_um: float) -> Region:
+    """A circle round what is about round, else the ellipse as a polygon."""
+    major, minor = max(outline.major_um, 2 * pixel_um), max(outline.minor_um, 2 * pixel_um)
+    if major < 1.3 * minor:
+        return Region.circle(outline.x_um, outline.y_um, major / 2)
+    turn, c, s = np.arange(16) * math.pi / 8, *_direction(outline.angle_deg)
+    a, b = major / 2 * np.cos(turn), minor / 2 * np.sin(turn)
+    xs, ys = outline.x_um + a * c - b * s, outline.y_um + a * s + b * c
+    return Region.polygon(*zip(xs.tolist(), ys.tolist(), strict=True))
+
+
+def _direction(angle_deg: float) -> tuple[float, float]:
+    return math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+
+
+def _place(outline: Outline, cells: CellGrid, on_dies: bool) -> dict[str, Any]:
+    """On which die, and where on it."""
+    if not on_dies:
+        return {"die": "", "in_die": None}
+    x_um, y_um = np.array([outline.x_um]), np.array([outline.y_um])
+    col, row, u_um, v_um = (a.item() for a in cells.grid.to_die(x_um, y_um))
+    return {"die": cells.grid.name(int(col), int(row)), "in_die": Point(x_um=float(u_um), y_um=float(v_um))}
+
+
+def _sizes(
+    whole: Gathered,
+    inside: Mask,
+    outline: Outline,
+    height_um: float,
+    pixel_um: float,
+    reading: Reading,
+    resolved: bool,
+    wide: bool,
+) -> dict[str, Any]:
+    """Lengths, area and volume with U where there is an honest one; wide: heights are not averaged away."""
+    volume_um3 = float(np.nansum(whole.z_um)) * pixel_um**2
+    area = 0.0 if not resolved else outline.area_um2
+    edge_um = U_EDGE_PX * pixel_um
+    of_area: Lines | None = {
+        "pixel scale": 2 * reading.u_pixel_scale * area,
+        "place of the outline": math.pi * (outline.major_um + outline.minor_um) / 2 * edge_um,
+    }
+    n = int(np.count_nonzero(inside))
+    of_height: Lines = {
+        "noise": whole.first.noise_um,
+        "z scale": reading.u_z_scale * abs(height_um),
+        "interpolation between frames": reading.u_interpolation_um,
+    }
+    measured = bool(np.isfinite(whole.smooth_um).any()) and n > 0
+    return {
+        "major": reading.length(outline.major_um, _of_length(reading, outline.major_um, edge_um) if resolved else None),
+        "minor": reading.length(outline.minor_um, _of_length(reading, outline.minor_um, edge_um) if resolved else None),
+        "height": reading.length(height_um, of_height if measured and resolved and wide else None),
+        "area": reading.quantity(outline.area_um2, "um2", of_area if resolved else None),
+        "volume": reading.quantity(volume_um3, "um3", None),
+    }
+
+
+def _of_length(reading: Reading, length_um: float, edge_um: float) -> Lines:
+    return {"pixel scale": reading.u_pixel_scale * length_um, "place of the outline": math.sqrt(2) * edge_um}
+
+
+def _narrow(reading: Reading, outline: Outline) -> tuple[str, ...]:
+    """That its height is a lower bound, where it is narrow against the focus window and that is known."""
+    provenance = reading.surface.provenance
+    calibration, window = provenance.calibration, provenance.recipe.window
+    if not isinstance(window, int):
+        return ()
+    least_px = NARROW_WINDOWS * window
+    if outline.minor_um >= least_px * (calibration.pixel_um if calibration else reading.surface.pixel_um):
+        return ()
+    return (
+        f"Narrower than {NARROW_WINDOWS} focus windows ({least_px} px), over which heights are averaged: it is about "
+        "so high or deep at least, and that has no U.",
+    )
+
+
+def _notes(reading: Reading, resolved: bool) -> tuple[str, ...]:
+    return (SIZE_NOTE, *(() if resolved else (NOT_RESOLVED,)), *reading.not_in_budget())

@@ -1,0 +1,72 @@
+"""The streets beside a stored golden die, which has none: those of the wafer's own dies, laid beside it. Pure."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from wafer_viewer.measure.defects.golden_die import LEAST_DIES, Golden, golden_of, registered, spaced
+from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Source
+from wafer_viewer.model.errors import MeasureError
+
+LAID_BY = 8
+"""So many dies say how the wafer's own typical die lies off the stored one."""
+NOT_INSPECTED = "The streets are not in the golden die, and too few dies are measured to compare them: not inspected."
+BY_THEMSELVES = "The streets are not in the golden die: each is compared with those of the other dies."
+
+
+def with_own_streets(
+    stored: Golden, source: Source, cells: CellGrid, places: tuple[Place, ...]
+) -> tuple[Golden, tuple[str, ...]]:
+    """A stored golden die between the typical streets of this surface, and what is to be said of these.
+
+    Without five measured dies the streets stay unknown.
+    """
+    if not sum(cells.street):
+        return stored, ()
+    try:
+        own = golden_of(source, cells, places) if len(places) >= LEAST_DIES else None
+    except MeasureError:
+        own = None
+    off = _lies_off(stored, own, source, cells) if own is not None else None
+    if own is None or off is None:
+        return stored, (NOT_INSPECTED,)
+    return _beside(stored, own, off), (BY_THEMSELVES,)
+
+
+def streets_known(golden: Golden, cells: CellGrid) -> bool:
+    """Whether a cell's reference says anything of its streets, or it has none: by the line beside the die."""
+    top, left = cells.street
+    beside = golden.z_um[top - 1] if top else golden.z_um[:, left - 1]
+    return not (top or left) or bool(np.isfinite(beside).any())
+
+
+def _lies_off(stored: Golden, own: Golden, source: Source, cells: CellGrid) -> np.ndarray | None:
+    """How far (down, right) in pixels a place of the stored die lies off the same place of the wafer's own."""
+    some = spaced(tuple(own.shifts), LAID_BY)
+    laid = {place: registered(source, cells, place, stored) for place in some}
+    off = [np.subtract(shift, own.shifts[place]) for place, shift in laid.items() if shift is not None]
+    return np.median(off, axis=0) if off else None
+
+
+def _beside(stored: Golden, own: Golden, off: np.ndarray) -> Golden:
+    pairs = {
+        "z_um": _levelled(_moved(own.z_um, off), stored.z_um),
+        "picture": _levelled(_moved(own.picture, off), stored.picture),
+        "z_spread_um": _moved(own.z_spread_um, off),
+        "picture_spread": _moved(own.picture_spread, off),
+    }
+    planes = {name: np.where(np.isfinite(stored.z_um), getattr(stored, name), plane) for name, plane in pairs.items()}
+    return dataclasses.replace(stored, **planes)
+
+
+def _moved(plane: Plane, off: np.ndarray) -> Plane:
+    from scipy.ndimage import shift
+
+    return np.asarray(shift(plane, -off, order=1, cval=np.nan), np.float32)
+
+
+def _levelled(plane: Plane, like: Plane) -> Plane:
+    """At the level of the stored die, where both are known."""
+    return plane - np.float32(np.nanmedian(plane - like))

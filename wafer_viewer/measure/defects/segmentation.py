@@ -1,0 +1,227 @@
+"""Which pixels belong together: what is over the low threshold and has a peak over the high one. Pure.
+
+A piece keeps its pixels in stage um, so that pieces of one defect on several dies can be put together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.defects.matched_filters import side_of
+from wafer_viewer.measure.defects.scores import (
+    PICTURED,
+    SEEKING,
+    SHOWING,
+    Mask,
+    Residual,
+    Scores,
+    enlarged,
+    limit_of,
+    low_of,
+)
+from wafer_viewer.measure.dies.die_cells import CellGrid, Place, Plane, Shift
+from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence
+from wafer_viewer.numerics.array_types import Float32s
+from wafer_viewer.numerics.filters.multiscale_gaussian import coarseness, smooth
+from wafer_viewer.numerics.filters.peak_regions import hanging_together, widened
+
+Floats = NDArray[np.float64]
+SPARE_PX = 8
+BRIDGE_PX = 4
+"""Gaps so wide do not part a defect."""
+BORDER_PX = 4
+SHOWN_FROM = 3.5
+"""In deviations: what stands out so far and hangs together with a place that was found belongs to it."""
+CLEAR_FROM, CLEAR_MOST = 2.5, 6.0
+"""In deviations: from there on a pixel of the picture shows a shape, and no pixel counts for more than so many."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pixels:
+    """Pixels that differ, float64 [n] each: where on the stage and on the die, and what they show.
+
+    z_um: residual, NaN where unmeasured; smooth_um: the same smoothed to the size of what is there; slope: how steep
+    that is; clear: how many deviations more than CLEAR_FROM it stands out in the picture, 0 where it does not.
+    """
+
+    x_um: Floats
+    y_um: Floats
+    u_um: Floats
+    v_um: Floats
+    z_um: Floats
+    smooth_um: Floats
+    slope: Floats
+    clear: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece(Pixels):
+    """One place of one cell that differs.
+
+    border: whether a pixel lies at the cell's border; peaks: highest quotient by layer; noise_um: of heights here.
+    """
+
+    place: Place
+    border: Mask
+    peaks: dict[str, float]
+    scale_px: float
+    noise_um: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """The highest quotient of those that it was sought by."""
+        return max((self.peaks.get(layer, 0.0) for layer in SEEKING), default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """The lattice of cells, and how far this one lies off its place."""
+
+    cells: CellGrid
+    shift: Shift
+
+
+def pieces_of(residual: Residual, scores: Scores, spread_um: Plane, recipe: DefectRecipe, where: Where) -> list[Piece]:
+    """The places of a cell over the recipe's threshold; spread_um: of its heights from die to die."""
+    from scipy.ndimage import find_objects, label
+
+    shape = residual.z_um.shape
+    sought, shown = _over(scores, recipe, (shape[0], shape[1]))
+    if not sought.any():
+        return []
+    labels = np.zeros(shape, np.int32)
+    label(widened(sought | shown, BRIDGE_PX), np.ones((3, 3), int), output=labels)
+    boxes = enumerate(find_objects(labels), 1)
+    found = (_piece(residual, scores, spread_um, labels, n, box, (shown, sought), where, recipe) for n, box in boxes)
+    return [piece for piece in found if piece is not None and len(piece.x_um) >= recipe.min_area_px]
+
+
+def _over(scores: Scores, recipe: DefectRecipe, shape: tuple[int, int]) -> tuple[Mask, Mask]:
+    """Pixels where something was sought and found, and pixels that show what hangs together with that.
+
+    Found: over the low threshold, hanging together with one over the high one, in the same layer with its sign.
+    Unfiltered pixels count in a crowd of their like only.
+    """
+    found, peaks = np.zeros(shape, bool), np.zeros(shape, bool)
+    for (layer, scale), plane in scores.planes.items():
+        if layer in SEEKING:
+            high = limit_of(layer, scale, recipe.evidence, recipe.threshold_sigma)
+            for signed in (plane,) if layer == "joint" else (plane, -plane):
+                tops, low, side = signed >= high, signed >= low_of(high), side_of(layer, scale)
+                if tops.any():
+                    tops = _crowded(tops, low, recipe) if scale == 0 else tops
+                    peaks |= enlarged(tops, side, shape)
+                    found |= enlarged(hanging_together(low, tops), side, shape)
+    return found, _showing(scores, peaks) if peaks.any() else peaks
+
+
+def _crowded(tops: Mask, low: Mask, recipe: DefectRecipe) -> Mask:
+    from scipy.ndimage import uniform_filter
+
+    return tops & (uniform_filter(low.astype(np.float32), 3) * 9 >= min(9, recipe.min_area_px) - 0.5)
+
+
+def _showing(scores: Scores, peaks: Mask) -> Mask:
+    """What stands out and hangs together with peaks, in whichever layer these were found: as large at any setting."""
+    shown = np.zeros(peaks.shape, bool)
+    for (layer, scale), plane in scores.planes.items():
+        if layer in SHOWING:
+            for signed in (plane,) if layer == "joint" else (plane, -plane):
+                over = enlarged(signed >= SHOWN_FROM, coarseness(scale), peaks.shape)
+                shown |= hanging_together(over, peaks & over)
+    return shown
+
+
+def _piece(
+    residual: Residual,
+    scores: Scores,
+    spread_um: Plane,
+    labels: NDArray[np.int32],
+    number: int,
+    box: tuple[slice, slice],
+    masks: tuple[Mask, Mask],
+    where: Where,
+    recipe: DefectRecipe,
+) -> Piece | None:
+    rows, cols = (
+        slice(max(0, side.start - SPARE_PX), min(n, side.stop + SPARE_PX))
+        for side, n in zip(box, labels.shape, strict=True)
+    )
+    inside, sought = ((labels[rows, cols] == number) & mask[rows, cols] for mask in masks)
+    if np.count_nonzero(inside) < recipe.min_area_px:
+        inside = sought
+    if not inside.any():
+        return None
+    peaks, scale = _best(scores, inside | sought, rows, cols)
+    own = (labels[rows, cols] == number) | (labels[rows, cols] == 0)
+    z_um = np.where(own, residual.z_um[rows, cols], np.float32(np.nan))
+    width = np.count_nonzero(inside) / math.hypot(*inside.shape)
+    sigma = float(np.clip(width / 8, 0.6, 4.0))
+    r, c = np.nonzero(inside)
+    at = (r + rows.start).astype(float), (c + cols.start).astype(float)
+    x_um, y_um = where.cells.to_stage(residual.place, *at, where.shift)
+    u_um, v_um = where.cells.in_die(*at)
+    smoothed = smoothed_known(z_um, sigma)
+    down, right = np.gradient(smoothed)
+    slope = np.hypot(down, right) / where.cells.pixel_um
+    planes = z_um, smoothed, slope, _clear(scores, rows, cols)
+    values, smooth_um, steep, clear = (plane[r, c].astype(float) for plane in planes)
+    border, noise_um = _at_border(*at, residual.z_um.shape), _median(spread_um[rows, cols][r, c])
+    return Piece(
+        x_um, y_um, u_um, v_um, values, smooth_um, steep, clear, residual.place, border, peaks, scale, noise_um
+    )
+
+
+def _clear(scores: Scores, rows: slice, cols: slice) -> Plane:
+    """How far a part stands out of the picture at the finest scale; nowhere if the picture is not looked at."""
+    shape = rows.stop - rows.start, cols.stop - cols.start
+    scales = [scale for layer, scale in scores.planes if layer == "picture" and coarseness(scale) == 1]
+    if not scales:
+        return np.zeros(shape, np.float32)
+    score = np.nan_to_num(scores.planes["picture", min(scales)][rows, cols])
+    return np.clip(np.abs(score) - np.float32(CLEAR_FROM), 0, np.float32(CLEAR_MOST))
+
+
+def _median(values: Float32s) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else 0.0
+
+
+def _best(scores: Scores, inside: Mask, rows: slice, cols: slice) -> tuple[dict[str, float], float]:
+    """The highest quotient of each layer within a piece, and the scale of the highest of those it was sought by."""
+    best: dict[str, tuple[float, float]] = {}
+    for (layer, scale), plane in scores.planes.items():
+        side = side_of(layer, scale)
+        part = plane[rows.start // side : -(-rows.stop // side), cols.start // side : -(-cols.stop // side)]
+        if side == 1:
+            part = part[inside]
+        top = float(np.nanmax(np.abs(part), initial=0.0))
+        if top > best.get(layer, (0.0, 0.0))[0]:
+            best[layer] = top, scale
+    peaks = {layer: top for layer, (top, _) in best.items()}
+    return peaks, max((best[layer] for layer in SEEKING if layer in best), default=(0.0, 0.0))[1]
+
+
+def smoothed_known(plane: Float32s, sigma_px: float) -> Float32s:
+    """Gaussian mean of what is known, NaN where nothing near is."""
+    known = np.isfinite(plane)
+    weight = smooth(known.astype(np.float32), sigma_px)
+    value = smooth(np.where(known, plane, np.float32(0)), sigma_px)
+    return np.divide(value, weight, out=np.full(plane.shape, np.nan, np.float32), where=weight > 0.2)
+
+
+def evidence_of(peaks: dict[str, float], threshold_sigma: float) -> Evidence:
+    """Which layers show it, each for itself."""
+    limit = low_of(threshold_sigma)
+    height, picture = peaks.get("height", 0.0), max(peaks.get(layer, 0.0) for layer in PICTURED)
+    if min(height, picture) >= limit:
+        return "both"
+    return "picture" if picture > height else "height"
+
+
+def _at_border(rows: Floats, cols: Floats, shape: tuple[int, ...]) -> Mask:
+    return (rows < BORDER_PX) | (cols < BORDER_PX) | (rows >= shape[0] - BORDER_PX) | (cols >= shape[1] - BORDER_PX)

@@ -1,0 +1,128 @@
+"""Levels of a surface without dies to compare: tops of dies and streets, each at its own height over one form. Pure.
+
+A polynomial alone says nothing of a surface with two levels: either all of one level is a defect, or none is. So the
+form is fitted together with an offset for each level, and every pixel is compared with the level that it lies on.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.height_samples import Floats
+from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD, robust_fit
+from wafer_viewer.measure.dies.die_cells import Plane, Source, form_powers, sample_of
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.region import Point
+
+BINS = 200
+LEAST_SHARE = 0.05
+"""Of the measured pixels: fewer are no level, but defects or what lies between two levels."""
+VALLEY = 0.25
+"""Of the lower of two maxima of the histogram: between two levels it falls at least so far."""
+APART_SIGMA = 8.0
+"""Levels lie at least so many of their own deviations apart."""
+MOST_LEVELS = 6
+ISLAND_PX = 2500
+"""A smaller patch at another level is a defect, not a part of that level."""
+WALL_PX = 12
+"""So far from a wall between two levels nothing is compared: focus errs there, and edges are bevelled."""
+ROUNDS = 2
+SEVERAL_LEVELS = "The surface has {} levels, each compared with its own height; {} px beside walls were left out."
+Labels = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+
+def terraced(source: Source, order: int) -> Source:
+    """The source over the form of its levels; as it is where it has one level only."""
+    points, _ = sample_of(source.surface, source.layer)
+    powers, center = form_powers(order), source.form.center
+    u, v = points.x_um - center.x_um, points.y_um - center.y_um
+    terms = np.stack([u**i * v**j for i, j in powers], axis=1)
+    left = points.z_um - source.form.at(points.x_um, points.y_um)
+    levels_um = levels_of(left)
+    for _ in range(ROUNDS if len(levels_um) > 1 else 0):
+        on = nearest(left, levels_um)
+        offsets = (on[:, None] == np.arange(1, len(levels_um))).astype(float)
+        try:
+            found = robust_fit(np.concatenate([terms, offsets], axis=1), points.z_um).coefficients
+        except MeasureError:
+            break
+        left = points.z_um - terms @ found[: len(powers)]
+        levels_um = levels_of(left)
+        at = Point(x_um=center.x_um, y_um=center.y_um)
+        datum = Datum(center=at, powers=powers, coefficients=tuple(found[: len(powers)].tolist()))
+        source = replace(source, form=datum, levels_um=levels_um)
+    return source
+
+
+def levels_of(left_um: Floats) -> tuple[float, ...]:
+    """The heights at which most of a surface lies, rising; one of them where no two are clearly apart."""
+    from scipy.signal import find_peaks, peak_prominences
+
+    low, high = np.percentile(left_um, (0.5, 99.5))
+    middle = (float(np.median(left_um)),)
+    if not high > low:
+        return middle
+    counts, edges = np.histogram(left_um, BINS, (low, high))
+    smooth = np.pad(np.convolve(counts, np.ones(3) / 3, "same"), 1)
+    tops, _ = find_peaks(smooth)
+    tops = tops[peak_prominences(smooth, tops)[0] >= (1 - VALLEY) * smooth[tops]] - 1
+    borders = [a + int(np.argmin(counts[a : b + 1])) for a, b in itertools.pairwise(tops.tolist())]
+    parts = np.split(np.sort(left_um), np.searchsorted(np.sort(left_um), edges[borders]))
+    parts = [part for part in parts if len(part) >= LEAST_SHARE * len(left_um)]
+    levels = [float(np.median(part)) for part in parts]
+    sigmas = [SIGMA_OF_MAD * float(np.median(np.abs(part - at))) for part, at in zip(parts, levels, strict=True)]
+    pairs = itertools.pairwise(zip(levels, sigmas, strict=True))
+    apart = all(b - a > APART_SIGMA * max(s, t) for (a, s), (b, t) in pairs)
+    return tuple(levels) if apart and 1 < len(levels) <= MOST_LEVELS else middle
+
+
+def nearest(z_um: NDArray[np.floating], levels_um: tuple[float, ...]) -> Labels:
+    """The number of the level that each height lies nearest to."""
+    borders = (np.array(levels_um[:-1]) + np.array(levels_um[1:])) / 2
+    return np.searchsorted(borders, z_um)
+
+
+def over_levels(z_um: Plane, levels_um: tuple[float, ...]) -> tuple[Plane, Mask | None]:
+    """Heights over the level that each pixel lies on, and which pixels lie at a wall between two levels.
+
+    As they are, and None, where there is one level only.
+    """
+    from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
+
+    if len(levels_um) < 2:
+        return z_um, None
+    known = np.isfinite(z_um)
+    if not known.any():
+        return z_um, None
+    at: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    on = _without_islands(nearest(z_um[tuple(at)], levels_um), len(levels_um)).astype(np.uint8)
+    side = 2 * WALL_PX + 1
+    walls = maximum_filter(on, side) != minimum_filter(on, side)
+    return z_um - np.array(levels_um, np.float32)[on], walls
+
+
+def _without_islands(on: Labels, n: int) -> Labels:
+    """Small patches take the level that most of what is round them lies on."""
+    from scipy.ndimage import binary_dilation, find_objects, label
+
+    out = on.copy()
+    for level in range(n):
+        patches = np.zeros(on.shape, np.int32)
+        label(on == level, np.ones((3, 3), int), output=patches)
+        small = np.bincount(patches.ravel()) < ISLAND_PX
+        for k, box in enumerate(find_objects(patches), 1):
+            if not small[k]:
+                continue
+            rows, cols = (slice(max(0, side.start - 2), side.stop + 2) for side in box)
+            inside = patches[rows, cols] == k
+            ring = on[rows, cols][binary_dilation(inside, np.ones((3, 3), bool), 2) & ~inside]
+            if ring.size:
+                out[rows, cols][inside] = int(np.bincount(ring).argmax())
+    return out

@@ -1,0 +1,1 @@
+"""The die lattice: period, evidence, refinement, status."""

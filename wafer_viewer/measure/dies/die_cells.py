@@ -1,0 +1,207 @@
+"""The cells of a lattice: each die with half of the streets round it, read on the die's own pixels. Pure.
+
+Cell pixels have the surface's pixel size; row 0 is the upper edge. A cell has heights over the form of the wafer, and
+the logarithm of the picture that is in focus everywhere: grain and uneven light are factors of what is seen, so that
+in the logarithm they err by as much where it is bright as where it is dark.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.height_samples import Layer, Points, heights, pictured_window
+from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.surface.height_map import Heights, Mosaic
+from wafer_viewer.numerics.grids.die_cell_kernels import bridged, less_products, read_affine
+
+Plane = NDArray[np.float32]
+Place = tuple[int, int]
+Shift = tuple[float, float]
+FORM_POINTS = 120_000
+MARGIN_PX, REACH_PX = 4, 4
+"""Round what is read of a cell; and how far off its place it may lie at most."""
+STRIP_PIXELS = 4_000_000
+DARK_SHARE = 0.05
+"""Of the usual grey, added before the logarithm: what is darker is the camera's noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellGrid:
+    """Where cells lie: the lattice, the cell's shape in pixels, and how many of them lie left of and above the die."""
+
+    grid: DieGrid
+    pixel_um: float
+    shape: tuple[int, int]
+    street: tuple[int, int]
+
+    @classmethod
+    def of(cls, grid: DieGrid, pixel_um: float) -> CellGrid:
+        """Of a lattice of dies."""
+        rows, cols = round(grid.pitch_y_um / pixel_um), round(grid.pitch_x_um / pixel_um)
+        return cls(grid, pixel_um, (rows, cols), (_half(grid.street_y_um, pixel_um), _half(grid.street_x_um, pixel_um)))
+
+    def in_die(self, rows: NDArray[np.float64], cols: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+        """(u_um, v_um) of cell pixels."""
+        u_um = (cols - self.street[1] + 0.5) * self.pixel_um
+        return u_um, self.grid.height_um - (rows - self.street[0] + 0.5) * self.pixel_um
+
+    def to_stage(
+        self, place: Place, rows: NDArray[np.float64], cols: NDArray[np.float64], shift: Shift = (0.0, 0.0)
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Stage (x_um, y_um) of pixels of a cell that lies `shift` pixels (down, right) off its place."""
+        return self.grid.to_stage(*place, *self.in_die(rows + shift[0], cols + shift[1]))
+
+    def around(self, place: Place, rows: slice, cols: slice, shift: Shift, spare_px: float = MARGIN_PX) -> Region:
+        """What of the surface is read for a part of a cell."""
+        r, c = np.array([rows.start, rows.stop]), np.array([cols.start, cols.stop])
+        corner_rows, corner_cols = np.repeat(r, 2).astype(float), np.tile(c, 2).astype(float)
+        x_um, y_um = self.to_stage(place, corner_rows, corner_cols, shift)
+        spare = spare_px * self.pixel_um
+        return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+    def around_all(self, places: Sequence[Place]) -> Region:
+        """What of the surface is read for whole cells, wherever in reach of its place each of them lies."""
+        rows, cols = np.array([0, 0, self.shape[0], self.shape[0]]), np.array([0, self.shape[1], 0, self.shape[1]])
+        at = np.array(places)[:, :, None]
+        x_um, y_um = self.grid.to_stage(at[:, 0], at[:, 1], *self.in_die(rows.astype(float), cols.astype(float)))
+        spare = (MARGIN_PX + REACH_PX) * self.pixel_um
+        return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+    def side_by_side(self, places: Sequence[Place]) -> tuple[tuple[Place, ...], ...]:
+        """Cells next to each other in a row of dies, as many together as a strip of STRIP_PIXELS holds, one at least.
+
+        Whoever inspects them, it is in the same strips, so that it comes to the same to the last bit.
+        """
+        rise, (height_px, width_px) = abs(math.tan(self.grid.angle_rad)), self.shape
+        most = max(1, math.floor(STRIP_PIXELS / (width_px * (height_px + rise * self.grid.cols * width_px))))
+        rows = (tuple(of_row) for _, of_row in groupby(places, lambda place: place[1]))
+        return tuple(row[k : k + most] for row in rows for k in range(0, len(row), most))
+
+
+class Read(Protocol):
+    """What cells are read from."""
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
+        """Heights and picture of a part of a cell that lies `shift` pixels off; None where nothing is there."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A surface as it is inspected: which heights, over which form; dark: the grey added before the logarithm.
+
+    levels_um: heights over the form at which most of the surface lies, where it is compared with these.
+    """
+
+    surface: Mosaic
+    layer: Layer
+    form: Datum
+    dark: float = 1.0
+    levels_um: tuple[float, ...] = ()
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane] | None:
+        """Heights and picture of a part of a cell; None where the surface has nothing of it."""
+        strip = self.strip(cells.around(place, rows, cols, shift))
+        return None if strip is None else strip.read(cells, place, rows, cols, shift)
+
+    def strip(self, region: Region) -> Strip | None:
+        """A part of the surface, held; None where the surface has nothing of it."""
+        try:
+            part = pictured_window(self.surface, self.layer, region)
+        except MeasureError:
+            return None
+        z_um = np.empty(part.z_um.shape, np.float32)
+        less_products(part.z_um, *_as_products(self.form, part), z_um)
+        picture = np.log(part.picture + np.float32(self.dark))
+        return Strip(z_um, bridged(z_um), picture, part.pixel_um, part.x0_um, part.y0_um)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """A part of a surface in memory: heights over the form, the same `bridged`, and the logarithm of the picture."""
+
+    z_um: Plane
+    whole_um: Plane
+    picture: Plane
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+
+    def read(self, cells: CellGrid, place: Place, rows: slice, cols: slice, shift: Shift) -> tuple[Plane, Plane]:
+        """Heights and picture of a part of a cell, NaN beyond the strip."""
+        out_z, out_picture = (np.empty((rows.stop - rows.start, cols.stop - cols.start), np.float32) for _ in range(2))
+        way = _way(cells, place, (rows.start, cols.start), self, shift)
+        read_affine(self.z_um, self.whole_um, way, out_z)
+        read_affine(self.picture, self.picture, way, out_picture)
+        return out_z, out_picture
+
+
+def _as_products(form: Datum, part: Heights) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A polynomial as the sum of products of what depends on the row with what depends on the column, [term, n] each.
+
+    It has one term for each power of y: a few for each row, instead of a polynomial for each pixel.
+    """
+    u, v = part.x_um - form.center.x_um, part.y_um - form.center.y_um
+    highest = max((j for _, j in form.powers), default=0)
+    by_col = np.zeros((highest + 1, u.size))
+    for (i, j), coefficient in zip(form.powers, form.coefficients, strict=True):
+        by_col[j] += coefficient * u**i
+    return np.stack([v**j for j in range(highest + 1)]), by_col
+
+
+def source_of(surface: Mosaic, layer: Layer, order: int) -> Source:
+    """A surface with its form found: a polynomial that outliers do not disturb.
+
+    Raises MeasureError where too little is measured to find it.
+    """
+    points, grey = sample_of(surface, layer)
+    if len(points) < 100:
+        raise MeasureError("The surface has hardly any measured pixels: there is nothing to inspect for defects.")
+    powers = form_powers(order)
+    center = float(points.x_um.mean()), float(points.y_um.mean())
+    u, v = points.x_um - center[0], points.y_um - center[1]
+    fit = robust_fit(np.stack([u**i * v**j for i, j in powers], axis=1), points.z_um)
+    at = Point(x_um=center[0], y_um=center[1])
+    datum = Datum(center=at, powers=powers, coefficients=tuple(fit.coefficients.tolist()))
+    return Source(surface, layer, datum, max(1.0, DARK_SHARE * grey))
+
+
+def form_powers(order: int) -> tuple[tuple[int, int], ...]:
+    """The exponents of x and y of a polynomial of some order."""
+    return tuple((i, total - i) for total in range(order, -1, -1) for i in range(total, -1, -1))
+
+
+def sample_of(surface: Mosaic, layer: Layer) -> tuple[Points, float]:
+    """About FORM_POINTS measured pixels of the whole surface, and their usual grey."""
+    pixels = surface.shape[0] * surface.shape[1]
+    level = min(surface.levels - 1, max(0, math.floor(math.log(max(1.0, pixels / FORM_POINTS), 4))))
+    part = surface.window(None, level)
+    step = max(1, round(math.sqrt(part.shape[0] * part.shape[1] / FORM_POINTS)))
+    z_um = heights(part, layer)[::step, ::step]
+    rows, cols = np.nonzero(np.isfinite(z_um))
+    some = part.all_in_focus[::step, ::step][rows, cols]
+    points = Points(part.x_um[::step][cols], part.y_um[::step][rows], z_um[rows, cols].astype(np.float64))
+    return points, float(np.median(some)) if some.size else 0.0
+
+
+def _half(street_um: float, pixel_um: float) -> int:
+    return round(street_um / 2 / pixel_um)
+
+
+def _way(cells: CellGrid, place: Place, start: Place, part: Strip, shift: Shift) -> NDArray[np.float64]:
+    """From pixels of a part of a cell to pixels of a part of the surface, as `read_affine` takes it."""
+    corner = np.array([0.0, 1.0, 0.0]) + start[0], np.array([0.0, 0.0, 1.0]) + start[1]
+    x_um, y_um = cells.to_stage(place, *corner, shift)
+    rows, cols = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+    return np.array([rows[0], rows[1] - rows[0], rows[2] - rows[0], cols[0], cols[1] - cols[0], cols[2] - cols[0]])

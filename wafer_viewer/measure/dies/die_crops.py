@@ -1,0 +1,265 @@
+"""The same place of several dies, or of another scan, read on one lattice, laid on each other and levelled. Pure.
+
+A patch is what a person looks at: small, with heights and the picture that is in focus everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+from wafer_viewer.numerics.grids.die_cell_kernels import bridged, read_affine, typical
+from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+from wafer_viewer.numerics.registration.subpixel_registration import Picture, align
+
+Plane = NDArray[np.float32]
+Floats = NDArray[np.float64]
+Place = tuple[int, int]
+MARGIN_PX = 4
+DETAIL_PX, BLOCK_PX = 15, 40
+"""Brightness that changes over more pixels tells nothing of where a patch lies; it is laid block by block."""
+LEAST_ALIKE = 0.35
+"""Correlation under which two patches do not show the same place."""
+AS_GOOD = 0.95
+"""Of places that fit as well as that, the one nearest to where the stage says is taken: patterns repeat."""
+LEAST_POINTS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """Where pixels are read: about a place of the stage, turned anticlockwise; shape is (rows, cols)."""
+
+    x_um: float
+    y_um: float
+    pixel_um: float
+    shape: tuple[int, int]
+    angle_rad: float = 0.0
+
+    @classmethod
+    def of_box(cls, surface: Mosaic, box_um: tuple[float, float, float, float], most_px: int) -> Patch:
+        """Over a box of the stage (x low, y low, x high, y high), at a level with at most so many pixels a side."""
+        x0, y0, x1, y1 = box_um
+        return cls._over(surface, ((x0 + x1) / 2, (y0 + y1) / 2), (x1 - x0, y1 - y0), most_px)
+
+    @classmethod
+    def of_die(cls, surface: Mosaic, grid: DieGrid, place: Place, most_px: int) -> Patch:
+        """Over a die without its streets, along the die's own axes."""
+        x_um, y_um = grid.to_stage(*place, grid.width_um / 2, grid.height_um / 2)
+        size = grid.width_um, grid.height_um
+        return replace(cls._over(surface, (float(x_um), float(y_um)), size, most_px), angle_rad=grid.angle_rad)
+
+    @classmethod
+    def _over(cls, surface: Mosaic, at: tuple[float, float], size_um: tuple[float, float], most_px: int) -> Patch:
+        coarser = max(0, math.ceil(math.log2(max(size_um) / surface.pixel_um / most_px)))
+        pixel_um = surface.pixel_um * 2**coarser
+        cols, rows = (max(8, round(side / pixel_um)) for side in size_um)
+        return cls(*at, pixel_um, (rows, cols))
+
+    def to_stage(self, rows: Floats, cols: Floats) -> tuple[Floats, Floats]:
+        """Stage (x_um, y_um) of pixels."""
+        right = (cols - (self.shape[1] - 1) / 2) * self.pixel_um
+        up = ((self.shape[0] - 1) / 2 - rows) * self.pixel_um
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return self.x_um + c * right - s * up, self.y_um + s * right + c * up
+
+    def moved(self, down_px: float, right_px: float) -> Patch:
+        """The same, so many of its pixels further."""
+        rows, cols = (np.array([(n - 1) / 2]) for n in self.shape)
+        x_um, y_um = self.to_stage(rows + down_px, cols + right_px)
+        return replace(self, x_um=float(x_um[0]), y_um=float(y_um[0]))
+
+    def on_die(self, grid: DieGrid, here: Place, there: Place) -> Patch:
+        """The same place of another die."""
+        (xa, ya), (xb, yb) = grid.corner(*here), grid.corner(*there)
+        return replace(self, x_um=self.x_um + xb - xa, y_um=self.y_um + yb - ya)
+
+    def around(self, spare_px: float) -> Region:
+        """What of the stage is read for it."""
+        rows, cols = self.shape
+        x_um, y_um = self.to_stage(np.array([0.0, 0.0, rows, rows]), np.array([0.0, cols, 0.0, cols]))
+        spare = spare_px * self.pixel_um
+        return Region.rectangle(x_um.min() - spare, y_um.min() - spare, x_um.max() + spare, y_um.max() + spare)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cut:
+    """What a patch shows: heights in um and grey values, float32 [row, col], NaN where nothing is known."""
+
+    z_um: Plane
+    picture: Plane
+
+    @property
+    def measured(self) -> float:
+        """The share of it that has heights."""
+        return float(np.isfinite(self.z_um).mean())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laid:
+    """A patch read where it lies best on another: the cut, how far it was moved (down, right) in um, how alike."""
+
+    cut: Cut
+    moved_um: tuple[float, float]
+    alike: float
+
+
+def cut(surface: Mosaic, patch: Patch) -> Cut | None:
+    """What a surface shows there; None where it has nothing of it."""
+    part = _window(surface, patch, MARGIN_PX)
+    return None if part is None else _sampled(part, patch)
+
+
+def laid_on(own: Cut, surface: Mosaic, patch: Patch, reach_px: int) -> Laid | None:
+    """What a surface shows near a patch, moved by at most so many pixels and levelled so that it lies on `own`.
+
+    It is found by the picture, by heights where there is none. Where nothing alike is found it stays where it is, with
+    `alike` under LEAST_ALIKE. None where the surface has nothing there.
+    """
+    part = _window(surface, patch, reach_px + MARGIN_PX)
+    if part is None:
+        return None
+    there = _sampled(part, patch)
+    lag, alike = _lag(own, there, reach_px)
+    moved = patch.moved(-lag[0], -lag[1])
+    found = levelled_on(own, _sampled(part, moved) if any(lag) else there)
+    return Laid(found, (-lag[0] * patch.pixel_um, -lag[1] * patch.pixel_um), alike)
+
+
+def usual(own: Cut, cuts: Sequence[Cut]) -> Cut:
+    """The median of several, each levelled on `own`; unknown where less than half of them are known."""
+    layers = [np.empty(own.z_um.shape, np.float32) for _ in range(2)]
+    for layer, name in zip(layers, ("z_um", "picture"), strict=True):
+        stack = np.stack([getattr(one, name) for one in cuts])
+        typical(stack, (len(cuts) + 1) // 2, layer, np.empty_like(layer))
+    return Cut(*layers)
+
+
+def cut_of_golden(golden: GoldenDie, grid: DieGrid, place: Place, patch: Patch) -> Cut:
+    """What a stored golden die shows where a patch lies on the die at a place of the lattice."""
+    pixel_um = golden.header.pixel_um
+    c, s = math.cos(grid.angle_rad), math.sin(grid.angle_rad)
+    x0, y0 = grid.corner(*place)
+
+    def to_pixels(x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+        u_um, v_um = c * (x_um - x0) + s * (y_um - y0), c * (y_um - y0) - s * (x_um - x0)
+        return (golden.header.height_um - v_um) / pixel_um - 0.5, u_um / pixel_um - 0.5
+
+    way = _way(patch, to_pixels)
+    return Cut(_read(golden.z_um, way, patch.shape), _read(golden.picture, way, patch.shape))
+
+
+def levelled_on(own: Cut, other: Cut) -> Cut:
+    """The other with the plane taken off by which it differs from its own, and as bright."""
+    return Cut(other.z_um + _difference(own.z_um, other.z_um), other.picture * np.float32(_brighter(own, other)))
+
+
+def _window(surface: Mosaic, patch: Patch, spare_px: int) -> HeightMap | None:
+    level = min(surface.levels - 1, max(0, round(math.log2(patch.pixel_um / surface.pixel_um))))
+    try:
+        part = surface.window(patch.around(spare_px), level)
+    except MeasureError:
+        return None
+    return part if 0 not in part.shape else None
+
+
+def _sampled(part: HeightMap, patch: Patch) -> Cut:
+    picture = part.all_in_focus.astype(np.float32)
+    picture[part.origin == Origin.NOT_COVERED] = np.nan
+
+    def to_pixels(x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+        return (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+
+    way = _way(patch, to_pixels)
+    z_um = np.where(part.measured, part.z_um, np.float32(np.nan))
+    return Cut(_read(z_um, way, patch.shape), _read(picture, way, patch.shape))
+
+
+def _way(patch: Patch, to_pixels: Callable[[Floats, Floats], tuple[Floats, Floats]]) -> Floats:
+    """From pixels of a patch to those of a raster, as `read_affine` takes it."""
+    x_um, y_um = patch.to_stage(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+    return np.concatenate([[v[0], v[1] - v[0], v[2] - v[0]] for v in to_pixels(x_um, y_um)])
+
+
+def _read(plane: Plane, way: Floats, shape: tuple[int, int]) -> Plane:
+    out = np.empty(shape, np.float32)
+    known = np.ascontiguousarray(plane, np.float32)
+    read_affine(known, bridged(known), way, out)
+    return out
+
+
+def _lag(own: Cut, other: Cut, reach_px: int) -> tuple[tuple[float, float], float]:
+    """By how many pixels (rows, cols) the other is moved to lie on its own place, and how alike both are then."""
+    one, two = _telling(own, other)
+    if not (one.known.sum() and two.known.sum()):
+        return (0.0, 0.0), 0.0
+    contrasts = (contrast(p.values, p.known > 0, DETAIL_PX) for p in (one, two))
+    found = likeness(next(contrasts), one.known > 0, next(contrasts), two.known > 0, (0, 0), reach_px)
+    good = found.correlation >= AS_GOOD * max(float(found.correlation.max()), LEAST_ALIKE)
+    if not good.any():
+        return (0.0, 0.0), float(found.correlation.max())
+    rows, cols = np.nonzero(good)
+    nearest = int(np.argmin((rows - reach_px) ** 2 + (cols - reach_px) ** 2))
+    row, col = _summit(found.correlation, int(rows[nearest]), int(cols[nearest]))
+    begun = float(row - reach_px), float(col - reach_px)
+    lag = align(one, two, begun, BLOCK_PX).lag
+    near = max(abs(lag[0] - begun[0]), abs(lag[1] - begun[1])) <= 1.5
+    return (lag if near else begun), float(found.correlation[row, col])
+
+
+def _summit(correlation: Floats, row: int, col: int) -> tuple[int, int]:
+    """Uphill from a place to where all eight neighbours are lower."""
+    while True:
+        r0, c0 = max(0, row - 1), max(0, col - 1)
+        near = correlation[r0 : row + 2, c0 : col + 2]
+        down, right = np.unravel_index(int(near.argmax()), near.shape)
+        if near[down, right] <= correlation[row, col]:
+            return row, col
+        row, col = r0 + int(down), c0 + int(right)
+
+
+def _telling(own: Cut, other: Cut) -> tuple[Picture, Picture]:
+    """What both are compared by: their pictures, their heights where a picture shows nothing."""
+    by_picture = all(float(np.nanstd(one.picture)) > 0 for one in (own, other) if np.isfinite(one.picture).any())
+    planes = [one.picture if by_picture else one.z_um for one in (own, other)]
+    return _picture(planes[0]), _picture(planes[1])
+
+
+def _picture(plane: Plane) -> Picture:
+    known = np.isfinite(plane)
+    middle = float(np.median(plane[known])) if known.any() else 0.0
+    values = np.where(known, plane - np.float32(middle), np.float32(0))
+    return Picture(values.astype(np.float32), known.astype(np.float32), 0.0)
+
+
+def _difference(own: Plane, other: Plane) -> Plane:
+    """The plane from the other's heights to its own; a level alone where a plane is not determined."""
+    rows, cols = np.nonzero(np.isfinite(own) & np.isfinite(other))
+    if len(rows) < LEAST_POINTS:
+        return np.zeros_like(own)
+    apart = (own - other)[rows, cols].astype(np.float64)
+    half_r, half_c = own.shape[0] / 2, own.shape[1] / 2
+    design = np.stack([np.ones(len(rows)), rows / half_r - 1, cols / half_c - 1], axis=1)
+    try:
+        level, down, right = robust_fit(design, apart).coefficients.tolist()
+    except MeasureError:
+        return np.full_like(own, np.median(apart))
+    r, c = np.arange(own.shape[0])[:, None] / half_r - 1, np.arange(own.shape[1])[None, :] / half_c - 1
+    return (level + down * r + right * c).astype(np.float32)
+
+
+def _brighter(own: Cut, other: Cut) -> float:
+    both = np.isfinite(own.picture) & np.isfinite(other.picture)
+    if not both.any():
+        return 1.0
+    mine, theirs = (float(np.median(one.picture[both])) for one in (own, other))
+    return mine / theirs if theirs > 0 and mine > 0 else 1.0

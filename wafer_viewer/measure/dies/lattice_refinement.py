@@ -1,0 +1,277 @@
+"""A lattice of dies made exact: dies all over the surface are registered to their median, it is fitted. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats
+from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.measure.dies.lattice_evidence import CellLattice, Cells, Evidence, bounds_of, median_cell
+from wafer_viewer.model.errors import DiesNotFound
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.array_types import Bools, Float32s
+from wafer_viewer.numerics.registration.cross_correlation import contrast, likeness
+
+MOST_DIES, LEAST_DIES = 100, 25
+ENOUGH_INNER = 0.5
+"""Of the cells that are alike: where so many lie beside none that is not, the others can be left alone."""
+CELLS_PIXELS = 2_000_000
+"""So many dies, spread over the surface, are registered at most; fewer where their cells have more pixels together."""
+CELL_PX = 420
+"""The longer side of a cell is read at a level that gives it at most so many pixels."""
+REACH_PX = 6
+LEAST_KNOWN = 0.4
+"""Of a cell: with less of it measured it is not registered."""
+LEAST_ALIKE = 0.35
+"""Correlation with the median die from which on a cell is one of them."""
+AS_CLEAR = 0.5
+"""Of the layer that is most alike: one with less is noise and is left out."""
+LEAST_SHARE = 0.65
+"""Of the cells that were scanned: where fewer are alike, what repeats is no lattice of dies. A round wafer fills 0.78
+of the square round it, what repeats within a large die hardly half of a surface."""
+MOST_U = 0.003
+"""Standard uncertainty of a pitch, of the pitch: where it is more, what repeats does not lie on a lattice."""
+ROUNDS = 2
+"""At the finest level; at coarser ones the lattice needs only to come near."""
+Cell = tuple[Float32s, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registered:
+    """A lattice, the median cell on it, the lattice of that, and the standard uncertainties of pitch and place."""
+
+    grid: DieGrid
+    cell: Cell
+    lattice: CellLattice
+    n_dies: int
+
+
+def refined(surface: Mosaic, rough: DieGrid, evidence: Evidence, pixel_um: float) -> Registered:
+    """A lattice whose cells are as large as its pitches, made exact at finer and finer levels.
+
+    pixel_um: at which the rough lattice was found. Raises MeasureError where most cells are not alike.
+    """
+    grid = rough
+    *coarse, finest = (Cells(surface, level, evidence) for level in levels_for(surface, rough, pixel_um))
+    unlike: set[tuple[int, int]] = set()
+    for source in (*coarse, *[finest] * ROUNDS):
+        lattice = source.lattice(grid)
+        cells = cells_of(source, grid, lattice, unlike)
+        shifts = registered_shifts(cells, lattice)
+        grid, unlike = moved(grid, shifts), unlike | (cells.keys() - shifts.keys())
+    lattice = finest.lattice(grid)
+    cells = cells_of(finest, grid, lattice, unlike)
+    shifts = registered_shifts(cells, lattice)
+    if grid.u_pitch_um > MOST_U * grid.pitch_x_um:
+        raise not_alike("Too few of the", lattice)
+    return Registered(grid, median_cell([cells[at] for at in shifts]), lattice, len(shifts))
+
+
+def levels_for(surface: Mosaic, grid: DieGrid, pixel_um: float) -> tuple[int, ...]:
+    """The levels to go through, from near the one of the rough lattice to the finest that is needed."""
+    longer_px = max(grid.pitch_x_um, grid.pitch_y_um) / surface.pixel_um
+    finest = min(surface.levels - 1, max(0, math.ceil(math.log2(longer_px / CELL_PX))))
+    coarsest = min(surface.levels - 1, max(0, round(math.log2(pixel_um / surface.pixel_um))))
+    return (*range(coarsest, finest, -2), finest)
+
+
+def cells_of(
+    source: Cells, grid: DieGrid, lattice: CellLattice, unlike: Set[tuple[int, int]] = frozenset()
+) -> dict[tuple[int, int], Cell]:
+    """Cells all over the surface that are known well enough, but those that are no dies, as was seen more coarsely.
+
+    Raises MeasureError where there are fewer than two.
+    """
+    most = max(LEAST_DIES, min(MOST_DIES, CELLS_PIXELS // (lattice.rows * lattice.cols)))
+    places = spread(_best_of(whole_cells(source.surface, grid), unlike, most), most)
+    read = {at: source.read(grid, at, lattice) for at in places}
+    cells = {at: cell for at, cell in read.items() if any(_known(layer) >= LEAST_KNOWN for layer in cell)}
+    if len(cells) < 2:
+        found = f"{len(cells)} whole {'die' if len(cells) == 1 else 'dies'} found, 2 needed"
+        raise DiesNotFound(
+            f"{found}; they seem to repeat every {grid.pitch_x_um:.1f} x {grid.pitch_y_um:.1f} um. Scan more dies, or "
+            "give pitch, origin and size of the dies instead.",
+            found,
+        )
+    return cells
+
+
+def _best_of(places: Sequence[tuple[int, int]], unlike: Set[tuple[int, int]], most: int) -> Sequence[tuple[int, int]]:
+    """Those that are not unlike; of more than can be taken those that lie beside none that is, if these are enough.
+
+    Where a die begins is open, so that a cell holds parts of those beside it.
+    """
+    like = [at for at in places if at not in unlike]
+    beside = {(col + i, row + j) for col, row in unlike for i in (-1, 0, 1) for j in (-1, 0, 1)}
+    inner = [at for at in like if at not in beside]
+    return inner if len(like) > most and len(inner) >= ENOUGH_INNER * len(like) else like
+
+
+def _known(layer: Float32s) -> float:
+    """The share of a layer that is known; 0 where it shows nothing."""
+    known = layer[np.isfinite(layer)]
+    return known.size / layer.size if known.size and np.ptp(known) > 0 else 0.0
+
+
+def whole_cells(surface: Mosaic, grid: DieGrid) -> list[tuple[int, int]]:
+    """(col, row) of the cells that lie whole on the surface."""
+    low_x, low_y, high_x, high_y = bounds_of(surface)
+    (cols, rows), (u, v) = cells_over(grid, (low_x, low_y, high_x, high_y)), half_cell(grid)
+    x_um, y_um = grid.to_stage(cols[:, None], rows[:, None], u, v)
+    inside = (x_um >= low_x) & (x_um <= high_x) & (y_um >= low_y) & (y_um <= high_y)
+    whole = inside.all(axis=1)
+    return list(zip(cols[whole].tolist(), rows[whole].tolist(), strict=True))
+
+
+def cells_over(grid: DieGrid, bounds_um: tuple[float, float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows, [n] each, of all cells of the lattice that the corners of a rectangle lie round."""
+    low_x, low_y, high_x, high_y = bounds_um
+    cols, rows, _, _ = grid.to_die(np.array([low_x, low_x, high_x, high_x]), np.array([low_y, high_y, low_y, high_y]))
+    each_col, each_row = np.arange(cols.min(), cols.max() + 1), np.arange(rows.min(), rows.max() + 1)
+    return np.tile(each_col, len(each_row)), np.repeat(each_row, len(each_col))
+
+
+def half_cell(grid: DieGrid) -> tuple[Floats, Floats]:
+    """u and v of the four corners of a cell."""
+    u = grid.width_um / 2 + grid.pitch_x_um * np.array([-0.5, 0.5, 0.5, -0.5])
+    return u, grid.height_um / 2 + grid.pitch_y_um * np.array([-0.5, -0.5, 0.5, 0.5])
+
+
+def spread(places: Sequence[tuple[int, int]], most: int) -> list[tuple[int, int]]:
+    """At most so many of them: the nearest to a lattice of as many over all, its corners among them."""
+    if len(places) <= most:
+        return list(places)
+    at, side = np.array(places, float), math.isqrt(most)
+    low, high = at.min(axis=0), at.max(axis=0)
+    wanted = low + (high - low) * np.stack(np.meshgrid(*[np.linspace(0, 1, side)] * 2), axis=-1).reshape(-1, 2)
+    nearest = {int(np.argmin(((at - one) ** 2).sum(axis=1))) for one in wanted}
+    return [places[k] for k in sorted(nearest)]
+
+
+Shifts = dict[tuple[int, int], tuple[float, float]]
+
+
+def registered_shifts(cells: dict[tuple[int, int], Cell], lattice: CellLattice) -> Shifts:
+    """How far (du_um, dv_um) each cell lies from where the lattice has it; of those that are alike only.
+
+    Raises MeasureError where fewer than LEAST_SHARE are.
+    """
+    reference = _contrasts(median_cell(list(cells.values())))
+    found = {at: _shift(reference, _contrasts(cell)) for at, cell in cells.items()}
+    shifts = {at: (-lag[1] * lattice.step_x_um, lag[0] * lattice.step_y_um) for at, lag in found.items() if lag}
+    if len(shifts) < max(2, LEAST_SHARE * len(cells)):
+        raise not_alike(f"Only {len(shifts)} of {len(cells)}", lattice)
+    return shifts
+
+
+def not_alike(how_many: str, lattice: CellLattice) -> DiesNotFound:
+    """What to say where something repeats and it is not dies."""
+    width_um, height_um = lattice.cols * lattice.step_x_um, lattice.rows * lattice.step_y_um
+    return DiesNotFound(
+        f"{how_many} places that repeat every {width_um:.0f} x {height_um:.0f} um look alike, so they are no whole "
+        "dies: scan at least two dies along each axis, or give pitch, origin and size of the dies instead.",
+        "No dies found: what repeats does not look alike",
+    )
+
+
+Contrast = tuple[Float32s, Bools]
+
+
+def _contrasts(cell: Cell) -> list[Contrast | None]:
+    size = max(5, min(cell[0].shape) // 2)
+    return [_contrast(layer, size) for layer in cell]
+
+
+def _contrast(layer: Float32s, size: int) -> Contrast | None:
+    known = np.isfinite(layer)
+    if known.mean() < LEAST_KNOWN / 2 or float(np.ptp(layer[known])) == 0:
+        return None
+    return contrast(np.where(known, layer, np.float32(0)), known, size), known
+
+
+def _shift(reference: Sequence[Contrast | None], cell: Sequence[Contrast | None]) -> tuple[float, float] | None:
+    """The lag (row, col) at which a cell is most like the median one; None where it is not like it."""
+    pairs = [(a, b) for a, b in zip(reference, cell, strict=True) if a is not None and b is not None]
+    if not pairs:
+        return None
+    each = [likeness(*a, *b, (0, 0), REACH_PX).correlation for a, b in pairs]
+    best = max(float(alike.max()) for alike in each)
+    if best < LEAST_ALIKE:
+        return None
+    clear = [k for k, alike in enumerate(each) if alike.max() >= AS_CLEAR * best]
+    alike = np.mean([each[k] for k in clear], axis=0)
+    row, col = (int(k) for k in np.unravel_index(int(np.argmax(alike)), alike.shape))
+    if alike[row, col] < LEAST_ALIKE or not (0 < row < 2 * REACH_PX and 0 < col < 2 * REACH_PX):
+        return None
+    lag = row - REACH_PX, col - REACH_PX
+    down, right = _between([pairs[k] for k in clear], lag)
+    return lag[0] + down, lag[1] + right
+
+
+def _between(pairs: Sequence[tuple[Contrast, Contrast]], lag: tuple[int, int]) -> Floats:
+    """What is left of a lag between the pixels: least squares on the slopes of the median cell.
+
+    The top of a correlation of sharp edges is a cusp, and a parabola through it leans to whole pixels.
+    """
+    normal, right = np.zeros((4, 4)), np.zeros(4)
+    for (first, first_known), (second, second_known) in pairs:
+        a, b = _overlap(first, lag, 1), _overlap(second, lag, -1)
+        known = _overlap(first_known, lag, 1) & _overlap(second_known, lag, -1)
+        down, across = np.gradient(a)
+        design = np.stack([plane[known] for plane in (down, across, a, np.ones_like(a))], axis=1).astype(np.float64)
+        values = b[known].astype(np.float64) / max(float(b[known].std()), 1e-9)
+        normal += design.T @ design
+        right += design.T @ values
+    found = np.linalg.lstsq(normal, right, rcond=None)[0]
+    return np.asarray(np.clip(found[:2] / max(float(found[2]), 1e-9), -1, 1), np.float64)
+
+
+def _overlap(plane: np.ndarray, lag: tuple[int, int], way: int) -> np.ndarray:
+    """The part of the first of two cells (way 1) or the second (-1) that lies on the other at a lag."""
+    (rows, cols), (down, right) = plane.shape, (way * k for k in lag)
+    return plane[max(0, down) : rows + min(0, down), max(0, right) : cols + min(0, right)]
+
+
+def moved(grid: DieGrid, shifts: Shifts) -> DieGrid:
+    """The lattice by least squares through its dies, outliers apart: origin, both pitches, angle; with its U."""
+    at, off = np.array(list(shifts), float), np.array(list(shifts.values()))
+    center = at.mean(axis=0)
+    i, j = (at - center).T
+    one, zero = np.ones(len(at)), np.zeros(len(at))
+    design = np.concatenate(
+        [
+            np.stack([one, zero, i, zero, -j * grid.pitch_y_um], axis=1),
+            np.stack([zero, one, zero, j, i * grid.pitch_x_um], axis=1),
+        ]
+    )
+    fit = robust_fit(design, off.T.ravel())
+    du, dv, pitch_x, pitch_y, turn = fit.coefficients.tolist()
+    middle = grid.to_stage(center[0], center[1], du, dv)
+    new = replace(
+        grid,
+        pitch_x_um=grid.pitch_x_um + pitch_x,
+        pitch_y_um=grid.pitch_y_um + pitch_y,
+        width_um=grid.pitch_x_um + pitch_x,
+        height_um=grid.pitch_y_um + pitch_y,
+        angle_rad=grid.angle_rad + turn,
+        **_uncertainties(design[fit.kept], fit.residuals[fit.kept], center, grid),
+    )
+    shift = np.subtract(middle, new.to_stage(center[0], center[1]))
+    return replace(new, x0_um=new.x0_um + float(shift[0]), y0_um=new.y0_um + float(shift[1]))
+
+
+def _uncertainties(design: Floats, residuals: Floats, center: Floats, grid: DieGrid) -> dict[str, float]:
+    """Of a pitch, and of the corner of die 0,0, by what the fit leaves."""
+    freedom = max(1, len(residuals) - design.shape[1])
+    covariance = np.linalg.pinv(design.T @ design) * float(residuals @ residuals) / freedom
+    i, j = -center
+    to_origin = np.array([[1, 0, i, 0, -j * grid.pitch_y_um], [0, 1, 0, j, i * grid.pitch_x_um]])
+    at_origin = np.diag(to_origin @ covariance @ to_origin.T)
+    u_pitch = math.sqrt(float(max(covariance[2, 2], covariance[3, 3])))
+    return {"u_pitch_um": u_pitch, "u_origin_um": math.sqrt(float(at_origin.max()))}

@@ -1,0 +1,218 @@
+"""Which lattice a pattern repeats on: the two shortest lags, along x and y, at which it is like itself again. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats
+from wafer_viewer.measure.dies.autocorrelation_lags import (
+    LEAST_ALIKE,
+    MEND,
+    Peak,
+    alike_of,
+    cone,
+    lasting,
+    part_of,
+    peaks_of,
+    shortest,
+)
+from wafer_viewer.model.errors import DiesNotFound
+from wafer_viewer.numerics.array_types import Float32s
+
+LIMIT_DEG = 5.0
+"""Dies turned further against the axes of the stage are refused: rows and columns would be taken for each other."""
+SEARCHED_DEG, WIDE_DEG = 6.0, 40.0
+SIZES = (1 / 3, 1 / 6, 1 / 12, 1 / 24)
+"""Of the shorter side: what varies over more is taken off before the period is known."""
+OFF_SQUARE_RAD = 0.02
+SMALLER = 0.75
+"""Of the area of a cell that is found: where the cell of a turned lattice is smaller, that is the lattice."""
+AXES = ((False, "x"), (True, "y"))
+
+
+@dataclass(frozen=True, slots=True)
+class Periods:
+    """The lattice of a pattern in px: its two pitches, how it is turned anticlockwise, how much alike it is."""
+
+    pitch_x: float
+    pitch_y: float
+    angle_rad: float
+    alike: float
+
+
+@dataclass(frozen=True, slots=True)
+class Askew:
+    """A lattice that is turned too far: how far, and the area of its cell, px."""
+
+    turn_deg: float
+    area: float
+
+
+def periods_of(layers: Sequence[Float32s]) -> Periods:
+    """Of layers [row, col] that show one pattern, NaN where unknown.
+
+    Raises MeasureError where nothing repeats along an axis within half of its side, where it is open whether a pitch
+    or a part of it is the period, and where the lattice is turned by more than LIMIT_DEG.
+    """
+    shorter = min(layers[0].shape)
+    best = clearest(layers, [round(share * shorter) for share in SIZES])
+    if best is None:
+        raise nothing_repeats(layers)
+    across, up = (settled(periods, axis) for periods, axis in ((best.right, "x"), (best.up, "y")))
+    return _checked(fitted(best.alike, across, up), _askew(best.alike, best.peaks))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeats:
+    """What repeats once all that varies over more than some px is taken off.
+
+    An autocorrelation, its peaks, and which of these are periods along x and y that go on over the surface.
+    """
+
+    alike: Floats
+    peaks: list[Peak]
+    right: list[Peak]
+    up: list[Peak]
+
+    @property
+    def clear(self) -> tuple[bool, float]:
+        """Whether it is plain which lag is the period, and how much alike the pattern is at the worse of both lags."""
+        plain = part_of(self.right) is None and part_of(self.up) is None
+        return plain, min(shortest(self.right).alike, shortest(self.up).alike)
+
+
+def clearest(layers: Sequence[Float32s], sizes: Sequence[int]) -> Repeats | None:
+    """With that of the sizes that shows the period best; None where nothing repeats with any.
+
+    What varies slowly, as beyond the rim of a wafer or where dies are missing, makes some multiples of a period more
+    alike than others; taken off, it says nothing.
+    """
+    each = (_repeats(layers, size) for size in sorted({max(3, size) for size in sizes}))
+    return max((one for one in each if one is not None), key=lambda one: one.clear, default=None)
+
+
+def _repeats(layers: Sequence[Float32s], size: int) -> Repeats | None:
+    alike = alike_of(layers, size)
+    peaks = peaks_of(alike)
+    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    return Repeats(alike, peaks, right, up) if right and up else None
+
+
+def settled(periods: Sequence[Peak], axis: str) -> Peak:
+    """The period along an axis. Raises MeasureError where a part of it is nearly as much alike."""
+    period, part = shortest(periods), part_of(periods)
+    if part is not None:
+        raise DiesNotFound(
+            f"The pitch along {axis} may be all or 1/{round(period.length / part.length)} of what repeats best, for "
+            f"neighbours are {100 * part.alike / period.alike:.0f} % as much alike: {MEND}.",
+            f"No dies found: their pitch along {axis} is ambiguous",
+        )
+    return period
+
+
+def fitted(alike: Floats, across: Peak, up: Peak) -> tuple[Floats, Floats, float]:
+    """Both periods [right, up] in px by all lags of their lattice that are as much alike, and how much those are."""
+    basis = np.array([[across.right, across.up], [up.right, up.up]])
+    reach = 1
+    while True:
+        nodes, places = _nodes_near(alike, basis, reach)
+        if len(nodes) > 2:
+            basis = np.asarray(np.linalg.lstsq(nodes, places, rcond=None)[0], np.float64)
+        limits = [half / (2 * reach) for half in (alike.shape[1] // 2, alike.shape[0] // 2)]
+        if reach > 32 or all(abs(basis[k, k]) > limits[k] for k in (0, 1)):
+            return basis[0], basis[1], min(across.alike, up.alike)
+        reach *= 2
+
+
+def _nodes_near(alike: Floats, basis: Floats, reach: int) -> tuple[Floats, Floats]:
+    """Multiples (i, j) of the periods, and the lag of the local maximum near each, between the pixels."""
+    middle = np.array([n // 2 for n in alike.shape])
+    near = max(2, round(0.15 * float(np.abs(np.diag(basis)).min())))
+    nodes: list[tuple[int, int]] = []
+    places: list[tuple[float, float]] = []
+    for i in range(-reach, reach + 1):
+        for j in range(reach + 1):
+            right, up = np.array([i, j]) @ basis
+            row, col = round(middle[0] - up), round(middle[1] + right)
+            if (j > 0 or i > 0) and (top := top_near(alike, row, col, near)) is not None:
+                nodes.append((i, j))
+                places.append((top[1] - middle[1], middle[0] - top[0]))
+    return np.array(nodes, float), np.array(places, float)
+
+
+def top_near(alike: Floats, row: int, col: int, near: int) -> tuple[float, float] | None:
+    """(row, col) of the largest value near a place, between pixels by parabolas; None at the border or if too low."""
+    low_row, low_col = row - near, col - near
+    part = alike[max(0, low_row) : row + near + 1, max(0, low_col) : col + near + 1]
+    if low_row < 1 or low_col < 1 or row + near + 2 > alike.shape[0] or col + near + 2 > alike.shape[1]:
+        return None
+    if np.isnan(part).any() or part.max() < LEAST_ALIKE / 2:
+        return None
+    r, c = (int(k) for k in np.unravel_index(int(np.argmax(part)), part.shape))
+    r, c = r + low_row, c + low_col
+    return r + vertex(*alike[r - 1 : r + 2, c].tolist()), c + vertex(*alike[r, c - 1 : c + 2].tolist())
+
+
+def vertex(before: float, at: float, after: float) -> float:
+    """Where a parabola through three values has its top, counted from the middle one."""
+    bend = before - 2 * at + after
+    return float(np.clip((before - after) / (2 * bend), -0.5, 0.5)) if bend < 0 else 0.0
+
+
+def _checked(found: tuple[Floats, Floats, float], askew: Askew | None) -> Periods:
+    """Raises MeasureError where the lattice is turned too far or its periods are not square to each other."""
+    across, up, alike = found
+    if askew is not None and askew.area < SMALLER * abs(float(np.linalg.det([across, up]))):
+        raise turned_too_far(askew.turn_deg)
+    turn_x, turn_y = math.atan2(across[1], across[0]), math.atan2(-up[0], up[1])
+    if abs(turn_x - turn_y) > OFF_SQUARE_RAD + 2 / math.hypot(*across) + 2 / math.hypot(*up):
+        if askew is not None:
+            raise turned_too_far(askew.turn_deg)
+        raise DiesNotFound(
+            f"What repeats along x and y is {math.degrees(abs(turn_x - turn_y)):.1f} degrees off square and dies are "
+            f"not: {MEND}."
+        )
+    lengths = float(np.hypot(*across)), float(np.hypot(*up))
+    angle = (turn_x * lengths[0] + turn_y * lengths[1]) / sum(lengths)
+    if abs(math.degrees(angle)) > LIMIT_DEG:
+        raise turned_too_far(math.degrees(angle))
+    return Periods(*lengths, angle, alike)
+
+
+def turned_too_far(angle_deg: float) -> DiesNotFound:
+    """What to say of a wafer that lies askew."""
+    return DiesNotFound(
+        f"The dies are turned by {angle_deg:.1f} degrees and at most {LIMIT_DEG:g} can be found: turn the wafer, or "
+        f"{MEND}.",
+        f"No dies found: turned by {angle_deg:.1f} degrees",
+    )
+
+
+def nothing_repeats(layers: Sequence[Float32s]) -> DiesNotFound:
+    """What to say where no lattice is found: along which axis, or that it is turned too far."""
+    alike = alike_of(layers, max(3, min(layers[0].shape) // 6))
+    peaks = peaks_of(alike)
+    right, up = (lasting(alike, cone(alike, peaks, upright, SEARCHED_DEG)) for upright, _ in AXES)
+    if (askew := _askew(alike, peaks)) is not None:
+        return turned_too_far(askew.turn_deg)
+    axes = " or ".join(name for name, some in (("x", right), ("y", up)) if not some) or "x and y together"
+    return DiesNotFound(
+        f"No dies are found, because nothing repeats along {axes} within half of the surface, and at least two dies "
+        f"are needed along each axis: scan more dies, or {MEND}.",
+        f"No dies found: nothing repeats along {axes}",
+    )
+
+
+def _askew(alike: Floats, peaks: Sequence[Peak]) -> Askew | None:
+    """The lattice of the shortest lags about both axes where these are turned together, and far; None otherwise."""
+    wide = [cone(alike, peaks, upright, WIDE_DEG) for upright in (False, True)]
+    if not all(wide):
+        return None
+    across, up = map(shortest, wide)
+    turn_x, turn_y = (math.degrees(math.atan2(*lag)) for lag in ((across.up, across.right), (-up.right, up.up)))
+    far = abs(turn_x - turn_y) < 2 and abs(turn_x) > LIMIT_DEG
+    return Askew(turn_x, across.length * up.length) if far else None

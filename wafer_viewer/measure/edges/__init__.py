@@ -1,0 +1,1 @@
+"""Subpixel edges in the all-in-focus image."""

@@ -1,0 +1,268 @@
+"""Round edges across rays: found by consensus among edge points, followed ray by ray, fitted robustly. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, median_filter
+
+from wafer_viewer.measure.base.chain_statistics import chain_u
+from wafer_viewer.measure.base.height_samples import Floats
+from wafer_viewer.measure.base.robust_plane import robust_fit
+from wafer_viewer.measure.edges.edge_search import ALL_ALONG, LEAST_STEEP, SEEN, Sign
+from wafer_viewer.measure.edges.search_strip import Strip
+from wafer_viewer.measure.edges.straight_edges import AS_STRONG, require_found
+from wafer_viewer.measure.edges.subpixel_edges import Responses, between_pixels, edges_near, peaks, responses
+from wafer_viewer.model.errors import MeasureError
+
+FROM, SMALLEST_PX = 0.25, 8.0
+"""Of the circle drawn: edges are looked for from this share of its radius to all of it, and on no smaller circle."""
+RAYS = (64, 720)
+PER_RAY = 3
+"""So many of the steepest places of each ray may be the edge."""
+DRAWS, NEAR_PX, SEED = 600, 1.5, 1
+"""Circles tried through three edge points each, and how near to one a point supports it."""
+BESIDE_PX = 4.0
+"""Points nearer to the circle found support no other."""
+OVER_REST = 1.25
+"""How much steeper a round edge is than what lies elsewhere on the rays."""
+BANDS, NEAR_STEPS = 24, 3
+"""An edge is looked for in so many directions, so many pixels round its circle."""
+JUMPS_PX = 0.7
+"""From one ray to the next an edge jumps by less than this, in the median."""
+REACH_PX, ROOM_PX = 6.0, 14
+"""How far from the circle found the edge is followed; how far the rays go on there."""
+NEIGHBOURS = 5
+"""Roundness is that of medians of so many neighbouring rays."""
+_ROUNDS = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """A circle in lines and places of a strip."""
+
+    line: float
+    place: float
+    radius: float
+
+    def off(self, line: Floats, place: Floats) -> Floats:
+        """How far points lie outside of it."""
+        return np.hypot(line - self.line, place - self.place) - self.radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundEdge:
+    """A circle through the points of a round edge, in stage um, and how far each lies outside of it, in order.
+
+    sign: 1 where it is brighter outside; kept: the points that were not rejected.
+    """
+
+    x_um: float
+    y_um: float
+    radius_um: float
+    sign: Sign
+    angle: Floats
+    off_um: Floats
+    kept: NDArray[np.bool_]
+
+    @property
+    def u_radius_um(self) -> float | None:
+        """Standard uncertainty of the radius by the scatter of the points; None with too few."""
+        angle = self.angle[self.kept]
+        design = np.stack([np.cos(angle), np.sin(angle), np.ones(len(angle))], axis=1)
+        return chain_u(design, self.off_um[self.kept], np.array([0.0, 0.0, 1.0]))
+
+    @property
+    def roundness_um(self) -> float:
+        """From the innermost to the outermost point, medians of neighbours."""
+        return float(np.ptp(median_filter(self.off_um, NEIGHBOURS, mode="wrap")))
+
+
+def find_circle(
+    strip: Strip, x_um: float, y_um: float, radius_um: float, signs: tuple[Sign, ...] = (1, -1)
+) -> RoundEdge:
+    """The round edge within a circle drawn round it.
+
+    Raises MeasureError where none stands out, another is about as strong, or too few rays see it.
+    """
+    line, place = (float(v) for v in strip.where(np.array(x_um), np.array(y_um)))
+    drawn = Ring(line, place, radius_um / strip.pixel_um)
+    rays = _Rays.over(strip, drawn, max(FROM * drawn.radius, 2.0), drawn.radius)
+    found = sorted((_consensus(rays, drawn, sign) for sign in signs), key=lambda c: -c.score)
+    best = found[0]
+    _require_clear(rays, best, max(best.rival, *(c.score for c in found[1:]), 0.0))
+    return _fitted(strip, best.ring, best.sign)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rays:
+    """How grey values rise from the inside to the outside along rays, [ray, step], and where the rays lie."""
+
+    center: Ring
+    angle: Floats
+    first: float
+    response: Responses
+
+    @classmethod
+    def over(cls, strip: Strip, center: Ring, first: float, last: float) -> _Rays:
+        """Rays a pixel apart on the circle, from one radius to another."""
+        n = int(np.clip(2 * math.pi * last, *RAYS))
+        angle = np.arange(n, dtype=np.float64) * (2 * math.pi / n)
+        radius = np.arange(first, last + 1)
+        line, place = _polar(center, angle[:, None], radius[None, :])
+        at = np.stack([line, place])
+        grey = map_coordinates(strip.grey, at, order=3, mode="nearest")
+        there = map_coordinates(strip.there.astype(np.float32), at, order=1, mode="constant") > 0.99
+        return cls(center, angle, first, responses(grey, there))
+
+    def elsewhere(self, ring: Ring) -> float:
+        """How steep it is apart from a circle, root mean square; 0 where nothing else is."""
+        step = np.arange(self.response.shape[1], dtype=np.float64)
+        off = ring.off(*_polar(self.center, self.angle[:, None], self.first + step[None, :]))
+        apart = np.abs(off) > 1.5 * BESIDE_PX
+        return float(np.sqrt(np.mean(self.response[apart].astype(np.float64) ** 2))) if apart.any() else 0.0
+
+    def points(self, ray: NDArray[np.intp], step: Floats) -> tuple[Floats, Floats]:
+        """Lines and places of steps along rays."""
+        return _polar(self.center, self.angle[ray], self.first + step)
+
+
+def _polar(center: Ring, angle: Floats, radius: Floats) -> tuple[Floats, Floats]:
+    return center.line - radius * np.sin(angle), center.place + radius * np.cos(angle)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Consensus:
+    """The circle that most steep edge points lie on, how steep they are in the mean of all rays, and the next best."""
+
+    ring: Ring
+    sign: Sign
+    score: float
+    rival: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidates:
+    """Places that may be the edge: on which ray, where, how steep, each [n]."""
+
+    ray: NDArray[np.intp]
+    line: Floats
+    place: Floats
+    steep: Floats
+
+    def kept(self, mask: NDArray[np.bool_]) -> _Candidates:
+        return _Candidates(self.ray[mask], self.line[mask], self.place[mask], self.steep[mask])
+
+
+def _consensus(rays: _Rays, drawn: Ring, sign: Sign) -> _Consensus:
+    found = _candidates(rays, sign)
+    ring, score = _best_ring(found, drawn, len(rays.angle))
+    if ring is None:
+        return _Consensus(drawn, sign, 0.0, 0.0)
+    others = found.kept(np.abs(ring.off(found.line, found.place)) > BESIDE_PX)
+    return _Consensus(ring, sign, score, _best_ring(others, drawn, len(rays.angle))[1])
+
+
+def _candidates(rays: _Rays, sign: Sign) -> _Candidates:
+    rising = sign * rays.response
+    worth = np.where(peaks(rising), rising, 0.0)
+    step = np.argsort(-worth, axis=1)[:, :PER_RAY].ravel()
+    ray = np.repeat(np.arange(len(rising)), PER_RAY)[: len(step)]
+    some = worth[ray, step] > LEAST_STEEP
+    ray, step = ray[some], step[some]
+    return _Candidates(ray, *rays.points(ray, between_pixels(rising, ray, step)), worth[ray, step].astype(np.float64))
+
+
+def _best_ring(found: _Candidates, drawn: Ring, n_rays: int) -> tuple[Ring | None, float]:
+    """Of circles through three points drawn by chance the one that the steepest points lie on, within the one drawn."""
+    if len(found.ray) < RAYS[0] // 2:
+        return None, 0.0
+    rings = _through_three(found, drawn)
+    scores = [_support(found, ring, n_rays) for ring in rings]
+    if not scores:
+        return None, 0.0
+    best = int(np.argmax(scores))
+    return rings[best], scores[best]
+
+
+def _through_three(found: _Candidates, drawn: Ring) -> list[Ring]:
+    drawn_by_chance = np.random.default_rng(SEED).integers(0, len(found.ray), (DRAWS, 3))
+    x, y = found.place[drawn_by_chance], found.line[drawn_by_chance]
+    ax, ay, bx, by = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0], x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
+    cross = 2 * (ax * by - ay * bx)
+    good = np.abs(cross) > 1.0
+    a2, b2, cross = (ax**2 + ay**2)[good], (bx**2 + by**2)[good], cross[good]
+    u, v = (by[good] * a2 - ay[good] * b2) / cross, (ax[good] * b2 - bx[good] * a2) / cross
+    place, line, radius = x[good, 0] + u, y[good, 0] + v, np.hypot(u, v)
+    away = np.hypot(place - drawn.place, line - drawn.line)
+    fits = (away + radius <= 1.1 * drawn.radius) & (radius >= max(SMALLEST_PX, FROM * drawn.radius)) & (away <= radius)
+    return [Ring(*ring) for ring in zip(line[fits].tolist(), place[fits].tolist(), radius[fits].tolist(), strict=True)]
+
+
+def _support(found: _Candidates, ring: Ring, n_rays: int) -> float:
+    """How steep the points on a circle are, mean over all rays."""
+    near = np.abs(ring.off(found.line, found.place)) <= NEAR_PX
+    steepest = np.zeros(n_rays)
+    np.maximum.at(steepest, found.ray[near], found.steep[near])
+    return float(steepest.mean())
+
+
+def _require_clear(rays: _Rays, best: _Consensus, rival: float) -> None:
+    if best.score <= max(OVER_REST * rays.elsewhere(best.ring), LEAST_STEEP):
+        raise MeasureError("No round edge stands out in the circle: draw it round something that the picture shows.")
+    if rival > AS_STRONG * best.score:
+        raise MeasureError(
+            f"Two round edges in the circle are about as strong, {100 * rival / best.score:.0f} % one of the other: "
+            "draw the circle closer, or say whether it is bright or dark inside."
+        )
+
+
+def _fitted(strip: Strip, start: Ring, sign: Sign) -> RoundEdge:
+    """The circle of least squares through the edge near to a ring, along rays from its own middle."""
+    ring, line, place, kept = _nearer(strip, _nearer(strip, start, sign)[0], sign)
+    x_um, y_um = (float(v) for v in strip.at(np.array(ring.line), np.array(ring.place)))
+    angle = np.arctan2(ring.line - line, place - ring.place)
+    off_um = ring.off(line, place) * strip.pixel_um
+    return RoundEdge(x_um, y_um, ring.radius * strip.pixel_um, sign, angle, off_um, kept)
+
+
+def _nearer(strip: Strip, ring: Ring, sign: Sign) -> tuple[Ring, Floats, Floats, NDArray[np.bool_]]:
+    """The circle through the edge points near to one, lines and places of these, and which were kept."""
+    rays = _Rays.over(strip, ring, max(1.0, ring.radius - ROOM_PX), ring.radius + ROOM_PX)
+    rising, expected = sign * rays.response, np.full(len(rays.angle), ring.radius - rays.first)
+    points = edges_near(rising, expected, (REACH_PX, REACH_PX), "nearest")
+    require_found(points, len(rising))
+    _require_all_round(rising, expected, points.place)
+    line, place = rays.points(points.line.astype(np.intp), points.place)
+    found, kept = fit_ring(line, place, ring)
+    return found, line, place, kept
+
+
+def _require_all_round(rising: Responses, expected: Floats, place: Floats) -> None:
+    """Raises MeasureError where an edge is not seen in most directions: noise that happens to add up is not."""
+    at = np.round(expected).astype(np.intp)
+    near = np.stack([rising[np.arange(len(at)), at + k] for k in range(-NEAR_STEPS, NEAR_STEPS + 1)]).max(axis=0)
+    bands = np.array([part.mean() for part in np.array_split(near, BANDS)])
+    jumps = float(np.median(np.abs(np.diff(place))))
+    if np.mean(bands > SEEN * np.median(bands)) < ALL_ALONG or jumps > JUMPS_PX:
+        raise MeasureError("The round edge is not seen all round: draw the circle round one that the picture shows.")
+
+
+def fit_ring(line: Floats, place: Floats, start: Ring) -> tuple[Ring, NDArray[np.bool_]]:
+    """The circle with the least squares of distances from it (geometric), points beyond 3 robust deviations apart.
+
+    start: one that is nearly it. Gives also which points were kept. Raises MeasureError when points do not tell.
+    """
+    ring, kept = start, np.ones(len(line), bool)
+    for _ in range(_ROUNDS):
+        away = np.maximum(np.hypot(line - ring.line, place - ring.place), 1e-9)
+        design = np.stack([(line - ring.line) / away, (place - ring.place) / away, np.ones(len(away))], axis=1)
+        fit = robust_fit(design, away - ring.radius)
+        step, kept = fit.coefficients, fit.kept
+        ring = Ring(ring.line + float(step[0]), ring.place + float(step[1]), ring.radius + float(step[2]))
+        if float(np.abs(step).max()) < 1e-6:
+            break
+    return ring, kept

@@ -1,0 +1,46 @@
+"""How sure lengths and angles are that lie between edges on the picture, and what every result of them says."""
+
+from __future__ import annotations
+
+import math
+
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.edges.subpixel_edges import U_SUBPIXEL_PX
+from wafer_viewer.model.quantity import Length, Quantity
+
+NOT_IN_BUDGET = (
+    "Not in the budget: where light and focus put an edge on the picture, distortion and shear of the picture, "
+    "positions of fields against each other, repeat scans, temperature other than 20 C."
+)
+ON_PICTURE = "Measured on the picture that is in focus everywhere."
+
+
+def notes(reading: Reading, *more: str) -> tuple[str, ...]:
+    """What was measured on, and what budgets leave out; nothing of those where there are none."""
+    return (ON_PICTURE, *more, NOT_IN_BUDGET) if reading.calibrated else (ON_PICTURE, *more)
+
+
+def between_edges(
+    reading: Reading, value_um: float, pixel_um: float, scatter_um: float | None, n_edges: int = 2
+) -> Length:
+    """A length between edges. scatter_um: its standard uncertainty by their points; None: not known."""
+    if scatter_um is None:
+        return reading.length(value_um, None)
+    lines = {
+        "pixel scale": reading.u_pixel_scale * abs(value_um),
+        "scatter of the edge points": scatter_um,
+        "place between two pixels": math.sqrt(n_edges) * U_SUBPIXEL_PX * pixel_um,
+    }
+    return reading.length(value_um, lines)
+
+
+def angle(reading: Reading, value_deg: float, scatter_deg: float | None) -> Quantity:
+    """An angle between edges."""
+    lines = None if scatter_deg is None else {"scatter of the edge points": scatter_deg}
+    return reading.quantity(value_deg, "deg", lines)
+
+
+def together(*parts: float | None) -> float | None:
+    """The root sum of squares; None where one is not known."""
+    known = [part for part in parts if part is not None]
+    return math.hypot(*known) if len(known) == len(parts) else None

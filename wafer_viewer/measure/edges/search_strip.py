@@ -1,0 +1,121 @@
+"""A part of the picture that is in focus everywhere as search lines, and how its pixels lie on the stage. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.height_samples import Floats, level_for, require_area
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
+
+LEAST_PX = 16
+"""A region needs so many pixels each way: what finds an edge looks six pixels round it."""
+LEAST_COVERED = 0.5
+"""Of a region: with less of it on the picture the result would be of something else."""
+Way = tuple[float, float]
+"""x, y in um."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strip:
+    """Grey values along search lines, float32 [line, place], and which of them the picture has, bool [line, place].
+
+    A pixel lies at `corner_um` + line * `line_um` + place * `place_um`, each (x, y) in stage um.
+    """
+
+    grey: NDArray[np.float32]
+    there: NDArray[np.bool_]
+    corner_um: Way
+    line_um: Way
+    place_um: Way
+
+    @classmethod
+    def of(cls, grey: NDArray[np.generic], pixel_um: float, x0_um: float, y0_um: float) -> Strip:
+        """An image [row, col] with all its pixels; search lines run along x."""
+        there = np.ones(grey.shape, bool)
+        return cls(grey.astype(np.float32), there, (x0_um, y0_um), (0.0, -pixel_um), (pixel_um, 0.0))
+
+    @property
+    def pixel_um(self) -> float:
+        """From one pixel to the next."""
+        return float(np.hypot(*self.place_um))
+
+    @property
+    def turned(self) -> Strip:
+        """The same with its search lines across those of this one."""
+        return Strip(self.grey.T, self.there.T, self.corner_um, self.place_um, self.line_um)
+
+    @property
+    def reversed(self) -> Strip:
+        """The same with its search lines run through the other way."""
+        last = self.grey.shape[1] - 1
+        corner = self.corner_um[0] + last * self.place_um[0], self.corner_um[1] + last * self.place_um[1]
+        back = -self.place_um[0], -self.place_um[1]
+        return Strip(self.grey[:, ::-1], self.there[:, ::-1], corner, self.line_um, back)
+
+    def part(self, lines: slice, places: slice) -> Strip:
+        """Some lines and places of it, as views; slices need a start and a step of one."""
+        x, y = self.at(np.array(float(lines.start or 0)), np.array(float(places.start or 0)))
+        grey, there = self.grey[lines, places], self.there[lines, places]
+        return Strip(grey, there, (float(x), float(y)), self.line_um, self.place_um)
+
+    def at(self, line: Floats, place: Floats) -> tuple[Floats, Floats]:
+        """Stage x and y of lines and places, whole or not."""
+        (x, y), (lx, ly), (px, py) = self.corner_um, self.line_um, self.place_um
+        return x + line * lx + place * px, y + line * ly + place * py
+
+    def where(self, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+        """Lines and places of stage x and y: the inverse of `at`."""
+        x, y = x_um - self.corner_um[0], y_um - self.corner_um[1]
+        square = self.pixel_um**2
+        line, place = ((x * way[0] + y * way[1]) / square for way in (self.line_um, self.place_um))
+        return line, place
+
+
+def read_strip(surface: Mosaic, region: Region, what: str) -> tuple[Strip, int]:
+    """The picture of a region, its search lines along x, and the level it was read at.
+
+    what: as in 'and a kerf width needs'. Raises MeasureError when the region has no area, lies outside, is smaller than
+    16 pixels either way, or has less than half of its area on the picture.
+    """
+    require_area(region, "measured")
+    level = level_for(surface, region)
+    part = surface.window(region, level)
+    _require_size(region, part, what)
+    strip = strip_of(part)
+    covered = np.count_nonzero(strip.there) * part.pixel_um**2
+    x0, y0, x1, y1 = region.bounds_um
+    share = covered / ((x1 - x0) * (y1 - y0))
+    if share < LEAST_COVERED:
+        raise MeasureError(
+            f"Only {100 * share:.0f} % of the region lies on the picture and {what} needs {100 * LEAST_COVERED:.0f} %: "
+            "move it to where fields were taken."
+        )
+    return strip, level
+
+
+def strip_of(part: HeightMap) -> Strip:
+    """The picture of a height map, without what no field covers."""
+    image = Strip.of(part.all_in_focus, part.pixel_um, part.x0_um, part.y0_um)
+    there = part.origin != Origin.NOT_COVERED
+    return Strip(image.grey, there, image.corner_um, image.line_um, image.place_um)
+
+
+def require_rectangle(region: Region, what: str) -> None:
+    """Raises MeasureError for another kind of region. what: as in 'A kerf width'."""
+    if region.kind != "rectangle":
+        raise MeasureError(f"{what} is measured in a rectangle, this region is a {region.kind}: draw a rectangle.")
+
+
+def _require_size(region: Region, part: HeightMap, what: str) -> None:
+    x0, y0, x1, y1 = region.bounds_um
+    sides = (x1 - x0) / part.pixel_um, (y1 - y0) / part.pixel_um
+    if min(sides) < LEAST_PX or min(part.shape) < LEAST_PX:
+        raise MeasureError(
+            f"The region is {sides[0]:.0f} x {sides[1]:.0f} pixels large and {what} needs at least "
+            f"{LEAST_PX} x {LEAST_PX} on the surface: draw it larger."
+        )

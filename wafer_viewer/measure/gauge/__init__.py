@@ -1,0 +1,1 @@
+"""Gauge checks, capability and repeatability studies."""

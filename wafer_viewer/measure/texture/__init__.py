@@ -1,0 +1,1 @@
+"""Areal texture and profile roughness."""

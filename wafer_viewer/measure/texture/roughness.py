@@ -1,0 +1,192 @@
+"""Roughness along a line: the height parameters of ISO 21920-2 of the profile that the Gaussian filters leave."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.texture.resolvable_scales import near_noise, unseen_waves
+from wafer_viewer.measure.tools.profile import profile
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.measurements import ProfileCurve
+from wafer_viewer.model.measurement.texture import Roughness
+from wafer_viewer.model.measurement.tool_options import RoughnessOptions
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.numerics.filters.iso_gaussian import gaussian_mean
+
+SECTIONS = 5
+"""Sampling lengths of an evaluation, each as long as the cut-off."""
+RUN_UP = 0.5
+"""Of the cut-off: so much of a long line is left to the filter on each side."""
+LEAST_POINTS = 20
+"""Of a section."""
+LEAST_MEASURED = 0.5
+ROUNDING = 1e-6
+"""Of the largest height: a line whose Rq is less is flat, and has neither skewness nor kurtosis."""
+LINE_REMOVED = "Form removed: straight line of least squares."
+PRIMARY = (
+    "No cut-off lambda-c: the primary profile, waviness included, as one section; the norm writes Pa, Pq, Pz, Pt for "
+    "Ra, Rq, Rz, Rt."
+)
+DEFINITIONS = "ISO 21920-2: Ra, Rq, Rt over the whole evaluation length; Rp, Rv, Rz means of its sections."
+BORDERS = (
+    "Filter at ends and gaps: weights scaled to sum one (ISO 16610-28, moment criterion of order 0); nothing from "
+    "beyond the line."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluated:
+    """The evaluation length: its heights [n], NaN where unmeasured, its sections, and what to say of it."""
+
+    z_um: Floats
+    sections: int
+    section_um: float
+    notes: tuple[str, ...]
+
+    def split(self) -> Iterator[Floats]:
+        """The measured heights of each section."""
+        return (part[np.isfinite(part)] for part in np.array_split(self.z_um, self.sections))
+
+
+def roughness(
+    surface: Mosaic,
+    line: Region,
+    *,
+    lambda_c_um: float | None = None,
+    lambda_s_um: float | None = None,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> Roughness:
+    """Ra, Rq, Rz, Rt, Rp, Rv, Rsk and Rku (ISO 21920-2) along a line; unmeasured points count nowhere.
+
+    lambda_c_um, lambda_s_um: cut-offs of the Gaussian filters (ISO 16610-21) against longer and shorter waves, none
+    when left out. Sampling lengths are as long as lambda-c: five where the line holds them, fewer are told.
+
+    No uncertainty: what of it is noise is not evaluated. Raises MeasureError when the region is no line, lies outside,
+    is measured to less than half or in fewer than 20 points a section, or is shorter than a cut-off.
+    """
+    options = RoughnessOptions(lambda_c_um=lambda_c_um, lambda_s_um=lambda_s_um)
+    reading = Reading.of(surface, layer, calibration_valid)
+    section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
+    pixel_um = _pixel_um(curve)
+    evaluated = _evaluated(curve, pixel_um, options)
+    left = evaluated.z_um[np.isfinite(evaluated.z_um)]
+    rq_um = float(np.sqrt(np.mean(left**2)))
+    notes = (
+        LINE_REMOVED,
+        *evaluated.notes,
+        *unseen_waves(surface.provenance, pixel_um, lambda_s_um, "lambda-s"),
+        *near_noise(surface.provenance, rq_um, "Rq"),
+        *section.notes,
+    )
+    return Roughness(
+        **{**reading.told(name, 0, *notes), "filter": _filter_words(options, line)},
+        line=line,
+        options=options,
+        **_heights(reading, evaluated, left, rq_um, rq_um <= ROUNDING * float(np.nanmax(np.abs(curve.z_um)))),
+        sections=evaluated.sections,
+        section_um=evaluated.section_um,
+        points=len(left),
+        measured_fraction=len(left) / len(evaluated.z_um),
+    )
+
+
+def _evaluated(curve: ProfileCurve, pixel_um: float, options: RoughnessOptions) -> Evaluated:
+    """The profile without its line, its shortest and its longest waves, and the part of it that is evaluated."""
+    length_um = float(curve.distance_um[-1])
+    _require_room(length_um, options)
+    z_um = _without_line(curve)
+    if options.lambda_s_um is not None:
+        z_um = gaussian_mean(z_um, options.lambda_s_um / pixel_um)
+    cutoff_um = options.lambda_c_um
+    if cutoff_um is None:
+        found = Evaluated(z_um - np.nanmean(z_um), 1, length_um, (PRIMARY,))
+    else:
+        found = _in_sections(z_um - gaussian_mean(z_um, cutoff_um / pixel_um), pixel_um, cutoff_um)
+    return _require_measured(found)
+
+
+def _in_sections(z_um: Floats, pixel_um: float, cutoff_um: float) -> Evaluated:
+    """The middle of a filtered line, five cut-offs long or as many whole ones as it holds."""
+    length_um = (len(z_um) - 1) * pixel_um
+    sections = min(SECTIONS, math.floor(length_um / cutoff_um + 1e-9))
+    spare = len(z_um) - min(len(z_um), round(sections * cutoff_um / pixel_um))
+    part = z_um[spare // 2 : len(z_um) - (spare - spare // 2)]
+    notes = [DEFINITIONS]
+    if sections < SECTIONS:
+        notes.append(
+            f"{sections} of {SECTIONS} sampling lengths: the line is {length_um:.4g} um long and five are "
+            f"{SECTIONS * cutoff_um:g} um."
+        )
+    if spare * pixel_um < 2 * RUN_UP * cutoff_um - pixel_um:
+        notes.append(BORDERS)
+    return Evaluated(part - np.nanmean(part), sections, cutoff_um, tuple(notes))
+
+
+def _heights(reading: Reading, evaluated: Evaluated, left: Floats, rq_um: float, flat: bool) -> dict[str, Any]:
+    parts = list(evaluated.split())
+    highest, lowest = (float(np.mean([of(part) for part in parts])) for of in (np.max, np.min))
+    return {
+        "ra": reading.length(float(np.mean(np.abs(left))), None),
+        "rq": reading.length(rq_um, None),
+        "rz": reading.length(highest - lowest, None),
+        "rt": reading.length(float(np.ptp(left)), None),
+        "rp": reading.length(highest, None),
+        "rv": reading.length(-lowest, None),
+        "rsk": None if flat else float(np.mean(left**3)) / rq_um**3,
+        "rku": None if flat else float(np.mean(left**4)) / rq_um**4,
+    }
+
+
+def _without_line(curve: ProfileCurve) -> Floats:
+    known = np.isfinite(curve.z_um)
+    from_middle = curve.distance_um - curve.distance_um[known].mean()
+    z_um = curve.z_um - curve.z_um[known].mean()
+    slope = float(from_middle[known] @ z_um[known] / (from_middle[known] @ from_middle[known]))
+    return z_um - slope * from_middle
+
+
+def _require_room(length_um: float, options: RoughnessOptions) -> None:
+    for name, cutoff_um in (("lambda-c", options.lambda_c_um), ("lambda-s", options.lambda_s_um)):
+        if cutoff_um is not None and cutoff_um > length_um * (1 + 1e-9):
+            raise MeasureError(
+                f"{name} of {cutoff_um:g} um is longer than the line, {length_um:.4g} um: draw it longer or take a "
+                "shorter cut-off."
+            )
+
+
+def _require_measured(found: Evaluated) -> Evaluated:
+    share = float(np.mean(np.isfinite(found.z_um)))
+    if share < LEAST_MEASURED:
+        raise MeasureError(
+            f"Only {100 * share:.0f} % of the line is measured and roughness needs {100 * LEAST_MEASURED:.0f} %: "
+            "draw it where the surface has fewer holes."
+        )
+    if (fewest := min(len(part) for part in found.split())) < LEAST_POINTS:
+        raise MeasureError(
+            f"A section of the line, {found.section_um:.4g} um, has {fewest} measured points and roughness needs "
+            f"{LEAST_POINTS}: take a longer cut-off or draw the line elsewhere."
+        )
+    return found
+
+
+def _pixel_um(curve: ProfileCurve) -> float:
+    return float(curve.distance_um[-1]) / (len(curve.distance_um) - 1)
+
+
+def _filter_words(options: RoughnessOptions, line: Region) -> str:
+    named = (("lambda-s", options.lambda_s_um), ("lambda-c", options.lambda_c_um))
+    cutoffs = [f"{name} {cutoff_um:g} um" for name, cutoff_um in named if cutoff_um is not None]
+    told = [f"Gaussian (ISO 16610-21), {', '.join(cutoffs)}"] if cutoffs else []
+    if line.width_um:
+        told.append(f"mean over {line.width_um:g} um across the line")
+    return ", ".join(told) or "none"

@@ -1,0 +1,88 @@
+"""The angle between two faces: between the normals of the planes fitted to them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.plane_faces import Face, enough_points, face_of
+from wafer_viewer.measure.base.robust_plane import plane_design
+from wafer_viewer.measure.base.tile_statistics import parameter_u
+from wafer_viewer.model.measurement.measurements import FaceAngle
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+ALONG_X, ALONG_Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
+
+def face_angle(
+    surface: Mosaic,
+    first: Region,
+    second: Region,
+    *,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> FaceAngle:
+    """The angle between two faces in degrees, 0 where they are parallel, with its expanded uncertainty (k = 2).
+
+    Raises MeasureError when a region is a line, lies outside or has fewer than 200 measured points.
+    """
+    require_area(first, "first")
+    require_area(second, "second")
+    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, first, second)
+    a, b = (
+        face_of(enough_points(surface, region, reading.layer, level, f"{which} region", "an angle"))
+        for region, which in ((first, "first"), (second, "second"))
+    )
+    return FaceAngle(
+        **reading.told(name, level, *reading.not_in_budget()),
+        first=first,
+        second=second,
+        angle=reading.quantity(_angle_deg(_slopes(a), _slopes(b)), "deg", _lines(reading, a, b)),
+        first_tilt_deg=_tilt_deg(a),
+        second_tilt_deg=_tilt_deg(b),
+        first_sq_um=a.sq_um,
+        second_sq_um=b.sq_um,
+        first_points=len(a.points),
+        second_points=len(b.points),
+    )
+
+
+def _slopes(face: Face) -> Floats:
+    return np.array([face.plane.slope_x, face.plane.slope_y])
+
+
+def _angle_deg(a: Floats, b: Floats) -> float:
+    """Between the normals (-slope_x, -slope_y, 1); exact for small angles too, which an arc cosine is not."""
+    m, n = np.array([*-a, 1.0]), np.array([*-b, 1.0])
+    return math.degrees(math.atan2(float(np.linalg.norm(np.cross(m, n))), float(m @ n)))
+
+
+def _tilt_deg(face: Face) -> float:
+    return math.degrees(math.atan(math.hypot(face.plane.slope_x, face.plane.slope_y)))
+
+
+def _lines(reading: Reading, a: Face, b: Face) -> Lines | None:
+    spread = _tilt_u_deg(a), _tilt_u_deg(b)
+    if spread[0] is None or spread[1] is None:
+        return None
+    slopes = _slopes(a), _slopes(b)
+    per_scale = abs(_angle_deg(slopes[0] * 1.001, slopes[1] * 1.001) - _angle_deg(*slopes)) / 0.001
+    return {
+        "z scale": per_scale * reading.u_z_scale,
+        "pixel scale": per_scale * reading.u_pixel_scale,
+        "noise and form of the faces": math.hypot(spread[0], spread[1]),
+    }
+
+
+def _tilt_u_deg(face: Face) -> float | None:
+    """How sure a face's tilt is in the direction in which it is least so: an angle near 0 has no direction."""
+    design = plane_design(face.points, (face.plane.x_um, face.plane.y_um))
+    both = [parameter_u(face.points, design, face.residuals_um, axis) for axis in (ALONG_X, ALONG_Y)]
+    if both[0] is None or both[1] is None:
+        return None
+    return math.degrees(max(both[0], both[1]) * math.cos(math.radians(_tilt_deg(face))))

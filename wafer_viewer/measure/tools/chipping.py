@@ -1,0 +1,197 @@
+"""What is missing of a die beside the straight line of its edge on the picture: how deep, how long, how large."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer, points_in
+from wafer_viewer.measure.base.line_fit import EdgeLine
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
+from wafer_viewer.measure.edges.lateral_uncertainty import between_edges, notes
+from wafer_viewer.measure.edges.search_strip import Strip, read_strip, require_rectangle
+from wafer_viewer.measure.edges.straight_edges import REACH_PX, Found, expected_on, find_edge_any_way, require_found
+from wafer_viewer.measure.edges.subpixel_edges import EdgePoints, edges_near, responses
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chip, Chipping, Side
+from wafer_viewer.model.measurement.tool_options import ChippingOptions
+from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+NEIGHBOURS = 3
+"""Depths are medians of so many neighbouring search lines."""
+U_OF_MEDIAN = 0.67
+"""Standard deviation of the median of three over that of one."""
+BEYOND, LEAST_PX = 4.0, 2.0
+"""A chip is by itself what is deeper than so many robust deviations of the edge, and than so many pixels."""
+FOOT = 0.25
+"""Of the limit: from where to where it is deeper than this a chip reaches."""
+LEAST_POINTS, AS_HIGH_UM = 50, 1.0
+"""So many heights on each side say how high it is; by more than so many um the die's side is the higher one."""
+DieOn = Literal["auto", "bright", "dark"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Depths:
+    """How far into the die the edge lies behind its line on each search line that sees it, [n], and where, stage um."""
+
+    along_um: Floats
+    depth_um: Floats
+    x_um: Floats
+    y_um: Floats
+    spacing_um: float
+
+    @property
+    def noise_um(self) -> float:
+        """Of one search line, by how much neighbours differ."""
+        steps = np.diff(self.depth_um)
+        return SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
+
+    @property
+    def spread_um(self) -> float:
+        """Robust standard deviation of the edge about its line, chips or not."""
+        return SIGMA_OF_MAD * float(np.median(np.abs(self.depth_um)))
+
+    def chips(self, limit_um: float) -> tuple[Chip, ...]:
+        """What is deeper than a limit, the deepest first."""
+        smooth = np.asarray(median_filter(self.depth_um, NEIGHBOURS, mode="nearest"))
+        found = [self._chip(run, smooth) for run in _runs(smooth > FOOT * limit_um) if smooth[run].max() > limit_um]
+        return tuple(sorted(found, key=lambda chip: -chip.depth_um))
+
+    @property
+    def deepest_um(self) -> float:
+        """The largest depth; 0 where the edge nowhere lies behind its line."""
+        return max(0.0, float(median_filter(self.depth_um, NEIGHBOURS, mode="nearest").max()))
+
+    def _chip(self, run: slice, smooth: Floats) -> Chip:
+        at = run.start + int(np.argmax(smooth[run]))
+        return Chip(
+            place=Point(x_um=round(float(self.x_um[at]), 3), y_um=round(float(self.y_um[at]), 3)),
+            depth_um=float(smooth[at]),
+            length_um=float(np.ptp(self.along_um[run])) + self.spacing_um,
+            area_um2=max(0.0, float(np.trapezoid(self.depth_um[run], self.along_um[run]))),
+        )
+
+
+def chipping(
+    surface: Mosaic,
+    region: Region,
+    *,
+    limit_um: float | None = None,
+    die: DieOn = "auto",
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> Chipping:
+    """Depth, length and area of the chips along the one edge in a region, with expanded uncertainties (k = 2).
+
+    limit_um: what is deeper is a chip; left out, four robust deviations of the edge, two pixels at least. die: on which
+    side it lies; by itself on the higher one. Raises MeasureError when the region is no rectangle, lies outside or is
+    too small, when no edge, or more than one, stands out, or when it is not known on which side the die lies.
+    """
+    require_rectangle(region, "Chipping")
+    reading = Reading.of(surface, layer, calibration_valid)
+    strip, level = read_strip(surface, region, "chipping")
+    strip, edge = find_edge_any_way(strip)
+    if die == "auto":
+        inwards = _higher_behind(reading, region, level, strip, edge)
+    else:
+        inwards = (die == "bright") == (edge.sign > 0)
+    depths = edge_depths(strip, edge, inwards)
+    limit = limit_um or max(BEYOND * depths.spread_um, LEAST_PX * strip.pixel_um)
+    chips = depths.chips(limit)
+    u_um, noise_um = edge.line.u_um(), depths.noise_um
+    u_deep = None if u_um is None else math.hypot(u_um, U_OF_MEDIAN * noise_um)
+    length_um = float(np.ptp(edge.line.along_um))
+    return Chipping(
+        **reading.told(name, level, *notes(reading)),
+        region=region,
+        options=ChippingOptions(limit_um=limit_um, die=die),
+        deepest=between_edges(reading, depths.deepest_um, strip.pixel_um, u_deep),
+        longest=between_edges(reading, max((chip.length_um for chip in chips), default=0.0), strip.pixel_um, None),
+        area=_area(reading, chips, u_um, noise_um, strip.pixel_um),
+        n_chips=len(chips),
+        chips=chips,
+        limit_um=limit,
+        edge_length_um=length_um,
+        chipped_fraction=min(1.0, sum(chip.length_um for chip in chips) / length_um),
+        edge=edge.line.region,
+        die=_side(strip, inwards),
+        points=len(edge.points),
+    )
+
+
+def edge_depths(strip: Strip, edge: Found, inwards: bool) -> Depths:
+    """How the edge of a die deviates from its line, from end to end.
+
+    inwards: whether the die lies where places along the search lines are larger. On each line the nearest edge counts
+    that is steep enough, however far inside it lies. Raises MeasureError when too few lines see one.
+    """
+    rising = edge.sign * responses(strip.grey, strip.there)
+    far, near = float(strip.grey.shape[1]), REACH_PX
+    found = edges_near(rising, expected_on(strip, edge.line), (near, far) if inwards else (far, near), "nearest")
+    require_found(found, len(rising))
+    return _depths(strip, found, edge.line, inwards)
+
+
+def _depths(strip: Strip, found: EdgePoints, line: EdgeLine, inwards: bool) -> Depths:
+    x_um, y_um = strip.at(found.line, found.place)
+    off, along = np.asarray(line.off(x_um, y_um)), np.asarray(line.along(x_um, y_um))
+    return Depths(along, _behind(strip, line, inwards) * off, x_um, y_um, strip.pixel_um)
+
+
+def _behind(strip: Strip, line: EdgeLine, inwards: bool) -> float:
+    """1 where the die lies to the left of the line, else -1."""
+    way = 1 if inwards else -1
+    off = float(line.off(line.x_um + way * strip.place_um[0], line.y_um + way * strip.place_um[1]))
+    return math.copysign(1.0, off)
+
+
+def _higher_behind(reading: Reading, region: Region, level: int, strip: Strip, edge: Found) -> bool:
+    """Whether the surface is higher where places along the search lines are larger."""
+    points = points_in(reading.surface, region, reading.layer, level)
+    off = _behind(strip, edge.line, True) * np.asarray(edge.line.off(points.x_um, points.y_um))
+    sides = [points.z_um[side] for side in (off > 0, off < 0)]
+    if min(len(side) for side in sides) < LEAST_POINTS:
+        raise MeasureError(
+            f"One side of the edge has fewer than {LEAST_POINTS} measured heights, which do not tell where the die is: "
+            "say whether it is on the bright or the dark side."
+        )
+    behind, before = (float(np.median(side)) for side in sides)
+    if abs(behind - before) < AS_HIGH_UM:
+        raise MeasureError(
+            f"Both sides of the edge are as high within {AS_HIGH_UM:g} um, so heights do not tell where the die is: "
+            "say whether it is on the bright or the dark side."
+        )
+    return behind > before
+
+
+def _side(strip: Strip, inwards: bool) -> Side:
+    x, y = (way if inwards else -way for way in strip.place_um)
+    if abs(x) > abs(y):
+        return "right" if x > 0 else "left"
+    return "upper" if y > 0 else "lower"
+
+
+def _area(reading: Reading, chips: tuple[Chip, ...], u_um: float | None, noise_um: float, pixel_um: float) -> Quantity:
+    area_um2, length_um = sum(chip.area_um2 for chip in chips), sum(chip.length_um for chip in chips)
+    if u_um is None:
+        return reading.quantity(area_um2, "um2", None)
+    lines = {
+        "pixel scale": 2 * reading.u_pixel_scale * area_um2,
+        "scatter of the edge points": math.hypot(u_um * length_um, noise_um * math.sqrt(length_um * pixel_um)),
+    }
+    return reading.quantity(area_um2, "um2", lines)
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[slice]:
+    """Where a mask holds, one after the other."""
+    steps = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(steps[::2], steps[1::2], strict=True)]

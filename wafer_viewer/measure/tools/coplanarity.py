@@ -1,0 +1,170 @@
+"""How far the tops of bumps over a die lie from one plane (JESD22-B108), and how high each bump is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import linprog
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.edges.lateral_uncertainty import together
+from wafer_viewer.measure.tools.bumps import Bumps, Top, find_bumps
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Coplanarity
+from wafer_viewer.model.measurement.tool_options import CoplanarityOptions
+from wafer_viewer.model.quantity import Length
+from wafer_viewer.model.region import Point, Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+LEAST_BUMPS = 4
+"""Three tops always lie in one plane."""
+Reference = Literal["least_squares", "seating"]
+DEFINITIONS: dict[Reference, str] = {
+    "least_squares": "Coplanarity: from the lowest to the highest top over the least-squares plane of all tops.",
+    "seating": (
+        "Coplanarity: the largest distance of a top from the plane through the three on which the part would stand, "
+        "its centre of gravity taken in the middle of the bumps."
+    ),
+}
+EXTREMES = "Noise draws the extremes apart: the true value is rather smaller."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """The plane that tops are compared with, slopes along x and y, how far each top lies over it, square to it."""
+
+    slope_x: float
+    slope_y: float
+    deviation_um: Floats
+
+    @property
+    def tilt_mrad(self) -> float:
+        """Of the plane."""
+        return 1e3 * math.hypot(self.slope_x, self.slope_y)
+
+    @property
+    def extremes(self) -> tuple[int, int]:
+        """The numbers of the lowest and the highest top."""
+        return int(np.argmin(self.deviation_um)), int(np.argmax(self.deviation_um))
+
+    @property
+    def range_um(self) -> float:
+        """From the lowest to the highest; over the seating plane the highest lie on it."""
+        return float(np.ptp(self.deviation_um))
+
+
+def coplanarity(
+    surface: Mosaic,
+    region: Region,
+    *,
+    reference: Reference = "least_squares",
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> Coplanarity:
+    """How far the tops of the bumps in a region lie from one plane, with its expanded uncertainty (k = 2).
+
+    reference: the plane of least squares through all tops, or the seating plane. Raises MeasureError when the region
+    has no area or lies outside, when no bump stands out, or fewer than four are whole and measured.
+    """
+    require_area(region, "measured")
+    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, region)
+    part = height_window(surface, reading.layer, region, level)
+    bumps = find_bumps(part, region.contains(part.x_um[None, :], part.y_um[:, None]))
+    _require_enough(bumps)
+    fitted = PLANES[reference](bumps.tops)
+    listed = tuple(_bump(reading, top, off) for top, off in zip(bumps.tops, fitted.deviation_um.tolist(), strict=True))
+    heights = sorted((bump.height for bump in listed), key=lambda height: height.value_um)
+    return Coplanarity(
+        **reading.told(name, level, DEFINITIONS[reference], EXTREMES, *reading.not_in_budget()),
+        region=region,
+        options=CoplanarityOptions(reference=reference),
+        coplanarity=_coplanarity(reading, bumps.tops, fitted),
+        mean_height=_mean_height(reading, bumps.tops),
+        height_range=reading.length(heights[-1].value_um - heights[0].value_um, None),
+        n_bumps=len(listed),
+        left_out=bumps.left_out,
+        tilt_mrad=fitted.tilt_mrad,
+        bumps=tuple(sorted(listed, key=lambda bump: -abs(bump.deviation.value_um))),
+    )
+
+
+def _require_enough(bumps: Bumps) -> None:
+    if len(bumps.tops) < LEAST_BUMPS:
+        more = f", {bumps.left_out} more are cut or not measured" if bumps.left_out else ""
+        raise MeasureError(
+            f"Coplanarity needs {LEAST_BUMPS} whole, measured bumps and the region has {len(bumps.tops)}{more}: "
+            "draw it larger."
+        )
+
+
+def least_squares(tops: tuple[Top, ...]) -> Fitted:
+    """About the plane of least squares through all tops."""
+    places, z_um = _places(tops)
+    design = np.column_stack([places, np.ones(len(tops))])
+    slope_x, slope_y, zero = np.linalg.lstsq(design, z_um, rcond=None)[0].tolist()
+    return _over(places, z_um, slope_x, slope_y, zero)
+
+
+def seating(tops: tuple[Top, ...]) -> Fitted:
+    """About the plane that no top lies over and that is nearest to the substrate in the middle of the bumps.
+
+    That it touches three tops round the middle is what the linear programme's optimum means.
+    """
+    places, z_um = _places(tops)
+    scale = float(np.abs(places).max()) or 1.0
+    design = np.column_stack([places / scale, np.ones(len(tops))])
+    found = linprog([0.0, 0.0, 1.0], A_ub=-design, b_ub=-(z_um - z_um.mean()), bounds=(None, None))
+    slope_x, slope_y, zero = (found.x / [scale, scale, 1.0]).tolist()
+    return _over(places, z_um, slope_x, slope_y, zero + float(z_um.mean()))
+
+
+PLANES: dict[Reference, Callable[[tuple[Top, ...]], Fitted]] = {"least_squares": least_squares, "seating": seating}
+
+
+def _places(tops: tuple[Top, ...]) -> tuple[Floats, Floats]:
+    """Places about the middle of all, [n, 2], and heights."""
+    places = np.array([(top.x_um, top.y_um) for top in tops])
+    return places - places.mean(axis=0), np.array([top.z_um for top in tops])
+
+
+def _over(places: Floats, z_um: Floats, slope_x: float, slope_y: float, zero: float) -> Fitted:
+    left = z_um - places @ np.array([slope_x, slope_y]) - zero
+    return Fitted(slope_x, slope_y, left / math.sqrt(1 + slope_x**2 + slope_y**2))
+
+
+def _coplanarity(reading: Reading, tops: tuple[Top, ...], fitted: Fitted) -> Length:
+    low, high = (tops[k] for k in fitted.extremes)
+    return _length(reading, fitted.range_um, together(low.u_um, high.u_um))
+
+
+def _mean_height(reading: Reading, tops: tuple[Top, ...]) -> Length:
+    """Each bump's errors are its own, so their mean is the surer the more there are."""
+    whole = together(*(together(top.u_um, top.u_round_um) for top in tops))
+    mean_um = float(np.mean([top.height_um for top in tops]))
+    return _length(reading, mean_um, None if whole is None else whole / len(tops))
+
+
+def _bump(reading: Reading, top: Top, deviation_um: float) -> Bump:
+    return Bump(
+        place=Point(x_um=round(top.x_um, 2), y_um=round(top.y_um, 2)),
+        height=_length(reading, top.height_um, together(top.u_um, top.u_round_um)),
+        diameter_um=top.diameter_um,
+        deviation=_length(reading, deviation_um, top.u_um),
+    )
+
+
+def _length(reading: Reading, value_um: float, noise_um: float | None) -> Length:
+    if noise_um is None:
+        return reading.length(value_um, None)
+    lines = {
+        "z scale": reading.u_z_scale * abs(value_um),
+        "noise and form of the tops": noise_um,
+        "interpolation between frames": reading.u_interpolation_um,
+    }
+    return reading.length(value_um, lines)

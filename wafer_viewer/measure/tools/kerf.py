@@ -1,0 +1,183 @@
+"""The width of a kerf between its two edges on the picture: along the whole of it, at its narrowest and its widest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer
+from wafer_viewer.measure.base.line_fit import lines_between
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.measure.base.robust_plane import SIGMA_OF_MAD
+from wafer_viewer.measure.edges.edge_search import Scores, Sign, scores_of
+from wafer_viewer.measure.edges.lateral_uncertainty import angle, between_edges, notes, together
+from wafer_viewer.measure.edges.search_strip import Strip, read_strip, require_rectangle
+from wafer_viewer.measure.edges.straight_edges import AS_STRONG, Found, fitted, no_edge
+from wafer_viewer.measure.edges.subpixel_edges import REACH_PX
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.edge_and_bump_shapes import KerfWidth
+from wafer_viewer.model.measurement.tool_options import KerfOptions
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+NEIGHBOURS = 5
+"""The narrowest and the widest place are those of medians of so many neighbouring search lines."""
+U_OF_MEDIAN = 0.54
+"""Standard deviation of the median of five over that of one."""
+LEAST_APART_PX = 2 * REACH_PX
+"""Edges nearer to each other change each other's place."""
+Kerf = Literal["either", "bright", "dark"]
+SIGNS: dict[Kerf, tuple[Sign, ...]] = {"either": (1, -1), "bright": (1,), "dark": (-1,)}
+"""Which way brightness goes at the first edge."""
+EXTREMES = f"Narrowest and widest are medians of {NEIGHBOURS} neighbouring search lines; noise draws them apart."
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """The two edges of a kerf, as they come along the search lines, and its width on each line that sees both."""
+
+    first: Found
+    second: Found
+    widths_um: Floats
+
+    @property
+    def width_um(self) -> float:
+        """Between the lines, in the middle of their points."""
+        return sum(abs(float(edge.line.off(*self._middle))) for edge in (self.first, self.second))
+
+    @property
+    def u_um(self) -> float | None:
+        """Standard uncertainty of the width by the scatter of both edges' points."""
+        lines = (self.first.line, self.second.line)
+        return together(*(line.u_um(float(line.along(*self._middle))) for line in lines))
+
+    @property
+    def angle_deg(self) -> float:
+        """Between the lines."""
+        return lines_between(self.first.line, self.second.line)
+
+    @property
+    def u_extreme_um(self) -> float:
+        """Standard uncertainty of the median of neighbouring widths, by how much neighbours differ."""
+        steps = np.diff(self.widths_um)
+        return U_OF_MEDIAN * SIGMA_OF_MAD * float(np.median(np.abs(steps - np.median(steps)))) / math.sqrt(2)
+
+    @property
+    def extremes_um(self) -> tuple[float, float]:
+        """The narrowest and the widest place."""
+        near = np.median(np.lib.stride_tricks.sliding_window_view(self.widths_um, NEIGHBOURS), axis=1)
+        return float(near.min()), float(near.max())
+
+    @property
+    def _middle(self) -> tuple[float, float]:
+        first, second = self.first.line, self.second.line
+        return (first.x_um + second.x_um) / 2, (first.y_um + second.y_um) / 2
+
+
+def kerf_width(
+    surface: Mosaic,
+    region: Region,
+    *,
+    kerf: Kerf = "either",
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> KerfWidth:
+    """The width of the kerf that a region lies across, with its expanded uncertainty (k = 2), and its edges' angle.
+
+    kerf: whether it is brighter or darker than what lies beside it. Raises MeasureError when the region is no
+    rectangle, lies outside or is too small, or when no pair of edges, or more than one, stands out of it.
+    """
+    require_rectangle(region, "A kerf width")
+    reading = Reading.of(surface, layer, calibration_valid)
+    strip, level = read_strip(surface, region, "a kerf width")
+    edges = kerf_edges(strip, SIGNS[kerf])
+    lowest, highest = edges.extremes_um
+    u_angle = together(edges.first.line.u_angle_deg, edges.second.line.u_angle_deg)
+    return KerfWidth(
+        **reading.told(name, level, *notes(reading, EXTREMES)),
+        region=region,
+        options=KerfOptions(kerf=kerf),
+        width=between_edges(reading, edges.width_um, strip.pixel_um, edges.u_um),
+        narrowest=between_edges(reading, lowest, strip.pixel_um, edges.u_extreme_um),
+        widest=between_edges(reading, highest, strip.pixel_um, edges.u_extreme_um),
+        angle=angle(reading, edges.angle_deg, u_angle),
+        kerf="bright" if edges.first.sign > 0 else "dark",
+        first=edges.first.line.region,
+        second=edges.second.line.region,
+        points=len(edges.first.points) + len(edges.second.points),
+    )
+
+
+def kerf_edges(strip: Strip, signs: tuple[Sign, ...] = (1, -1)) -> Edges:
+    """The two edges of the kerf in a strip, whichever way it runs. Raises MeasureError where there is no such pair."""
+    ways = [_Way.of(one, sign) for one in (strip, strip.turned) for sign in signs]
+    best = max(ways, key=lambda way: way.strength)
+    best.require_clear()
+    return best.edges()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """The strongest pair of edges of opposite signs along the search lines of a strip."""
+
+    strip: Strip
+    sign: Sign
+    scores: tuple[Scores, Scores]
+    places: tuple[int, int]
+    strength: float
+
+    @classmethod
+    def of(cls, strip: Strip, sign: Sign) -> _Way:
+        scores = scores_of(strip, sign), scores_of(strip, 1 if sign < 0 else -1)
+        places, strength = _strongest_pair(*scores)
+        return cls(strip, sign, scores, places, strength)
+
+    def require_clear(self) -> None:
+        first, second = self.places
+        if not all(s.stands_out(p) for s, p in zip(self.scores, self.places, strict=True)) or not self.strength:
+            raise no_edge("on both sides of a kerf in the region")
+        before = self.scores[0].besides(first, up_to=second) / self.scores[0].best[first]
+        behind = self.scores[1].besides(second, after=first) / self.scores[1].best[second]
+        if (rival := max(before, behind)) > AS_STRONG:
+            raise MeasureError(
+                f"More than one kerf may be meant, because another edge has {100 * rival:.0f} % of the strength of the "
+                "one beside the kerf: draw the region narrower, across one kerf."
+            )
+
+    def edges(self) -> Edges:
+        other: Sign = 1 if self.sign < 0 else -1
+        signs: tuple[Sign, Sign] = (self.sign, other)
+        first, second = (
+            fitted(self.strip, sign, scores, place)
+            for sign, scores, place in zip(signs, self.scores, self.places, strict=True)
+        )
+        return Edges(first, second, _widths_um(self.strip, first, second))
+
+
+def _strongest_pair(first: Scores, second: Scores) -> tuple[tuple[int, int], float]:
+    """The places of the first and a later second edge whose geometric mean is largest, and that mean."""
+    apart = LEAST_APART_PX
+    if len(first.best) <= apart:
+        return (0, 0), 0.0
+    before = np.maximum.accumulate(first.best[:-apart])
+    strength = np.maximum(before, 0) * np.maximum(second.best[apart:], 0)
+    last = int(np.argmax(strength))
+    return (int(np.argmax(first.best[: last + 1])), last + apart), math.sqrt(float(strength[last]))
+
+
+def _widths_um(strip: Strip, first: Found, second: Found) -> Floats:
+    """On each line that sees both edges, square to the kerf."""
+    _, one, two = np.intersect1d(first.points.line, second.points.line, return_indices=True)
+    if len(one) < 2 * NEIGHBOURS:
+        raise MeasureError(
+            f"Both edges of the kerf are seen on {len(one)} search lines and its width needs {2 * NEIGHBOURS}: "
+            "draw the region longer."
+        )
+    places = second.points.place[two] - first.points.place[one]
+    way = np.add(first.line.direction, second.line.direction)
+    slant = np.hypot(*way) * strip.pixel_um
+    return places * strip.pixel_um * abs(way[0] * strip.place_um[1] - way[1] * strip.place_um[0]) / slant

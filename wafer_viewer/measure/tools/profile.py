@@ -1,0 +1,155 @@
+"""A section of a surface along a line: sampled every pixel, averaged across the line, between measured pixels only."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer, height_window, layer_of, level_note, reported
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Heights, Mosaic, pixel_window
+
+MAX_SAMPLES = 8192
+"""A line with more pixels is read at a coarser level of the pyramid."""
+_PIECE = 512
+"""Samples read at a time: a slanted line never needs the whole rectangle round it."""
+MIN_WEIGHT = 0.5
+"""A sample is measured when at least this share of what it is interpolated and averaged from is."""
+
+
+def profile(
+    surface: Mosaic,
+    line: Region,
+    *,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    level: int | None = None,
+    name: str = "",
+) -> tuple[Profile, ProfileCurve]:
+    """The section along a line and its numbers: Pt, the highest over the lowest point, and the rise from end to end.
+
+    The line's width_um is averaged over. layer: heights to measure on, as the surface's recipe says when left out;
+    level: of the pyramid, the finest with at most 8192 samples when left out.
+    Raises MeasureError when the region is no line, has no length, lies outside, or no height on it was measured.
+    """
+    length_um = length_um_of(line)
+    at_level = _level_for(surface, length_um) if level is None else level
+    pixel_window(surface, line, at_level)
+    measured_on = layer_of(surface.provenance.recipe, layer)
+    curve = sampled(surface, line, measured_on, at_level)
+    about = f"mean over {line.width_um:g} um across the line" if line.width_um else "none"
+    return numbers_of(surface, line, curve, measured_on, at_level, about, calibration_valid, name), curve
+
+
+def numbers_of(
+    surface: Mosaic,
+    line: Region,
+    curve: ProfileCurve,
+    measured_on: Layer,
+    level: int,
+    about: str,
+    calibration_valid: bool = True,
+    name: str = "",
+) -> Profile:
+    """Return the numbers of a curve along a line; `about` says how it was filtered.
+
+    Raises MeasureError when fewer than two of its points were measured.
+    """
+    known = np.flatnonzero(np.isfinite(curve.z_um))
+    if len(known) < 2:
+        raise MeasureError("No heights were measured along the line: draw it where the surface has no holes.")
+    z_um = curve.z_um[known]
+    return Profile(
+        name=name,
+        surface=measured_on,
+        filter=about,
+        simulated=surface.provenance.simulated,
+        notes=level_note(surface, level),
+        line=line,
+        length_um=length_um_of(line),
+        pt=reported(float(z_um.max() - z_um.min()), surface.provenance, calibration_valid),
+        rise=reported(float(z_um[-1] - z_um[0]), surface.provenance, calibration_valid),
+        measured_fraction=len(known) / len(curve.z_um),
+    )
+
+
+def sampled(surface: Mosaic, line: Region, layer: Layer, level: int) -> ProfileCurve:
+    """Points along a line, one for each pixel of a level; NaN where unmeasured or outside of the surface."""
+    pixel_um = surface.pixel_um * 2**level
+    curve, length_um = samples_along(line, pixel_um), length_um_of(line)
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    across = _offsets_um(line.width_um, pixel_um)
+    x_all = curve.x_um[:, None] - across * (yb - ya) / length_um
+    y_all = curve.y_um[:, None] + across * (xb - xa) / length_um
+    pieces = [_mean_across(surface, x_all[part], y_all[part], layer, level) for part in _pieces(len(curve.x_um))]
+    return replace(curve, z_um=np.concatenate(pieces))
+
+
+def samples_along(line: Region, pixel_um: float) -> ProfileCurve:
+    """Return the places along a line, about a pixel apart, whose heights are still to be found (NaN)."""
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    length_um = length_um_of(line)
+    # A line from pixel centre to pixel centre has them all and no more, whatever the last digit of its length.
+    share = np.linspace(0.0, 1.0, max(2, math.ceil(length_um / pixel_um - 1e-6) + 1))
+    x_um, y_um = xa + share * (xb - xa), ya + share * (yb - ya)
+    return ProfileCurve(distance_um=share * length_um, z_um=np.full(len(share), np.nan), x_um=x_um, y_um=y_um)
+
+
+def _mean_across(surface: Mosaic, x_um: Floats, y_um: Floats, layer: Layer, level: int) -> Floats:
+    """The mean height over the second axis of points [sample, across], where enough of it is measured."""
+    pixel_um = surface.pixel_um * 2**level
+    low, high = (x_um.min() - pixel_um, y_um.min() - pixel_um), (x_um.max() + pixel_um, y_um.max() + pixel_um)
+    try:
+        part = height_window(surface, layer, Region.rectangle(*map(float, (*low, *high))), level)
+    except MeasureError:  # this piece lies outside, others do not
+        return np.full(len(x_um), np.nan)
+    total, weight = _bilinear(part, x_um, y_um)
+    share = weight.mean(axis=1)
+    return np.divide(total.sum(axis=1), weight.sum(axis=1), out=np.full(len(share), np.nan), where=share >= MIN_WEIGHT)
+
+
+def _bilinear(part: Heights, x_um: Floats, y_um: Floats) -> tuple[Floats, Floats]:
+    """Weighted heights and weights of the measured ones among the four pixels round each point."""
+    z_um = part.z_um
+    row, col = (part.y0_um - y_um) / part.pixel_um, (x_um - part.x0_um) / part.pixel_um
+    top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
+    down, right = row - top, col - left
+    total, weight = np.zeros(x_um.shape), np.zeros(x_um.shape)
+    for r, row_weight in ((top, 1 - down), (top + 1, down)):
+        for c, col_weight in ((left, 1 - right), (left + 1, right)):
+            inside = (r >= 0) & (r < z_um.shape[0]) & (c >= 0) & (c < z_um.shape[1])
+            z = z_um[np.where(inside, r, 0), np.where(inside, c, 0)]
+            w = np.where(inside & np.isfinite(z), row_weight * col_weight, 0.0)
+            total += w * np.nan_to_num(z)
+            weight += w
+    return total, weight
+
+
+def length_um_of(line: Region) -> float:
+    """Return the length of a line in um. Raises MeasureError for another region, and for one without length."""
+    if line.kind != "line":
+        raise MeasureError(f"A profile needs a line, this region is a {line.kind}: draw a line.")
+    (xa, ya), (xb, yb) = ((p.x_um, p.y_um) for p in line.points)
+    if (length := math.hypot(xb - xa, yb - ya)) == 0:
+        raise MeasureError(f"The line begins and ends at ({xa:.1f}, {ya:.1f}) um: draw it longer.")
+    return length
+
+
+def _level_for(surface: Mosaic, length_um: float) -> int:
+    samples = length_um / surface.pixel_um
+    return min(surface.levels - 1, max(0, math.ceil(math.log2(samples / MAX_SAMPLES)))) if samples > 0 else 0
+
+
+def _offsets_um(width_um: float, pixel_um: float) -> Floats:
+    """Places across a line of a width, about a pixel apart, symmetric about it."""
+    n = max(1, round(width_um / pixel_um))
+    return (np.arange(n) - (n - 1) / 2) * width_um / n
+
+
+def _pieces(n: int) -> Iterator[slice]:
+    return (slice(start, min(start + _PIECE, n)) for start in range(0, n, _PIECE))

@@ -1,0 +1,129 @@
+"""What a map of the front side alone can say of a wafer's shape, under its own name, and what it cannot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from wafer_viewer.measure.base.area_samples import area_of, least_squares_plane
+from wafer_viewer.measure.base.height_samples import Layer
+from wafer_viewer.measure.base.levelled_surface import levelling_of
+from wafer_viewer.measure.base.measurement_context import Reading
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.site_range import Site, SiteRanges
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+INSTEAD = "What one side shows is the front-surface site range, as mounted: measure site-range."
+THICKNESS = "of the thickness, and this map has the front side only"
+FREE = "of the wafer lying free, between both its sides, and this map has the front side on its chuck"
+REFUSED = {
+    "ttv": f"TTV is the total variation {THICKNESS}.",
+    "gbir": f"GBIR is the range over the back side, {THICKNESS}.",
+    "sbir": f"SBIR is the range in a site over the back side, {THICKNESS}.",
+    "sfqr": "SFQR holds for a back side drawn flat by an ideal chuck, and this map has the front side as it lay.",
+    "warp": f"Warp is {FREE}.",
+    "bow": f"Bow is {FREE}.",
+    "sori": "Sori is of the front side of a wafer lying free, and this one lay on its chuck.",
+}
+"""Terms of SEMI that would be wrong here, and why."""
+MOST_SITES = 10_000
+QUARTER = 0.25
+"""Of the region's side, where nobody has said how large a site is."""
+Box = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
+AS_MOUNTED = "Front-surface site range, as mounted: highest over lowest about each site's plane of least squares."
+NO_OTHER = "The wafer's chuck is in it, its thickness is not: no SFQR, no SBIR."
+
+
+def refuse(term: str) -> MeasureError:
+    """Why a term of `REFUSED` is not measured."""
+    return MeasureError(f"{REFUSED[term]} {INSTEAD}")
+
+
+def site_ranges(
+    surface: Mosaic,
+    site_um: tuple[float, float],
+    region: Region | None = None,
+    *,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+) -> SiteRanges:
+    """The range of heights in each site of a lattice, um, without uncertainty: extremes are pulled apart by noise.
+
+    site_um: width and height of a site; whole sites are laid in the middle of the region, or of the surface. Raises
+    MeasureError where no site fits, more than 10 000 do, or none has half of its area measured.
+    """
+    reading = Reading.of(surface, layer, calibration_valid)
+    within = region or Region.rectangle(*_bounds_um(surface))
+    boxes, rows, cols = _lattice(site_um, within.bounds_um)
+    sites = tuple(_site(reading, box) for box in boxes)
+    ranges = [site.range for site in sites if site.range is not None]
+    if not ranges:
+        raise MeasureError(f"None of {len(sites)} sites has half of its area measured: choose a region that has.")
+    return SiteRanges(
+        region=within,
+        site_width_um=site_um[0],
+        site_height_um=site_um[1],
+        rows=rows,
+        cols=cols,
+        sites=sites,
+        largest=max(ranges, key=lambda length: length.value_um),
+        surface=reading.layer,
+        levelling=levelling_of(surface),
+        simulated=surface.provenance.simulated,
+        notes=(AS_MOUNTED, NO_OTHER, *_left_out(len(sites) - len(ranges))),
+    )
+
+
+def sites_of_region(
+    surface: Mosaic,
+    region: Region,
+    *,
+    calibration_valid: bool = True,
+    width_um: float | None = None,
+    height_um: float | None = None,
+    layer: Layer | None = None,
+) -> SiteRanges:
+    """`site_ranges` in a region; a side that is not said is a quarter of the region's. Raises as that does."""
+    x0, y0, x1, y1 = region.bounds_um
+    site_um = width_um or (x1 - x0) * QUARTER, height_um or (y1 - y0) * QUARTER
+    return site_ranges(surface, site_um, region, calibration_valid=calibration_valid, layer=layer)
+
+
+def _bounds_um(surface: Mosaic) -> Box:
+    """The outer edges of its pixels."""
+    (rows, cols), pixel_um = surface.shape, surface.pixel_um
+    left_um, top_um = surface.x0_um - pixel_um / 2, surface.y0_um + pixel_um / 2
+    return left_um, top_um - rows * pixel_um, left_um + cols * pixel_um, top_um
+
+
+def _lattice(site_um: tuple[float, float], bounds_um: Box) -> tuple[list[Region], int, int]:
+    (width, height), (x0, y0, x1, y1) = site_um, bounds_um
+    if not min(width, height) > 0:
+        raise MeasureError(f"A site of {width:g} x {height:g} um has no area: give both sides.")
+    cols, rows = int((x1 - x0) / width + 1e-9), int((y1 - y0) / height + 1e-9)
+    if not 0 < rows * cols <= MOST_SITES:
+        fits = "no site" if rows * cols == 0 else f"{rows * cols} sites, more than {MOST_SITES},"
+        raise MeasureError(f"{fits} of {width:g} x {height:g} um fit into {x1 - x0:g} x {y1 - y0:g} um: choose others.")
+    left, top = x0 + (x1 - x0 - cols * width) / 2, y1 - (y1 - y0 - rows * height) / 2
+    boxes = [
+        Region.rectangle(left + c * width, top - (r + 1) * height, left + (c + 1) * width, top - r * height)
+        for r in range(rows)
+        for c in range(cols)
+    ]
+    return boxes, rows, cols
+
+
+def _site(reading: Reading, box: Region) -> Site:
+    x0, y0, x1, y1 = box.bounds_um
+    try:
+        area = area_of(reading, box, "site", "its range")
+    except MeasureError:
+        return Site(x_um=(x0 + x1) / 2, y_um=(y0 + y1) / 2, range=None)
+    _, left = least_squares_plane(area.points)
+    found = reading.length(float(np.ptp(left)), None)
+    return Site(x_um=(x0 + x1) / 2, y_um=(y0 + y1) / 2, range=found, measured_fraction=area.measured_fraction)
+
+
+def _left_out(n: int) -> tuple[str, ...]:
+    return (f"{n} site{'' if n == 1 else 's'} with less than half of the area measured: no range.",) if n else ()

@@ -1,0 +1,127 @@
+"""What the height of a step is: where the planes of its two faces are compared, and how they are levelled.
+
+The distance between tilted faces depends on the place, so the definition of h belongs to
+the result. Each definition is a pair of gradients: h is their product with (slope x, slope y, height in the middle) of
+the upper and of the lower face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Floats
+from wafer_viewer.measure.base.plane_faces import Face
+from wafer_viewer.measure.base.tile_statistics import Scatter
+from wafer_viewer.model.measurement.tool_options import StepDefinition
+
+TILTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faces:
+    """The upper and the lower face of a step."""
+
+    high: Face
+    low: Face
+
+    @property
+    def apart_um(self) -> Floats:
+        """From the middle of the lower face to that of the upper one, (x, y)."""
+        high, low = self.high.plane, self.low.plane
+        return np.array([high.x_um - low.x_um, high.y_um - low.y_um])
+
+    @property
+    def joint_um(self) -> Floats:
+        """Half-way between the borders that the regions turn to each other, on the line between their middles.
+
+        Where regions of both faces alternate there is no such place: then half-way between their middles.
+        """
+        start, way = np.array([self.low.plane.x_um, self.low.plane.y_um]), self.apart_um
+        length = float(np.hypot(*way))
+        along = way / length if length > 0 else way
+        last_low = float(_along(self.low, start, along).max())
+        first_high = float(_along(self.high, start, along).min())
+        return start + along * ((last_low + first_high if last_low <= first_high else length) / 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gradients:
+    """What a number of two faces is: gradients [3] times the parameters of the upper and of the lower one."""
+
+    high: Floats
+    low: Floats
+
+    def value(self, faces: Faces) -> float:
+        """The number."""
+        return float(self.high @ faces.high.parameters + self.low @ faces.low.parameters)
+
+    def scatter(self, faces: Faces) -> Scatter | None:
+        """How sure it is by the scatter of tiles; None where a face has too few of them."""
+        high, low = faces.high.scatter(self.high), faces.low.scatter(self.low)
+        return None if high is None or low is None else Scatter.joined(high, low)
+
+    def minus(self, other: Gradients) -> Gradients:
+        """How far one number lies over the other."""
+        return Gradients(self.high - other.high, self.low - other.low)
+
+
+def gradients(faces: Faces, definition: StepDefinition) -> Gradients:
+    """What h is by a definition."""
+    return DEFINITIONS[definition](faces)
+
+
+def tilts(faces: Faces) -> tuple[Gradients, Gradients]:
+    """The slopes along x and along y of the upper face against the lower one."""
+    along_x, along_y = (np.array(axis) for axis in TILTS)
+    return Gradients(along_x, -along_x), Gradients(along_y, -along_y)
+
+
+def _common_plane(faces: Faces) -> Gradients:
+    """Least squares of z = a x + b y + c + h [upper]: each face tells of the common slopes by how wide it is."""
+    high, low = _width(faces.high), _width(faces.low)
+    share = np.linalg.solve(high + low, high)
+    slopes = faces.apart_um @ share, faces.apart_um @ (np.eye(2) - share)
+    return Gradients(np.array([*-slopes[0], 1.0]), np.array([*-slopes[1], -1.0]))
+
+
+def _upper_face(faces: Faces) -> Gradients:
+    return Gradients(np.array([*-faces.apart_um, 1.0]), np.array([0.0, 0.0, -1.0]))
+
+
+def _lower_face(faces: Faces) -> Gradients:
+    return Gradients(np.array([0.0, 0.0, 1.0]), np.array([*-faces.apart_um, -1.0]))
+
+
+def _joint(faces: Faces) -> Gradients:
+    from_high, from_low = (
+        faces.joint_um - np.array([face.plane.x_um, face.plane.y_um]) for face in (faces.high, faces.low)
+    )
+    return Gradients(np.array([*from_high, 1.0]), np.array([*-from_low, -1.0]))
+
+
+DEFINITIONS: dict[StepDefinition, Callable[[Faces], Gradients]] = {
+    "common_plane": _common_plane,
+    "upper_face": _upper_face,
+    "lower_face": _lower_face,
+    "joint": _joint,
+}
+SENTENCES: dict[StepDefinition, str] = {
+    "common_plane": "Offset between the regions over one plane fitted to both: z = a x + b y + c + h [upper].",
+    "upper_face": "Upper face over the middle of the lower region, levelled to the upper face.",
+    "lower_face": "Middle of the upper region over the lower face, levelled to the lower face.",
+    "joint": "Both faces extended to the middle between the regions.",
+}
+"""Each definition, as a result says it."""
+
+
+def _width(face: Face) -> Floats:
+    """Sums of squares and products of x and y about the middle, [2, 2]."""
+    design = face.design[:, :2]
+    return design.T @ design
+
+
+def _along(face: Face, start: Floats, along: Floats) -> Floats:
+    return (face.points.x_um - start[0]) * along[0] + (face.points.y_um - start[1]) * along[1]

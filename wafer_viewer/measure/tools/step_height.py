@@ -1,0 +1,164 @@
+"""The height of one face over another, with the budget of its uncertainty.
+
+Each face is one plane through one region or several, found with rejection beyond 3 robust deviations. Where faces are
+tilted against each other the definition of h is part of the result, so what other definitions give is told with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from wafer_viewer.measure.base.height_samples import Layer, Points, level_for, require_area
+from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.plane_faces import enough_points, face_of
+from wafer_viewer.measure.base.region_samples import Regions, each_of, require_measured
+from wafer_viewer.measure.base.uncertainty_budget import LEVELLING, NOISE, POSES, Budget, step_budget
+from wafer_viewer.measure.tools.pose_uncertainty import poses_u_um, pulls_of
+from wafer_viewer.measure.tools.step_definitions import SENTENCES, Faces, Gradients, gradients, tilts
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.measurement.tool_options import StepDefinition, StepOptions
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+WHAT = "a step height"
+
+
+def step_height(
+    surface: Mosaic,
+    upper: Regions,
+    lower: Regions,
+    *,
+    definition: StepDefinition = "common_plane",
+    conditions: Conditions = Conditions(),
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> StepHeight:
+    """The height of `upper` over `lower`, negative when it lies below, with its expanded uncertainty (k = 2).
+
+    upper, lower: a region, or several that lie on one face. definition: where h is taken; conditions: what is known
+    beside what the surface tells, the rest is listed as not evaluated. layer: heights to measure on, as the surface's
+    recipe says when left out. Without a calibration, or with one that is said not to be valid, the height reads
+    'uncalibrated' and has no uncertainty.
+    Raises MeasureError when a region is a line, lies outside, has fewer than 200 measured points or less than half of
+    its area measured, or overlaps another.
+    """
+    uppers, lowers = each_of(upper, "upper"), each_of(lower, "lower")
+    reading, level = Reading.of(surface, layer, calibration_valid), level_for(surface, *uppers, *lowers)
+    above, below = (
+        [_points(reading, region, level, f"{which} region") for region in regions]
+        for which, regions in (("upper", uppers), ("lower", lowers))
+    )
+    _require_apart((*uppers, *lowers), (*above, *below))
+    faces = Faces(face_of(*above), face_of(*below))
+    h = gradients(faces, definition)
+    budget = _budget(reading, faces, h, definition, conditions)
+    return StepHeight(
+        **reading.told(name, level, *_other_definitions(faces), *reading.not_in_budget(own=True)),
+        upper=uppers[0],
+        lower=lowers[0],
+        also_upper=uppers[1:],
+        also_lower=lowers[1:],
+        height=reading.length(h.value(faces), budget and budget.lines),
+        definition=SENTENCES[definition],
+        options=StepOptions(definition=definition, conditions=conditions),
+        at_joint=_at_joint(reading, faces, conditions),
+        tilt=_tilt(reading, faces),
+        relative_tilt_mrad=_tilt_mrad(faces),
+        upper_mean_um=faces.high.mean_um,
+        lower_mean_um=faces.low.mean_um,
+        upper_sq_um=faces.high.sq_um,
+        lower_sq_um=faces.low.sq_um,
+        upper_points=len(faces.high.points),
+        lower_points=len(faces.low.points),
+        not_evaluated=budget.not_evaluated if budget is not None else (),
+    )
+
+
+def _points(reading: Reading, region: Region, level: int, which: str) -> Points:
+    require_area(region, which.removesuffix(" region"))
+    points = enough_points(reading.surface, region, reading.layer, level, which, WHAT)
+    require_measured(region, len(points) * (reading.surface.pixel_um * 2**level) ** 2, which, WHAT)
+    return points
+
+
+def _require_apart(regions: Sequence[Region], points: Sequence[Points]) -> None:
+    for k, region in enumerate(regions):
+        for others in points[k + 1 :]:
+            if shared := int(np.count_nonzero(region.contains(others.x_um, others.y_um))):
+                raise MeasureError(
+                    f"The two regions share {shared} points: move them apart, each onto one face of the step."
+                )
+
+
+def _budget(
+    reading: Reading, faces: Faces, h: Gradients, definition: StepDefinition, conditions: Conditions
+) -> Budget | None:
+    """None where there is no calibration, or the scatter cannot be told."""
+    noise = h.scatter(faces) if reading.calibrated else None
+    if noise is None:
+        return None
+    of_points = {
+        NOISE: noise.widened,
+        LEVELLING: _levelling_um(faces) if definition == "common_plane" else 0.0,
+        POSES: poses_u_um(reading.surface, pulls_of(faces, h)),
+    }
+    return step_budget(h.value(faces), of_points, conditions, reading.surface.provenance)
+
+
+def _levelling_um(faces: Faces) -> float:
+    """What h moves by from levelling to the one face to levelling to the other, as far as noise does not explain it.
+
+    Taken as the full width of a uniform distribution. The noise of the two is in its own line.
+    """
+    differ = gradients(faces, "lower_face").minus(gradients(faces, "upper_face"))
+    scatter = differ.scatter(faces)
+    by_noise_um = 2 * scatter.widened if scatter is not None else 0.0
+    return math.sqrt(max(0.0, differ.value(faces) ** 2 - by_noise_um**2) / 12)
+
+
+def _at_joint(reading: Reading, faces: Faces, conditions: Conditions) -> Length:
+    at_joint = gradients(faces, "joint")
+    budget = _budget(reading, faces, at_joint, "joint", conditions)
+    return reading.length(at_joint.value(faces), budget and budget.lines)
+
+
+def _tilt_mrad(faces: Faces) -> float:
+    return 1e3 * math.hypot(*(slope.value(faces) for slope in tilts(faces)))
+
+
+def _tilt(reading: Reading, faces: Faces) -> Quantity:
+    """Of one face against the other, as sure as in the direction in which it is least so: near 0 it has none."""
+    lines: Lines | None = None
+    found = [slope.scatter(faces) for slope in tilts(faces)] if reading.calibrated else [None]
+    if None not in found:
+        poses = [poses_u_um(reading.surface, pulls_of(faces, slope)) for slope in tilts(faces)]
+        lines = {
+            NOISE: 1e3 * max(scatter.widened for scatter in found if scatter is not None),
+            "z scale": reading.u_z_scale * _tilt_mrad(faces),
+            "pixel scale": reading.u_pixel_scale * _tilt_mrad(faces),
+            **({POSES: 1e3 * max(u for u in poses if u is not None)} if None not in poses else {}),
+        }
+    return reading.quantity(_tilt_mrad(faces), "mrad", lines)
+
+
+def _other_definitions(faces: Faces) -> tuple[str, ...]:
+    over_upper, over_lower, at_joint = (
+        gradients(faces, definition).value(faces) for definition in ("upper_face", "lower_face", "joint")
+    )
+    place = "({}, {}) um".format(*(_tenths(along) for along in faces.joint_um))
+    return (
+        f"Levelled to the upper face: {over_upper:.3f} um, to the lower: {over_lower:.3f} um.",
+        f"Both faces extended to the middle between the regions, {place}: {at_joint:.3f} um.",
+    )
+
+
+def _tenths(value: float) -> str:
+    """One decimal, without a minus before zero."""
+    return f"{round(float(value), 1) + 0.0:.1f}"

@@ -1,0 +1,246 @@
+"""Depth of a groove, height of a ridge or a step along a line, by ISO 5436-1: z = a x + b + h delta over zones.
+
+Of a groove as wide as W the middle third is zone C; zones A and B, two thirds of W long, begin a third of W off its
+edges, so that no rounded edge counts. The standard has no zones for a single step: here those of its two sides are
+A and B of a groove as wide as the shorter side is long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.measure.base.height_samples import Floats, Layer
+from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.robust_plane import least_squares
+from wafer_viewer.measure.base.tile_statistics import Scatter, scatter_of, spread_of
+from wafer_viewer.measure.base.uncertainty_budget import INTERPOLATION, NOISE, POSES, step_budget
+from wafer_viewer.measure.tools.pose_uncertainty import Pulls, poses_u_um
+from wafer_viewer.measure.tools.profile import profile
+from wafer_viewer.measure.tools.profile_edges import groove_edges, smooth, step_edge
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.measurements import ProfileCurve
+from wafer_viewer.model.measurement.step import StepProfile
+from wafer_viewer.model.measurement.tool_options import GrooveOptions
+from wafer_viewer.model.measurement.uncertainty_conditions import Conditions
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+Shape = Literal["groove", "step"]
+PIECES = (8, 4, 2)
+"""Into how many pieces of each size a third of a zone's unit is cut: their means are the observations."""
+LEAST_SAMPLES = 10
+USUAL, FALSE = 0.9, 3.0
+"""A height is false that lies so many times further off the running median than this share of all does."""
+ROUNDING_UM = 1e-4
+LEAST_MEASURED = 0.5
+"""Of a zone."""
+DRAWN = 240
+"""Points of the curve that a result keeps, at most."""
+STANDS_OUT = 6.0
+"""A jump has to be so many times its noise, since the largest of very many is taken."""
+GROOVE = "ISO 5436-1: z = a x + b + h delta, delta +1 in the zones A and B and -1 in C; the depth is 2 h."
+STEP = "z = a x + b + h delta, delta 0 in the zone A before the edge and 1 in B beyond it."
+
+
+@dataclass(frozen=True, slots=True)
+class Zone:
+    """A part of a profile that counts, from start to end along the line, with its delta."""
+
+    name: str
+    start_um: float
+    end_um: float
+    delta: float
+
+    def holds(self, at_um: Floats) -> NDArray[np.bool_]:
+        """Which places along the line lie in it."""
+        return (at_um >= self.start_um) & (at_um <= self.end_um)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is measured where: edges along the line, zones, how often h stands in the height, and its definition."""
+
+    edges_um: tuple[float, ...]
+    zones: tuple[Zone, ...]
+    times: float
+    definition: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Samples of the zones that were kept, [n]: their places, zone, design (x, 1, delta) and residuals; h in um."""
+
+    x_um: Floats
+    y_um: Floats
+    at_um: Floats
+    zone: np.ndarray
+    design: Floats
+    left_um: Floats
+    h_um: float
+
+
+def step_profile(
+    surface: Mosaic,
+    line: Region,
+    *,
+    shape: Shape = "groove",
+    conditions: Conditions = Conditions(),
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> StepProfile:
+    """The depth of the groove (or height of the ridge) that a line crosses, or of a single step; with U (k = 2).
+
+    Edges are found by themselves. The line's width_um is averaged over. Raises MeasureError when the region is no line
+    or lies outside, when nothing stands out along it, when it ends too near to an edge, or a zone is mostly unmeasured.
+    """
+    reading = Reading.of(surface, layer, calibration_valid)
+    section, curve = profile(surface, line, calibration_valid=calibration_valid, layer=layer)
+    measured = _some(curve, np.isfinite(curve.z_um))
+    if len(measured.z_um) < 3 * LEAST_SAMPLES:
+        raise MeasureError(
+            "Too few heights were measured along the line: draw it longer, or where the surface has fewer holes."
+        )
+    plan = PLANS[shape](measured.distance_um, measured.z_um, section.length_um)
+    fitted = _fitted(_trusted(measured), curve.distance_um, plan.zones)
+    scatter = _scatter(fitted, plan.zones)
+    if scatter is not None and abs(fitted.h_um) <= STANDS_OUT * scatter.u:
+        raise MeasureError(f"No {shape} stands out of the noise along the line: draw it across one.")
+    height_um = plan.times * fitted.h_um
+    kind = shape if shape == "step" else "groove" if height_um > 0 else "ridge"
+    lines, missing = _budget(reading, fitted, plan, scatter, conditions)
+    told = reading.told(name, 0, *section.notes, *reading.not_in_budget(own=True))
+    told["filter"] = section.filter
+    return StepProfile(
+        **told,
+        line=line,
+        kind=kind,
+        height=reading.length(height_um if kind == "step" else abs(height_um), lines),
+        definition=plan.definition,
+        options=GrooveOptions(shape=shape, conditions=conditions),
+        width=None if shape == "step" else reading.length(plan.edges_um[1] - plan.edges_um[0], None),
+        edges_um=plan.edges_um,
+        zones=tuple((zone.name, zone.start_um, zone.end_um) for zone in plan.zones),
+        curve=_drawn(measured),
+        sq_um=float(np.sqrt(np.mean(fitted.left_um**2))),
+        points=len(fitted.left_um),
+        measured_fraction=section.measured_fraction,
+        not_evaluated=missing,
+    )
+
+
+def _groove(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
+    first, end = groove_edges(at_um, z_um)
+    left_um, right_um = (float(at_um[k - 1] + at_um[k]) / 2 for k in (first, end))
+    width_um = right_um - left_um
+    room_um = min(left_um, length_um - right_um)
+    if room_um < width_um:
+        raise MeasureError(
+            f"The line reaches {room_um:.1f} um beyond what stands out most along it and has to reach as far as that "
+            f"is wide, {width_um:.1f} um: draw it longer on both sides of a groove."
+        )
+    third = width_um / 3
+    zones = (
+        Zone("A", left_um - 3 * third, left_um - third, 1.0),
+        Zone("C", left_um + third, right_um - third, -1.0),
+        Zone("B", right_um + third, right_um + 3 * third, 1.0),
+    )
+    return Plan((left_um, right_um), zones, 2.0, GROOVE)
+
+
+def _step(at_um: Floats, z_um: Floats, length_um: float) -> Plan:
+    k = step_edge(at_um, z_um)
+    edge_um = float(at_um[k - 1] + at_um[k]) / 2
+    third = min(edge_um, length_um - edge_um) / 3
+    zones = (
+        Zone("A", edge_um - 3 * third, edge_um - third, 0.0),
+        Zone("B", edge_um + third, edge_um + 3 * third, 1.0),
+    )
+    return Plan((edge_um,), zones, 1.0, STEP)
+
+
+PLANS: dict[Shape, Callable[[Floats, Floats, float], Plan]] = {"groove": _groove, "step": _step}
+"""What is measured where, by what the line crosses."""
+
+
+def _fitted(curve: ProfileCurve, samples_um: Floats, zones: tuple[Zone, ...]) -> Fitted:
+    """z = a x + b + h delta through the zones; samples_um: where the line was sampled, measured or not."""
+    zone = np.full(len(curve.z_um), -1)
+    for k, of in enumerate(zones):
+        inside = of.holds(curve.distance_um)
+        zone[inside] = k
+        _require_enough(of, int(np.count_nonzero(inside)), int(np.count_nonzero(of.holds(samples_um))))
+    counts = zone >= 0
+    at_um, z_um = curve.distance_um[counts], curve.z_um[counts]
+    delta = np.array([of.delta for of in zones])[zone[counts]]
+    design = np.column_stack([at_um - at_um.mean(), np.ones(len(at_um)), delta])
+    coefficients = least_squares(design, z_um)
+    left_um = z_um - design @ coefficients
+    return Fitted(curve.x_um[counts], curve.y_um[counts], at_um, zone[counts], design, left_um, float(coefficients[2]))
+
+
+def _trusted(curve: ProfileCurve) -> ProfileCurve:
+    """Its samples but those far off a running median: single false heights are not of the surface."""
+    off_um = np.abs(curve.z_um - smooth(curve.z_um))
+    kept = off_um <= max(FALSE * float(np.quantile(off_um, USUAL)), ROUNDING_UM)
+    return _some(curve, kept)
+
+
+def _drawn(curve: ProfileCurve) -> tuple[tuple[float, float], ...]:
+    """Every point, or means of as many neighbours as leave few enough."""
+    step = -(-len(curve.z_um) // DRAWN)
+    starts = np.arange(0, len(curve.z_um), step)
+    count = np.diff(np.append(starts, len(curve.z_um)))
+    at_um, z_um = (np.add.reduceat(column, starts) / count for column in (curve.distance_um, curve.z_um))
+    return tuple(zip(np.round(at_um, 3).tolist(), np.round(z_um, 4).tolist(), strict=True))
+
+
+def _some(curve: ProfileCurve, which: NDArray[np.bool_]) -> ProfileCurve:
+    return ProfileCurve(*(column[which] for column in (curve.distance_um, curve.z_um, curve.x_um, curve.y_um)))
+
+
+def _require_enough(zone: Zone, measured: int, samples: int) -> None:
+    if measured < max(LEAST_SAMPLES, LEAST_MEASURED * samples):
+        raise MeasureError(
+            f"Zone {zone.name} of the profile has {measured} measured samples of {samples} and needs "
+            f"{max(LEAST_SAMPLES, round(LEAST_MEASURED * samples))}: draw the line where the surface has fewer holes, "
+            "or across something wider."
+        )
+
+
+def _scatter(fitted: Fitted, zones: tuple[Zone, ...]) -> Scatter | None:
+    """Of h, by means of pieces of the zones that are equally long."""
+    unit_um = min(zone.end_um - zone.start_um for zone in zones)
+    start_um = np.array([zone.start_um for zone in zones])
+    columns = np.column_stack([fitted.design, fitted.left_um])
+    found = []
+    for pieces in PIECES:
+        piece = ((fitted.at_um - start_um[fitted.zone]) / unit_um * pieces).astype(np.intp)
+        found.append(spread_of(_means(columns, fitted.zone * 2 * (pieces + 1) + piece)))
+    return scatter_of([spread for spread in found if spread is not None], np.array([0.0, 0.0, 1.0]), axes=1)
+
+
+def _means(columns: Floats, label: np.ndarray) -> Floats:
+    _, label = np.unique(label, return_inverse=True)
+    count = np.bincount(label)
+    return np.stack([np.bincount(label, column) / count for column in columns.T], axis=1)
+
+
+def _budget(
+    reading: Reading, fitted: Fitted, plan: Plan, scatter: Scatter | None, conditions: Conditions
+) -> tuple[Lines | None, tuple[str, ...]]:
+    if not reading.calibrated or scatter is None:
+        return None, ()
+    weight = plan.times * np.linalg.pinv(fitted.design)[2]
+    of_points = {
+        NOISE: plan.times * scatter.widened,
+        POSES: poses_u_um(reading.surface, Pulls(fitted.x_um, fitted.y_um, weight)),
+        INTERPOLATION: reading.u_interpolation_um,
+    }
+    budget = step_budget(plan.times * fitted.h_um, of_points, conditions, reading.surface.provenance)
+    return budget.lines, budget.not_evaluated

@@ -1,0 +1,156 @@
+"""Area and volume of what stands out of a plane within a region, and of what lies under it.
+
+The plane goes through the border of the region, or it is the zero that heights are read from. Noise alone would lift
+half of a flat region over the plane: pixels within three deviations of it are area on neither side, and as volume they
+count together, on the side where more lies. So the volumes' difference is that of all pixels, which noise does not
+shift.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from wafer_viewer.measure.base.area_samples import Area, area_of
+from wafer_viewer.measure.base.height_samples import Floats, Layer, Points
+from wafer_viewer.measure.base.levelled_surface import levelling_of
+from wafer_viewer.measure.base.measurement_context import Lines, Reading
+from wafer_viewer.measure.base.plane_faces import Face, face_of
+from wafer_viewer.measure.base.robust_plane import plane_design
+from wafer_viewer.measure.base.tile_statistics import parameter_u
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.measurements import AreaVolume
+from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import Mosaic
+
+BORDER = 0.08
+"""Width of the border, in sides of a square as large as the region."""
+LEAST_BORDER_PX = 2.0
+MIN_BORDER_POINTS = 100
+NOISE_DEVIATIONS = 3.0
+OFFSET = np.array([0.0, 0.0, 1.0])
+Reference = Literal["border", "zero"]
+REFERENCES: dict[Reference, str] = {
+    "border": "Reference: the plane through the border of the region.",
+    "zero": "Reference: the zero that heights are read from. How sure it is is not known, so volumes have no U.",
+}
+
+
+def area_volume(
+    surface: Mosaic,
+    region: Region,
+    *,
+    reference: Reference | None = None,
+    calibration_valid: bool = True,
+    layer: Layer | None = None,
+    name: str = "",
+) -> AreaVolume:
+    """Volumes, projected areas and extreme heights over and under a plane; unmeasured pixels count nothing.
+
+    reference: left out, the zero that heights are read from where the surface is levelled, else the border.
+    Volumes over the border have an expanded uncertainty (k = 2); those over a zero have none, for how sure the zero is
+    is not known. Raises MeasureError when the region is a line, lies outside, or has too little measured.
+    """
+    reading = Reading.of(surface, layer, calibration_valid)
+    area = area_of(reading, region, "region", "a volume")
+    from_where = reference or ("border" if levelling_of(surface).by == "stage" else "zero")
+    border = _border(area, region)
+    noise_um = NOISE_DEVIATIONS * border.sq_um
+    zero = np.asarray(border.plane.at(area.points.x_um, area.points.y_um)) if from_where == "border" else 0.0
+    over = area.points.z_um - zero
+    noise_um3 = _noise_um3(border, area) if from_where == "border" else None
+    above, below = (_side(reading, area, rises, noise_um, noise_um3) for rises in (over, -over))
+    return AreaVolume(
+        **reading.told(name, area.level, REFERENCES[from_where], *reading.not_in_budget()),
+        region=region,
+        reference=from_where,
+        volume_above=above.volume,
+        volume_below=below.volume,
+        area_above=above.area,
+        area_below=below.area,
+        area=reading.quantity(area.um2, "um2", {"pixel scale": 2 * reading.u_pixel_scale * area.um2}),
+        highest=reading.length(float(over.max()), None),
+        lowest=reading.length(float(over.min()), None),
+        noise_um=noise_um,
+        measured_fraction=area.measured_fraction,
+    )
+
+
+def _border(area: Area, region: Region) -> Face:
+    """The face along a region's outline."""
+    width_um = max(LEAST_BORDER_PX * area.pixel_um, BORDER * math.sqrt(region.area_um2))
+    points = area.points.kept(_from_outline_um(region, area.points) <= width_um)
+    if len(points) < MIN_BORDER_POINTS:
+        raise MeasureError(
+            f"Along its border the region has {len(points)} measured points and a volume needs at least "
+            f"{MIN_BORDER_POINTS}: draw it so that its border lies on measured ground."
+        )
+    return face_of(points)
+
+
+def _noise_um3(border: Face, area: Area) -> float | None:
+    """What noise makes of the volume over the plane (k = 1).
+
+    The mean height of what the border encloses is as noisy as the plane is, by how large both are.
+    """
+    middle = float(area.points.x_um.mean()), float(area.points.y_um.mean())
+    u_um = parameter_u(border.points, plane_design(border.points, middle), border.residuals_um, OFFSET)
+    border_um2 = len(border.points) * area.pixel_um**2
+    return None if u_um is None else u_um * math.sqrt(area.um2 * (area.um2 - border_um2))
+
+
+def _from_outline_um(region: Region, points: Points) -> Floats:
+    """How far points inside of a region are from its outline."""
+    if region.kind == "circle":
+        at = region.points[0]
+        return region.radius_um - np.hypot(points.x_um - at.x_um, points.y_um - at.y_um)
+    corners = [(p.x_um, p.y_um) for p in region.points]
+    if region.kind == "rectangle":
+        x0, y0, x1, y1 = region.bounds_um
+        corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    nearest = np.full(len(points), np.inf)
+    for start, end in zip(corners, (*corners[1:], corners[0]), strict=True):
+        nearest = np.minimum(nearest, _from_side_um(points, start, end))
+    return nearest
+
+
+def _from_side_um(points: Points, start: tuple[float, float], end: tuple[float, float]) -> Floats:
+    """How far points are from a straight side."""
+    way_x, way_y = end[0] - start[0], end[1] - start[1]
+    x, y = points.x_um - start[0], points.y_um - start[1]
+    length2 = way_x**2 + way_y**2
+    along = np.clip((x * way_x + y * way_y) / length2, 0.0, 1.0) if length2 else np.zeros(len(points))
+    return np.hypot(x - along * way_x, y - along * way_y)
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """What lies on one side of the plane."""
+
+    volume: Quantity
+    area: Quantity
+
+
+def _side(reading: Reading, area: Area, rises: Floats, noise_um: float, noise_um3: float | None) -> Side:
+    """Of the side on which `rises` are positive; what is within the noise counts where more lies."""
+    beyond, pixel_um2 = rises > noise_um, area.pixel_um**2
+    here, there = float(rises[beyond].sum()), -float(rises[rises < -noise_um].sum())
+    within = float(rises[np.abs(rises) <= noise_um].sum()) if here >= there else 0.0
+    um2, um3 = float(np.count_nonzero(beyond)) * pixel_um2, max(0.0, here + within) * pixel_um2
+    volume = reading.quantity(um3, "um3", _lines(reading, um3, um2, noise_um3))
+    return Side(volume, reading.quantity(um2, "um2", None))
+
+
+def _lines(reading: Reading, um3: float, um2: float, noise_um3: float | None) -> Lines | None:
+    if noise_um3 is None:
+        return None
+    return {
+        "z scale": reading.u_z_scale * um3,
+        "pixel scale": 2 * reading.u_pixel_scale * um3,
+        "noise and form of the border": noise_um3,
+        "interpolation between frames": reading.u_interpolation_um * um2,
+    }
