@@ -138,7 +138,7 @@ def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path
 @pytest.fixture(scope="module")
 def dataset(folder: Path) -> Path:
     """A dataset of product LX-7, with a golden die and a recipe that names it beside."""
-    from wafer_viewer.session.surface_import import import_surface
+    from wafer_viewer.session.files.surface_import import import_surface
     from wafer_viewer.store.dataset.scan_record import read_record, write_record
 
     path = import_surface(folder / "bumped.npz", folder / "w7.wafer")

@@ -13,7 +13,7 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, repeats_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import encode, replace
-from wafer_viewer.session.repeat_study import studies_of
+from wafer_viewer.session.gauge.repeat_scans import studies_of
 
 HEIGHTS_UM = {"W1": (11.90, 11.93, 11.91), "W2": (12.30, 12.28, 12.33)}
 

@@ -82,7 +82,7 @@ if TYPE_CHECKING:
     from wafer_viewer.reconstruct.focus_evidence import focus_curve
     from wafer_viewer.reconstruct.stitching import stitch
     from wafer_viewer.rigs.rig_config import RigConfig
-    from wafer_viewer.session.repeat_study import studies_of
+    from wafer_viewer.session.gauge.repeat_scans import studies_of
     from wafer_viewer.session.session import Session
     from wafer_viewer.store.dataset.dataset import Dataset
     from wafer_viewer.store.dataset.stack_import import import_dataset, open_stack

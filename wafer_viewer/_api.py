@@ -95,7 +95,7 @@ MODULES = {
     "step_height": "measure.tools.step_height",
     "step_profile": "measure.tools.step_profile",
     "stitch": "reconstruct.stitching",
-    "studies_of": "session.repeat_study",
+    "studies_of": "session.gauge.repeat_scans",
     "study_rr": "measure.gauge.gauge_rr",
     "texture": "measure.texture.areal_texture",
     "verdict_of": "model.inspection.defect_verdict",

@@ -111,7 +111,7 @@ def _measured(again: Path, first: Path) -> tuple[Comparison, float, float]:
 
 
 def _compare(pipe: Connection, again: Path, first: Path) -> None:
-    from wafer_viewer.session.subtraction import subtract
+    from wafer_viewer.session.surface.comparison_job import subtract
 
     peak, over = [0.0], threading.Event()
     watch = threading.Thread(target=_watch, args=(peak, over))

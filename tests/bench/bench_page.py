@@ -34,7 +34,7 @@ from tests.bench.page_driver import CHANGED, PATIENCE_S, Seat, Viewer, seats
 from tests.bench.tables import met, show
 from tests.browser.steps import put, set_numbers, text_field
 from wafer_viewer.compute.task_runner import crew_for
-from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 
 FIRST_GOAL_S, SETTLED_GOAL_S, CLICK_GOAL_S, MEMORY_GOAL, BYTES_GOAL = 2.0, 2.0, 0.3, 1.5e9, 8e6

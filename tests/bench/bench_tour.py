@@ -30,7 +30,7 @@ from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale
 from wafer_viewer.session.session import Session
 
 SURFACE_GOAL_S, REPORT_GOAL_S, ANSWER_GOAL_S = 20.0, 90.0, 0.5

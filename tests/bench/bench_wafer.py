@@ -28,8 +28,8 @@ from wafer_viewer.acquire.planner import price_all
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.stitching import bring_up_to_date, compare_pairs, draw_patch, register_pairs
-from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date, compare_pairs, draw_patch, register_pairs
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.mosaic.layout import SHARD
 from wafer_viewer.store.mosaic.zarr_mosaic import patches

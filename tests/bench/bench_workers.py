@@ -34,7 +34,7 @@ from wafer_viewer.reconstruct.field_pipeline import warm_up
 from wafer_viewer.rigs.virtual.optics.optics import Optics
 from wafer_viewer.rigs.virtual.scenes.catalogue import SCENES
 from wafer_viewer.rigs.virtual.sensor import FrameRenderer, Sensor
-from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
-from wafer_viewer.session.summary import save_summary, summarise
+from wafer_viewer.session.core.surface_summary import save_summary, summarise
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.journal import Finished, JournalWriter
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record

@@ -28,7 +28,7 @@ from PIL import Image
 from playwright.sync_api import BrowserContext, Error, Page, TimeoutError, sync_playwright
 
 from tests.browser.screens import FLAGS, dismiss_viser_warning, remember
-from wafer_viewer.session.painter import NICENESS
+from wafer_viewer.session.rendering.render_process import NICENESS
 
 ROOT = Path(__file__).parents[2]
 SIZE = {"width": 1600, "height": 1000}

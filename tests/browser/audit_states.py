@@ -19,10 +19,10 @@ from tests.browser.measuring_session import MeasuringSession
 from tests.browser.screen_list import EXPIRED, moving, noted
 from tests.browser.seen_session import SeenSession
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.gauge_state import GaugeState
-from wafer_viewer.session.inspection_state import InspectionState
-from wafer_viewer.session.state import Snapshot
-from wafer_viewer.session.tour import TOUR_LOT
+from wafer_viewer.session.planning.guided_tour import TOUR_LOT
+from wafer_viewer.session.state.gauge_state import GaugeState
+from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 DIALOG = ".mantine-Modal-content:has(.wv-away)"
 BACK = ".wv-action:has-text('Back to this check')"

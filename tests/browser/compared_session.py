@@ -12,8 +12,8 @@ from tests.browser.seen_session import SeenSession
 from tests.gui.stand_in import height_map
 from wafer_viewer.model.surface.comparison import Align, Change, Comparison, Face, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.compared import Compared
-from wafer_viewer.session.comparing import ComparingVerbs
+from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 BUMP = slice(200, 260), slice(120, 210)
 CHANGE = Change(

@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from typing import Any
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.control import Control
+from wafer_viewer.session.core.control_handover import Control
 
 
 class StandingDesk:

@@ -14,9 +14,9 @@ from wafer_viewer.model.inspection.defect import Defect, DefectRecipe, Inspectio
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Point
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import SAME_PLACE_UM, DefectFiles
-from wafer_viewer.session.defect_shelf import DefectShelf
-from wafer_viewer.session.other_tool import laid_over
+from wafer_viewer.session.inspection.inspection_files import SAME_PLACE_UM, DefectFiles
+from wafer_viewer.session.inspection.klarf_overlay import laid_over
+from wafer_viewer.session.state.inspection_resources import DefectShelf
 from wafer_viewer.store.tables.klarf_writer import write_klarf
 
 

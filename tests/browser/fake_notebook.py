@@ -11,8 +11,8 @@ from tests.browser.recording import Recording
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.report import Contents, Holds, ReportOrder
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.notebook import NotebookVerbs
-from wafer_viewer.session.papers import Papers
+from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.measurement.review_notes import NotebookVerbs
 
 
 class FakeNotebook(Recording):

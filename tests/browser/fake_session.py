@@ -31,9 +31,9 @@ from wafer_viewer.model.surface.field_poses import Doubt, Poses
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
 from wafer_viewer.session.api import SessionApi
-from wafer_viewer.session.browsing import Browsing
-from wafer_viewer.session.gauge import GaugeVerbs
-from wafer_viewer.session.state import (
+from wafer_viewer.session.files.file_browser import Browsing
+from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.state.snapshot import (
     DatasetEntry,
     Draft,
     Fault,

@@ -16,7 +16,7 @@ from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeBlock
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.rigs.virtual.rig import SETUP
-from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 

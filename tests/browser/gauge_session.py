@@ -32,11 +32,11 @@ from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session import gauge_check as work
-from wafer_viewer.session.gauge import GaugeVerbs
-from wafer_viewer.session.gauge_state import GaugeState, Tick
-from wafer_viewer.session.measuring import Measuring
-from wafer_viewer.session.studies import Studies
+from wafer_viewer.session.gauge import gauge_check as work
+from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.gauge.study_commands import Studies
+from wafer_viewer.session.measurement.measure_commands import Measuring
+from wafer_viewer.session.state.gauge_state import GaugeState, Tick
 
 UPPER = Region.rectangle(150, -40, 330, 190)
 LOWER = Region.rectangle(-330, -190, -150, 40)

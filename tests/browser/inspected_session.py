@@ -23,10 +23,10 @@ from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.cutting import cut
-from wafer_viewer.session.defect_views import DefectViews, Earlier
-from wafer_viewer.session.defects import DefectVerbs
-from wafer_viewer.session.paint_request import Source
+from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
+from wafer_viewer.session.inspection.reference_views import DefectViews, Earlier
+from wafer_viewer.session.measurement.section_export import cut
+from wafer_viewer.session.rendering.render_request import Source
 
 GRID = DieGrid(
     pitch_x_um=PITCH_UM,

@@ -13,7 +13,7 @@ from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieState, DieStatus
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection_state import InspectionState
+from wafer_viewer.session.state.inspection_state import InspectionState
 
 SHARES = (0.46, 0.08, 0.2, 0.01, 0.03, 0.15, 0.05, 0.01, 0.01)
 """Of the classes, in the order of their keys."""

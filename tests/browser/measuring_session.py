@@ -22,11 +22,11 @@ from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance
-from wafer_viewer.session.gauge import GaugeVerbs
-from wafer_viewer.session.history import History
-from wafer_viewer.session.measuring import Measuring
-from wafer_viewer.session.questions import ReadOut
-from wafer_viewer.session.sections import Sections
+from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
+from wafer_viewer.session.measurement.measure_commands import Measuring
+from wafer_viewer.session.measurement.section_commands import Sections
 
 DIE_UM, DOME_UM, DOME_RADIUS_UM, TILT = 12.0, 14.0, 60.0, 0.02
 DOME_AT = (-60.0, 40.0)

@@ -16,8 +16,8 @@ from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.quantity import Contribution, Length, Quantity
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.operating import JobEntry, Operating
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.operator_state import JobEntry, Operating
+from wafer_viewer.session.state.snapshot import Snapshot
 
 JOBS = (
     JobEntry(Path("/tmp/wafers/jobs/coupon-B.toml"), "Coupon 6 mm", "B", 9, 2),

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, get_type_hints
 
-from wafer_viewer.session.defect_files import DefectFiles
-from wafer_viewer.session.defect_views import DefectViews
+from wafer_viewer.session.inspection.inspection_files import DefectFiles
+from wafer_viewer.session.inspection.reference_views import DefectViews
 
 Record = Callable[[str, tuple[Any, ...], dict[str, Any]], Future[Any]]
 """Remembers a verb with its arguments and answers for it."""

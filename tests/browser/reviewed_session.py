@@ -11,7 +11,7 @@ from wafer_viewer.measure.verdict import judge, overall, what_next
 from wafer_viewer.model.job.verdict import Judged, WaferVerdict
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.operating import Operating
+from wafer_viewer.session.state.operator_state import Operating
 
 MEASURED = (("Die 1 over street", 30.03, -80.0), ("Die 2 over street", 31.2, 70.0), ("Die 3 over street", 30.42, 0.0))
 """Name, height in um, x in um of each feature."""

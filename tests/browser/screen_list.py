@@ -29,8 +29,8 @@ from tests.browser.shaped_session import ShapedSession
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.gauge_state import GaugeState
-from wafer_viewer.session.notebook_state import NotebookState
+from wafer_viewer.session.state.gauge_state import GaugeState
+from wafer_viewer.session.state.review_state import NotebookState
 
 Act = Callable[[Page], None]
 COUNT = "[data-pick=defect-map-by][data-k=count]"

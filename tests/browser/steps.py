@@ -13,7 +13,7 @@ import numpy as np
 from playwright.sync_api import Locator, Page, TimeoutError, expect
 
 from wafer_viewer.gui.camera import FOV_RAD
-from wafer_viewer.session.state import Fault
+from wafer_viewer.session.state.snapshot import Fault
 
 HAND_MS = 80
 ANSWER_MS = 2000

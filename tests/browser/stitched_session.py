@@ -11,7 +11,7 @@ from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.model.surface.field_poses import Doubt, Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.changes import with_change
+from wafer_viewer.session.core.changes import with_change
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 PITCH_UM, STREET_UM = 148.0, 26.0

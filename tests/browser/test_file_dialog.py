@@ -20,7 +20,7 @@ from tests.browser.steps import eventually, go_to, press, set_numbers, text_fiel
 from tests.browser.test_exchange import a_part
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.drafting import read_job
+from wafer_viewer.session.planning.plan_editor import read_job
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.formats.exporters import export
 from wafer_viewer.store.formats.readers import read_surface

@@ -22,7 +22,7 @@ from tests.browser.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.api import SessionApi
-from wafer_viewer.session.papers import Papers as TruePapers
+from wafer_viewer.session.files.documents import Papers as TruePapers
 from wafer_viewer.session.session import Session
 
 STAND_INS: dict[str, Callable[[], Any]] = {

@@ -19,9 +19,9 @@ from wafer_viewer.gui.app import start
 from wafer_viewer.gui.gate import MOST_BYTES
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
-from wafer_viewer.session.painter import Painter, PaintRequest
-from wafer_viewer.session.questions import ReadOut
-from wafer_viewer.session.summary import load_summary
+from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
+from wafer_viewer.session.rendering.render_process import Painter, PaintRequest
 from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = [

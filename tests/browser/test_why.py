@@ -13,7 +13,7 @@ from tests.browser.steps import click_the_surface, eventually, go_to, title_is
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.session.questions import ReadOut
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
 
 pytestmark = [
     pytest.mark.browser,

@@ -14,7 +14,7 @@ from wafer_viewer.draw.charts.wafer_map import FIELD_INKS, field_map_svg
 from wafer_viewer.draw.raster_text import LINE_PX, font, length_px, tag
 from wafer_viewer.draw.surface.ground_plane import Figure, hatch, shadow
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.session.state import FieldState
+from wafer_viewer.session.state.snapshot import FieldState
 
 WIDTH, HEIGHT = COLS * PIXEL_UM, ROWS * PIXEL_UM
 SAMPLE = ((-600.0, -500.0), (600.0, -500.0), (600.0, 500.0), (-600.0, 500.0))

@@ -8,7 +8,7 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Form, Poses, Seams, Shifts
-from wafer_viewer.session.state import StitchingInfo
+from wafer_viewer.session.state.snapshot import StitchingInfo
 
 STAGE_ERROR_UM, Z_ERROR_UM = 2.8, 1.0
 FORM = Form(

@@ -10,10 +10,10 @@ import numpy as np
 from wafer_viewer.model.acquisition.focus_stack import FieldStack
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin
-from wafer_viewer.session.paint_refused import PlacedField
-from wafer_viewer.session.paint_request import PaintRequest, Source
-from wafer_viewer.session.painting import paint
-from wafer_viewer.session.state import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_refused import PlacedField
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, RigStatus, Snapshot, SurfaceInfo
 
 PIXEL_UM = 0.46729
 ROWS, COLS = 540, 720

@@ -16,8 +16,8 @@ import websockets.sync.client
 from websockets.exceptions import InvalidStatus
 
 from wafer_viewer.gui.access import AccessGuard, open_server
-from wafer_viewer.session.page_token import new_token
-from wafer_viewer.session.papers import read_report
+from wafer_viewer.session.core.page_token import new_token
+from wafer_viewer.session.files.documents import read_report
 
 Server = tuple[viser.ViserServer, AccessGuard]
 

@@ -14,7 +14,7 @@ from wafer_viewer.gui.points_section import amount, counted
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip
-from wafer_viewer.session.paint_request import Brushed, Statistics
+from wafer_viewer.session.rendering.render_request import Brushed, Statistics
 
 ENDS, ALL = (0.0, 10.0), (-5.0, 30.0)
 

@@ -13,7 +13,7 @@ from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.points_section import counted, refused_legend
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
-from wafer_viewer.session.paint_request import Facts, Refused, Scale, Source, Statistics
+from wafer_viewer.session.rendering.render_request import Facts, Refused, Scale, Source, Statistics
 
 FACTS = Facts(101, 201, 1.0, 0.0, 100.0, 0, 101, 0, 201, -5.0, 20.0, -4.0, 18.0, 1.0, (0.0, 0.0, 0.0))
 ON_SHOW = OnShow(Source(Path("x"), "default", 0, 1), FACTS, Scale("height", *(0.0,) * 6, ()), -5.0, 2.0)

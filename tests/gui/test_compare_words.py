@@ -12,7 +12,7 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Face, Registration, SurfaceName, comparison_of, show_of
-from wafer_viewer.session.paint_request import Source
+from wafer_viewer.session.rendering.render_request import Source
 
 
 def plain(html: str) -> str:

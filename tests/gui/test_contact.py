@@ -11,7 +11,7 @@ from wafer_viewer.gui.browser import Told, is_cramped
 from wafer_viewer.gui.contact import kept_over_restart, meanwhile, out_of_reach, state
 from wafer_viewer.gui.header import STEPS, why_not
 from wafer_viewer.gui.memory import Layout
-from wafer_viewer.session.state import RigStatus
+from wafer_viewer.session.state.snapshot import RigStatus
 
 
 def test_the_last_word_names_the_field_under_way():

@@ -20,7 +20,7 @@ from wafer_viewer.gui.defect_map_html import MOST_SIGNS, counts_of, fills_by_cla
 from wafer_viewer.gui.defect_pareto import chart_of, pareto_html
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection_state import InspectionState
+from wafer_viewer.session.state.inspection_state import InspectionState
 
 INSPECTION = found(PLANTED)
 ALL = DefectListing()

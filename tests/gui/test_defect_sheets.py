@@ -12,7 +12,7 @@ from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.gui.view import View
 from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.like_place import DiePicture, Seen, SideBySide
+from wafer_viewer.session.rendering.comparison_views import DiePicture, Seen, SideBySide
 
 INSPECTION = found(PLANTED)
 DEFECT = INSPECTION.defects[0]

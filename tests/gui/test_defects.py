@@ -20,8 +20,8 @@ from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
 from wafer_viewer.gui.review_words import numbers
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection_state import InspectionState
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 INSPECTION = found(PLANTED)
 

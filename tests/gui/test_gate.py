@@ -12,7 +12,7 @@ import pytest
 from tests.gui.stage_props import RecordingScene
 from wafer_viewer.gui.gate import FIRST_BYTES, Gate
 from wafer_viewer.gui.stage import Cover, Item, Stage
-from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 SOURCE = Source(None, "", 0, 1)  # type: ignore[arg-type]
 

@@ -26,9 +26,9 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.run_chart import RunChart
 from wafer_viewer.model.measurement.tool_options import SiteRangeOptions, ToolOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.gauge_state import GaugeState, Tick
-from wafer_viewer.session.state import Snapshot
-from wafer_viewer.session.studies import Studies
+from wafer_viewer.session.gauge.study_commands import Studies
+from wafer_viewer.session.state.gauge_state import GaugeState, Tick
+from wafer_viewer.session.state.snapshot import Snapshot
 
 TODAY = datetime.date(2026, 11, 21)
 

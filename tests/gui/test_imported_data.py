@@ -14,7 +14,7 @@ from wafer_viewer.gui.field_map import FieldMap
 from wafer_viewer.gui.header import _state as header_state
 from wafer_viewer.gui.map_clicks import MapClicks
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 DIES = (((-1000.0, -1000.0), (0.0, -1000.0), (0.0, 0.0), (-1000.0, 0.0)),)
 

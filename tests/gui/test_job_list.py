@@ -9,9 +9,9 @@ import pytest
 from tests.browser import fake_session as fake
 from wafer_viewer.gui.job_list import job_list, state_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.notices import Notices, seconds_left
-from wafer_viewer.session.state import Snapshot, Work
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices, seconds_left
+from wafer_viewer.session.state.snapshot import Snapshot, Work
 
 READY = fake.planned()
 STARTING = dataclasses.replace(READY, compute_ready=False)

@@ -28,8 +28,8 @@ from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.model.job.review_notes import Notebook, SavedView
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.notebook_state import NotebookState
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.review_state import NotebookState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 CAMERA = set("WASDQE")
 OF_SLIDERS = {"end", "arrowup", "arrowdown", "arrowleft", "arrowright", "space", "tab"}

@@ -21,9 +21,9 @@ from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.surface.height_map import Origin
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
-from wafer_viewer.session.painting import paint
-from wafer_viewer.session.questions import ReadOut
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale, Source
 
 PIXEL_UM, SIDE, TILT = 2.0, 400, 0.05
 BY_PLANE = Levelling(by="plane")

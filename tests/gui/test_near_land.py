@@ -14,8 +14,8 @@ from wafer_viewer.gui.lie_of_land import Land
 from wafer_viewer.gui.near_land import land_nearby
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
-from wafer_viewer.session.painting import paint
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
 
 PIXEL_UM, SIDE = 0.5, 3000
 SOURCE = Source(Path("memory.wafer"), "default", 0, 1)

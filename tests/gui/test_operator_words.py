@@ -15,7 +15,7 @@ from wafer_viewer.gui.preflight_words import section
 from wafer_viewer.gui.verdict_words import card, features
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.preflight import look_round
+from wafer_viewer.session.planning.preflight import look_round
 
 OVERVIEW = Overview(np.zeros((1000, 1000), np.uint8), 6.0, -2997.0, 2997.0, (), (), "wafer")
 JOB = day.a_released_job("W07")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.gui.stage import NotYet, Orders
-from wafer_viewer.session.paint_request import PaintRequest, Source
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 REQUEST = PaintRequest(Source(Path("x"), "default", 5, 1), "points")
 

@@ -20,8 +20,8 @@ from wafer_viewer.gui.place_tools import fits
 from wafer_viewer.model.measurement.levelling import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region
-from wafer_viewer.session import paint_whole
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
+from wafer_viewer.session.rendering import render_summary
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
 
 SIDE_PX = 300
 SOURCE = Source(None, "", 0, 1)  # type: ignore[arg-type]
@@ -32,8 +32,8 @@ def land_of(z_um: np.ndarray) -> Land:
     import msgspec
 
     shelf = MemoryShelf({0: height_map(z_um, 1.0, 0.0, z_um.shape[0] - 1.0)})
-    facts = msgspec.msgpack.decode(paint_whole.facts(shelf, PaintRequest(SOURCE, "facts")), type=Facts)
-    relief = msgspec.msgpack.decode(paint_whole.relief(shelf, PaintRequest(SOURCE, "relief")), type=Relief)
+    facts = msgspec.msgpack.decode(render_summary.facts(shelf, PaintRequest(SOURCE, "facts")), type=Facts)
+    relief = msgspec.msgpack.decode(render_summary.relief(shelf, PaintRequest(SOURCE, "relief")), type=Relief)
     scale = Scale("height", 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, ())
     return Land(relief, OnShow(SOURCE, facts, scale, facts.lowest_um, 1.0))
 

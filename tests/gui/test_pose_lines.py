@@ -15,7 +15,7 @@ from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, grid
 from wafer_viewer.gui.drape import Drape
 from wafer_viewer.gui.pose_lines import Fields, in_dashes, round_below, sides
 from wafer_viewer.model.surface.field_poses import Doubt
-from wafer_viewer.session.paint_request import Relief
+from wafer_viewer.session.rendering.render_request import Relief
 
 WIDTH_UM, HEIGHT_UM = COLS * PIXEL_UM, ROWS * PIXEL_UM
 FIELDS = grid(3, 4).fields(0.0)

@@ -17,9 +17,9 @@ from wafer_viewer.gui.saved_views import LOOKED, choices, saved
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.notebook_state import NotebookState
-from wafer_viewer.session.operating import Operating
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.operator_state import Operating
+from wafer_viewer.session.state.review_state import NotebookState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 POSE = Pose(np.array([0.1, -0.9, 0.8]), np.array([0.0, 0.1, 0.0]))
 

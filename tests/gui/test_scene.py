@@ -32,8 +32,8 @@ from wafer_viewer.model.measurement.measurements import PointHeight
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale, Source
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale, Source
+from wafer_viewer.session.state.snapshot import Snapshot
 
 GRID = grid(2, 2)
 JOB, PLAN = job_and_plan(GRID)

@@ -17,7 +17,7 @@ from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Levy, Recipe
-from wafer_viewer.session.state import RigStatus
+from wafer_viewer.session.state.snapshot import RigStatus
 
 TODAY = datetime.date(2026, 3, 14)
 

@@ -15,9 +15,9 @@ from wafer_viewer.draw.number_format import size
 from wafer_viewer.gui.tour_guide import N_STEPS, end_card, note_of, present_step, report_of
 from wafer_viewer.gui.view import Tour, View
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.inspection_state import InspectionState
-from wafer_viewer.session.state import Snapshot
-from wafer_viewer.session.tour import TOUR_LOT, is_tour
+from wafer_viewer.session.planning.guided_tour import TOUR_LOT, is_tour
+from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 TOUR = Tour(since_s=1000.0)
 

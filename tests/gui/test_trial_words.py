@@ -22,8 +22,8 @@ from wafer_viewer.model.measurement.feature import Dies
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.operating import Operating
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.operator_state import Operating
+from wafer_viewer.session.state.snapshot import Snapshot
 
 CHANGE = VerdictChange(
     feature="die <over> street",

@@ -26,8 +26,8 @@ from wafer_viewer.model.measurement.measurements import Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.reconstruct.gates.gate import POWERS
-from wafer_viewer.session.notebook_state import NotebookState
-from wafer_viewer.session.state import Fault
+from wafer_viewer.session.state.review_state import NotebookState
+from wafer_viewer.session.state.snapshot import Fault
 
 
 @given(st.text())

@@ -11,7 +11,7 @@ from tests.reconstruct.compared import taken, tilted, with_bump
 from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job, ScanPlan
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 

@@ -17,9 +17,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import SurfaceName
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.judging import verdict_of
-from wafer_viewer.session.offline import make_surface
-from wafer_viewer.session.subtraction import keep_difference
+from wafer_viewer.session.planning.verdicts import verdict_of
+from wafer_viewer.session.surface.comparison_job import keep_difference
+from wafer_viewer.session.surface.headless import make_surface
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 from wafer_viewer.store.records.inspection_file import write_inspection

@@ -16,8 +16,8 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap, Provenance
 from wafer_viewer.model.surface.recipe import Stitching
-from wafer_viewer.session.judging import verdict_of
-from wafer_viewer.session.summary import save_summary, summarise
+from wafer_viewer.session.core.surface_summary import save_summary, summarise
+from wafer_viewer.session.planning.verdicts import verdict_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic

@@ -9,8 +9,8 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Levy, Noise, Outliers, Recipe
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.releases import released
+from wafer_viewer.session.planning.job_releases import released
+from wafer_viewer.session.planning.plan_editor import plan_of
 
 SETTLED = Recipe(
     window=9,

@@ -13,7 +13,7 @@ import pytest
 import tifffile
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.browsing import FILE_KINDS, PAGE, Browsing, FileKind, Listing, saved_as
+from wafer_viewer.session.files.file_browser import FILE_KINDS, PAGE, Browsing, FileKind, Listing, saved_as
 
 WAIT_S = 30.0
 ALL = FileKind(title="All files", endings=("",))

@@ -10,7 +10,7 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, WaferViewerErr
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.comparison import Face, SurfaceName, show_of
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.subtraction import face_of, opened, subtract
+from wafer_viewer.session.surface.comparison_job import face_of, opened, subtract
 from wafer_viewer.store.dataset.dataset import Dataset
 
 NAME = "difference-after"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.control import ANSWER_S, GRACE_S, Control
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.seat import FREE, seat
+from wafer_viewer.session.access_control import FREE, seat
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.control_handover import ANSWER_S, GRACE_S, Control
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class Hourglass:

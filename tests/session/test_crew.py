@@ -13,7 +13,7 @@ from wafer_viewer.compute.compute_client import Compute
 from wafer_viewer.compute.messages import Progressed
 from wafer_viewer.compute.task_runner import Here, crew_for
 from wafer_viewer.model.errors import ComputeError, DatasetError
-from wafer_viewer.session.tasks import warm_up
+from wafer_viewer.session.surface.worker_tasks import warm_up
 
 
 @pytest.fixture(scope="module")

@@ -17,16 +17,16 @@ from wafer_viewer.model.errors import DatasetError, HeldByAnother, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_files import DefectFiles, DefectFilesKeeper
-from wafer_viewer.session.defect_handover import hand_over, keep_golden
-from wafer_viewer.session.defects import DefectKeeper, DefectVerbs
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.file_work import FileWork
-from wafer_viewer.session.library import Library
-from wafer_viewer.session.notices import Notices
-from wafer_viewer.session.other_tool import compared, lattice_for
-from wafer_viewer.session.seat import seat
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.files.file_jobs import FileWork
+from wafer_viewer.session.inspection.defect_export import hand_over, keep_golden
+from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
+from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper
+from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
+from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
 from wafer_viewer.store.tables.klarf_reader import read_klarf

@@ -28,13 +28,13 @@ from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.comparison import Change, Comparison, Face, Registration, SurfaceName
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
-from wafer_viewer.session.compared import Compared
-from wafer_viewer.session.defect_views import DefectViews, earlier_scan
-from wafer_viewer.session.inspection_state import InspectionState
-from wafer_viewer.session.like_place import Seen, SideBySide
-from wafer_viewer.session.paint_request import Source
-from wafer_viewer.session.painter import Painter, paint_from_store
-from wafer_viewer.session.state import DatasetEntry, Snapshot
+from wafer_viewer.session.inspection.reference_views import DefectViews, earlier_scan
+from wafer_viewer.session.rendering.comparison_views import Seen, SideBySide
+from wafer_viewer.session.rendering.render_process import Painter, paint_from_store
+from wafer_viewer.session.rendering.render_request import Source
+from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.snapshot import DatasetEntry, Snapshot
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 from wafer_viewer.store.records.golden_dies import save_golden

@@ -11,12 +11,12 @@ from tests.store.inspections import defect, inspection
 from wafer_viewer.model.errors import DatasetError, MeasureError, WaferViewerError
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_work import inspect_dataset, mosaic_mark
-from wafer_viewer.session.defects import DefectKeeper
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.library import Library
-from wafer_viewer.session.notices import Notices
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
+from wafer_viewer.session.inspection.inspection_job import inspect_dataset, mosaic_mark
+from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import PlanError, WaferViewerError
-from wafer_viewer.session.desk import ANNOUNCE_EVERY_S, Desk
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.core.command_queue import ANNOUNCE_EVERY_S, Desk
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.drafting import RIG_STARTS, Drafting, read_job, suggested_name
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.planning.plan_editor import RIG_STARTS, Drafting, read_job, suggested_name
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 OUTLINE = ((-3000.0, -2000.0), (3000.0, -2000.0), (3000.0, 2000.0), (-3000.0, 2000.0))
 

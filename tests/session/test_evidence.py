@@ -8,9 +8,9 @@ import tifffile
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.evidence import focus_curve
-from wafer_viewer.session.questions import Questions
-from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.stack_import import import_dataset
 

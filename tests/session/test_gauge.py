@@ -13,17 +13,17 @@ from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeTerms
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.gauge import GaugeVerbs
-from wafer_viewer.session.gauge_keeper import GaugeKeeper
-from wafer_viewer.session.library import Library
-from wafer_viewer.session.messages import Scan
-from wafer_viewer.session.questions import Questions
-from wafer_viewer.session.record_book import RecordBook
-from wafer_viewer.session.scanning import writer_of
+from wafer_viewer.session.acquisition.rig_messages import Scan
+from wafer_viewer.session.acquisition.scan_run import writer_of
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
+from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.calibrations import (
     CALIBRATIONS,

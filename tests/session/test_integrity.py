@@ -13,10 +13,10 @@ import pytest
 
 from tests.session.complete_dataset import complete_dataset
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.judging import kept_verdict
-from wafer_viewer.session.stitching import bring_up_to_date
-from wafer_viewer.session.summary import load_summary
-from wafer_viewer.session.tasks import reconstruct_field
+from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.integrity import UNKNOWN, check_files
 from wafer_viewer.store.dataset.result import Result

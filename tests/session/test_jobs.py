@@ -12,12 +12,12 @@ from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.drafting import Drafting
-from wafer_viewer.session.jobs import JobKeeper
-from wafer_viewer.session.preflight import look_round, stops
-from wafer_viewer.session.releases import list_released, write_released
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.planning.job_commands import JobKeeper
+from wafer_viewer.session.planning.job_releases import list_released, write_released
+from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.preflight import look_round, stops
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 LIMITS = virtual_limits(540, 720)
 LEFT, RIGHT = (-1990.0, 5.0), (2010.0, 5.0)

@@ -11,12 +11,12 @@ import pytest
 from tests.browser import operator_session as day
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session import judging
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.judging import Judge
-from wafer_viewer.session.notices import Notices
-from wafer_viewer.session.operating import Operating
-from wafer_viewer.session.state import Work
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.planning import verdicts as module
+from wafer_viewer.session.planning.verdicts import Judge
+from wafer_viewer.session.state.operator_state import Operating
+from wafer_viewer.session.state.snapshot import Work
 
 STITCHING = (Work("w1", "Stitching the fields"),)
 PATIENCE_S = 20.0
@@ -36,7 +36,7 @@ def verdicts(monkeypatch):
             raise answer
         return answer
 
-    monkeypatch.setattr(judging, "verdict_of", verdict_of)
+    monkeypatch.setattr(module, "verdict_of", verdict_of)
     return made
 
 

@@ -11,7 +11,7 @@ from tests.store.samples import make_frame, make_job, make_plan
 from wafer_viewer.model.acquisition.plan import Shot
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import reconstruct
-from wafer_viewer.session.tasks import reconstruct_field, reconstruct_live
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.writer import DatasetWriter
 

@@ -9,10 +9,10 @@ import pytest
 
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import SavedView
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.notebook import NotebookKeeper, NotebookVerbs
-from wafer_viewer.session.papers import Papers
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.measurement.review_notes import NotebookKeeper, NotebookVerbs
+from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.records.review_notes import read_notebook
 
 VIEW = SavedView(position_mm=(0.0, -3.0, 2.0), look_at_mm=(0.0, 0.0, 0.0), range_um=(-1.5, 9.0))

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.session.paint_request import PaintRequest, Source
-from wafer_viewer.session.painter import Painter
+from wafer_viewer.session.rendering.render_process import Painter
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 SOURCE = Source(Path("nowhere.wafer"), "default", 0, 1)
 
@@ -63,8 +63,6 @@ def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
 
 def test_the_page_draws_without_loading_what_is_heavy() -> None:
     heavy = "{'scipy', 'numba', 'zarr', 'open3d', 'distributed'}"
-    code = (
-        f"import sys, wafer_viewer.gui.scene, wafer_viewer.session.painter; print(sorted({heavy} & set(sys.modules)))"
-    )
+    code = f"import sys, wafer_viewer.gui.scene, wafer_viewer.session.rendering.render_process; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

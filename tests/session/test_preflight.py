@@ -11,8 +11,8 @@ from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.preflight import Preflight, preflight, require_go, stops
+from wafer_viewer.session.planning.plan_editor import plan_of
+from wafer_viewer.session.planning.preflight import Preflight, preflight, require_go, stops
 
 LIMITS = virtual_limits(540, 720)
 

@@ -11,8 +11,8 @@ from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.measurements import PointHeight, Profile
 from wafer_viewer.model.quantity import Length
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.record_book import RecordBook
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.state.snapshot import Snapshot
 from wafer_viewer.store.dataset.result import Result
 
 

@@ -21,10 +21,10 @@ from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.field_poses import Poses
 from wafer_viewer.model.surface.height_map import HeightMap, Origin
 from wafer_viewer.model.surface.refused_points import RefusedHeights
-from wafer_viewer.session.paint_refused import PlacedField, placed_fields, points_of
-from wafer_viewer.session.paint_request import PaintRequest, Refused, Source, Statistics, unpack_points
-from wafer_viewer.session.painting import paint
-from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_refused import PlacedField, placed_fields, points_of
+from wafer_viewer.session.rendering.render_request import PaintRequest, Refused, Source, Statistics, unpack_points
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import read_npz, write_npz
 

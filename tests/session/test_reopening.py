@@ -16,11 +16,11 @@ from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.errors import DatasetError, PlanError, RigError
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import virtual_limits
-from wafer_viewer.session.conductor import Conductor
-from wafer_viewer.session.messages import Move
-from wafer_viewer.session.reopening import KEPT_IN, NAME
+from wafer_viewer.session.acquisition.rig_messages import Move
+from wafer_viewer.session.coordinator import Conductor
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import Typed
+from wafer_viewer.session.session_restore import KEPT_IN, NAME
+from wafer_viewer.session.state.snapshot import Typed
 from wafer_viewer.store.dataset.lock import Lock
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 

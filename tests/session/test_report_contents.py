@@ -20,8 +20,8 @@ from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.finding_numbers import numbers_of
-from wafer_viewer.session.reporting import make_report, report_of
+from wafer_viewer.session.measurement.measurement_numbers import numbers_of
+from wafer_viewer.session.reporting.report import make_report, report_of
 from wafer_viewer.store.dataset import digests
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.digests import digests_of_result

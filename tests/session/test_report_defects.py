@@ -11,7 +11,7 @@ from tests.store.inspections import defect, inspection
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.report import ReportOrder, Section
-from wafer_viewer.session.reporting import contents, report_of
+from wafer_viewer.session.reporting.report import contents, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.records.inspection_file import write_inspection
 from wafer_viewer.store.records.report_file import report_html

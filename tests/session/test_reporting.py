@@ -25,9 +25,9 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import HeightMap
-from wafer_viewer.session import report_results, reporting
-from wafer_viewer.session.reporting import contents, gather, make_report, report_of
-from wafer_viewer.session.summary import save_summary, summarise
+from wafer_viewer.session.core.surface_summary import save_summary, summarise
+from wafer_viewer.session.reporting import report, results_section
+from wafer_viewer.session.reporting.report import contents, gather, make_report, report_of
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
@@ -131,13 +131,13 @@ def a_verdict() -> WaferVerdict:
 def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
     noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
     material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
-    told = report_results.verdict(material)
+    told = results_section.verdict(material)
     (row,) = told.table.rows
     assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
     assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
     assert (told.word, told.beside) == ("inconclusive", "Coupon B · Calibrate.")
     assert told.sentences == ("die: No uncertainty.",)
-    assert ("Verdict", "INCONCLUSIVE, Coupon B") in reporting._facts(material)
+    assert ("Verdict", "INCONCLUSIVE, Coupon B") in report._facts(material)
     assert gather(dataset, RESULT).verdict is None
 
 
@@ -181,7 +181,7 @@ def test_every_part_says_beforehand_what_it_would_hold(dataset):
 
 def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dataset, monkeypatch):
     material = dataclasses.replace(gather(dataset, RESULT), findings=(), info=None)
-    monkeypatch.setattr(reporting, "gather", lambda *_: material)
+    monkeypatch.setattr(report, "gather", lambda *_: material)
     said = contents(dataset, RESULT)
     assert {part for part, holds in said.items() if holds.nothing} == {
         *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface")

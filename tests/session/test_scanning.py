@@ -9,10 +9,10 @@ import pytest
 
 from wafer_viewer.rigs.virtual.faults import Faults
 from wafer_viewer.rigs.virtual.rig import VirtualRig
-from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.messages import FieldComplete, Paused, Scan, ScanEnded, ScanFault, Taken
-from wafer_viewer.session.scan_watch import Steering, clipped_fraction, order_of_fields
-from wafer_viewer.session.scanning import take, writer_of
+from wafer_viewer.session.acquisition.rig_messages import FieldComplete, Paused, Scan, ScanEnded, ScanFault, Taken
+from wafer_viewer.session.acquisition.scan_monitor import Steering, clipped_fraction, order_of_fields
+from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.store.dataset.dataset import Dataset
 
 

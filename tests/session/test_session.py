@@ -17,7 +17,7 @@ from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import FieldState
+from wafer_viewer.session.state.snapshot import FieldState
 from wafer_viewer.store.dataset.dataset import Dataset
 
 pytestmark = pytest.mark.slow

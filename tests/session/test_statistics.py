@@ -15,9 +15,9 @@ from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip, Slab
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
-from wafer_viewer.session import paint_statistics
-from wafer_viewer.session.paint_request import PaintRequest, Source, Statistics
-from wafer_viewer.session.painting import paint
+from wafer_viewer.session.rendering import render_statistics
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source, Statistics
 
 PIXEL = 0.5
 ROWS, COLS = 120, 160
@@ -70,7 +70,7 @@ def test_heights_are_read_from_the_datum(surface: HeightMap):
 
 
 def test_more_points_than_can_be_read_are_means_of_blocks(surface: HeightMap, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(paint_statistics, "MOST_POINTS", ROWS * COLS // 4)
+    monkeypatch.setattr(render_statistics, "MOST_POINTS", ROWS * COLS // 4)
     told = counted(surface)
     assert told.block_px == 2
     assert told.n_heights == pytest.approx(np.isfinite(surface.z_um).sum(), rel=0.02)

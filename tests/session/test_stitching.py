@@ -12,7 +12,7 @@ from tests.truth.field_grid import SMALL, make
 from wafer_viewer.compute.task_runner import Here
 from wafer_viewer.model.errors import ComputeError, DatasetError
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
-from wafer_viewer.session.stitching import bring_up_to_date
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
 from wafer_viewer.store.dataset.dataset import Dataset
 
 LAYERS = ("z_um", "z_raw_um", "confidence", "all_in_focus", "origin", "overlap_um")

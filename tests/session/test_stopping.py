@@ -15,15 +15,15 @@ from wafer_viewer.model.acquisition.devices import Position
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.rigs.virtual.rig import VirtualRig
-from wafer_viewer.session import instrument as instrument_module
-from wafer_viewer.session.desk import Desk as SessionDesk
-from wafer_viewer.session.drafting import plan_of
-from wafer_viewer.session.instrument import Instrument, Reports
-from wafer_viewer.session.messages import At, Move, Scan, ScanEnded, Stop
-from wafer_viewer.session.notices import Notices
-from wafer_viewer.session.rig_process import Operator
+from wafer_viewer.session.acquisition import rig_client as instrument_module
+from wafer_viewer.session.acquisition.rig_client import Instrument, Reports
+from wafer_viewer.session.acquisition.rig_messages import At, Move, Scan, ScanEnded, Stop
+from wafer_viewer.session.acquisition.rig_process import Operator
+from wafer_viewer.session.core.command_queue import Desk as SessionDesk
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.planning.plan_editor import plan_of
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 FAR_UM = 150_000.0
 """The stage needs a second and a half for it."""

@@ -10,11 +10,11 @@ from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.model.surface.recipe import Recipe
-from wafer_viewer.session.evidence import focus_curve
-from wafer_viewer.session.offline import file_or_mosaic, measured_surface
-from wafer_viewer.session.offline import make_surface as make_again
-from wafer_viewer.session.reporting import contents, report_of
-from wafer_viewer.session.surface_import import import_surface
+from wafer_viewer.session.files.surface_import import import_surface
+from wafer_viewer.session.reporting.report import contents, report_of
+from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.headless import file_or_mosaic, measured_surface
+from wafer_viewer.session.surface.headless import make_surface as make_again
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.exporters import export
 

@@ -13,13 +13,13 @@ from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Stitching
 from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
-from wafer_viewer.session.desk import Desk
-from wafer_viewer.session.drafting import Drafting
-from wafer_viewer.session.notices import Notices
-from wafer_viewer.session.revision import try_job
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.revision_trial import try_job
+from wafer_viewer.session.planning.trial_commands import TrialKeeper
 from wafer_viewer.session.session import Session
-from wafer_viewer.session.state import RigStatus, Snapshot
-from wafer_viewer.session.trials import TrialKeeper
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 PATIENCE_S = 20.0
 STITCHED = Stitching(search_um=20.0, stage_error_um=2.0, z_error_um=1.0, tilt_error=1e-4)

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
     from wafer_viewer.model.acquisition.plan import Job
     from wafer_viewer.rigs.rig_config import RigConfig
-    from wafer_viewer.session.preflight import Check
+    from wafer_viewer.session.planning.preflight import Check
 
 DATA_FOLDER = Path("~/wafer-viewer")
 INTERRUPTED = 130
@@ -74,7 +74,7 @@ def serve(
     """
     from wafer_viewer.compute.malloc_trim import return_what_is_freed
     from wafer_viewer.gui.app import serve as serve_page
-    from wafer_viewer.session.page_token import page_token
+    from wafer_viewer.session.core.page_token import page_token
     from wafer_viewer.session.session import Session
 
     if not 0 <= port <= LAST_PORT:
@@ -97,7 +97,7 @@ def plan(plan_file: PlanFile, rig: File = None, json: bool = False) -> None:
         rig: RIG.toml of the instrument; the virtual rig without it.
         json: Print JSON instead of a table.
     """
-    from wafer_viewer.session.drafting import plan_of, read_job
+    from wafer_viewer.session.planning.plan_editor import plan_of, read_job
 
     job = read_job(plan_file)
     with _opened(rig) as device:
@@ -130,9 +130,9 @@ def scan(
         corners: Where on the stage each corner was seen that the job aligns by, x and y, in the job's order.
         yes: Start although something is not as it should be, as long as nothing forbids the scan.
     """
-    from wafer_viewer.session.preflight import require_go
-    from wafer_viewer.session.release_command import job_of_wafer
-    from wafer_viewer.session.scan_command import scan_to
+    from wafer_viewer.session.acquisition.headless import scan_to
+    from wafer_viewer.session.planning.headless import job_of_wafer
+    from wafer_viewer.session.planning.preflight import require_go
 
     job = job_of_wafer(plan_file, out, {"wafer_id": wafer, "lot": lot, "operator": operator}, corners)
 
@@ -152,8 +152,8 @@ def scan(
 
 def _judged(out: Path, job: Job) -> int:
     """Make the surface of a released job and judge it."""
-    from wafer_viewer.session.offline import make_surface
-    from wafer_viewer.session.release_command import verdict_kept_in
+    from wafer_viewer.session.planning.headless import verdict_kept_in
+    from wafer_viewer.session.surface.headless import make_surface
 
     with progress("Surface") as tell:
         make_surface(out, job.recipe, "default", again=False, tell=tell, warn=warn)
@@ -187,7 +187,7 @@ def import_(
         wavelength_um: Of the light; 0.55 um where it is not given.
     """
     from wafer_viewer.model.file_formats import Reading
-    from wafer_viewer.session.surface_import import import_surface
+    from wafer_viewer.session.files.surface_import import import_surface
     from wafer_viewer.store.dataset.stack_import import import_dataset
     from wafer_viewer.store.formats.readers import is_surface_file
 
@@ -270,7 +270,7 @@ def doctor(rig: File = None, data: Path = DATA_FOLDER) -> int:
         rig: RIG.toml of the instrument; the virtual rig without it.
         data: Folder of the datasets.
     """
-    from wafer_viewer.session.doctor import examine
+    from wafer_viewer.session.core.environment_check import examine
 
     return print_checks(examine(_config(rig), data.expanduser()))
 

@@ -52,7 +52,7 @@ def compare(
 
 
 def _compared(one: SurfaceName, other: SurfaceName, align: Align, keep_z: bool, out: Path | None) -> Comparison:
-    from wafer_viewer.session.subtraction import compare_files, keep_difference
+    from wafer_viewer.session.surface.comparison_job import compare_files, keep_difference
     from wafer_viewer.store.formats.exporters import export, losses, require_known
 
     if out is not None and not out.suffix:

@@ -18,12 +18,12 @@ from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.inspection.defect_verdict import verdict_of
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_handover import WRITERS, Handover
-from wafer_viewer.session.defect_offline import Wafer, dies_on, inspected, wafer_of
-from wafer_viewer.session.defect_shelf import product_of
-from wafer_viewer.session.given_dies import GivenDies
-from wafer_viewer.session.offline import Hire
-from wafer_viewer.session.other_tool import compared, laid_over
+from wafer_viewer.session.inspection.defect_export import WRITERS, Handover
+from wafer_viewer.session.inspection.die_lattice_source import GivenDies
+from wafer_viewer.session.inspection.headless import Wafer, dies_on, inspected, wafer_of
+from wafer_viewer.session.inspection.klarf_overlay import compared, laid_over
+from wafer_viewer.session.state.inspection_resources import product_of
+from wafer_viewer.session.surface.headless import Hire
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenDie

@@ -13,7 +13,7 @@ from tyro.conf import arg
 
 from wafer_viewer.cli.arguments import File, Place, Source
 from wafer_viewer.cli.output import print_json
-from wafer_viewer.session.given_dies import GivenDies
+from wafer_viewer.session.inspection.die_lattice_source import GivenDies
 
 Size = Annotated[tuple[float, float], arg(metavar="W H")]
 
@@ -49,7 +49,7 @@ def measure_dies(
     """
     from wafer_viewer.measure.dies.die_lattice import pitches
     from wafer_viewer.measure.dies.die_status import statuses
-    from wafer_viewer.session.offline import job_of, measured_surface
+    from wafer_viewer.session.surface.headless import job_of, measured_surface
 
     given = GivenDies(pitch_um, origin_um, size_um, angle_deg, job, as_given)
     surface, calibrated = measured_surface(src, field, result)

@@ -59,7 +59,7 @@ def measure_gauge(
         field: A field of the datasets; 0 is the stitched surface.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.gauge_runs import check_sources, history, sign_sources
+    from wafer_viewer.session.gauge.headless import check_sources, history, sign_sources
 
     terms = GaugeTerms(
         limit_um=limit_um, temperature_c=temperature_c, tolerance_um=tolerance_um, interval_days=interval_days
@@ -92,7 +92,7 @@ def calibrate_z(folder: DataFolder, by: Text = None, why: str = "", serial: Seri
         why: A remark.
         serial: The newest check with these blocks.
     """
-    from wafer_viewer.session.scales import correct, in_force, last_check, offered
+    from wafer_viewer.session.gauge.z_scale_correction import correct, in_force, last_check, offered
 
     record = last_check(folder, serial)
     before = in_force(folder, record)
@@ -122,7 +122,7 @@ def measure_rr(
         result: Name of the reconstruction, of datasets.
     """
     from wafer_viewer.measure.gauge.gauge_rr import gauge_rr, study_rr
-    from wafer_viewer.session.repeat_study import studies_of
+    from wafer_viewer.session.gauge.repeat_scans import studies_of
     from wafer_viewer.store.tables.study_csv import read_study
 
     if len(src) == 1 and src[0].suffix.lower() == ".csv":

@@ -37,8 +37,8 @@ def release(
         against: Stored datasets, or folders of them, to try it on before it is released.
         dry_run: Only say what would change; release nothing.
     """
-    from wafer_viewer.session.release_command import job_to_release, tried
-    from wafer_viewer.session.releases import write_released
+    from wafer_viewer.session.planning.headless import job_to_release, tried
+    from wafer_viewer.session.planning.job_releases import write_released
 
     names, folder = {"product": product, "revision": revision}, data.expanduser()
     job = job_to_release(plan_file, names, good, result, folder)
@@ -57,7 +57,7 @@ def measure_verdict(dataset: DatasetFolder, result: str = "default") -> int:
         dataset: The dataset, stitched.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.release_command import verdict_kept_in
+    from wafer_viewer.session.planning.headless import verdict_kept_in
 
     verdict = verdict_kept_in(dataset, result)
     print_json(msgspec.to_builtins(verdict))

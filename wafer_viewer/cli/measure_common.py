@@ -35,7 +35,7 @@ def measure(
 def surface_over(src: Path, level: tuple[str, ...], field: int, result: str) -> tuple[Mosaic, bool]:
     """The surface with its heights over what --level says, and whether its calibration holds."""
     from wafer_viewer.measure.base.levelled_surface import levelled
-    from wafer_viewer.session.offline import measured_surface
+    from wafer_viewer.session.surface.headless import measured_surface
 
     levelling = levelling_from(level)
     surface, calibrated = measured_surface(src, field, result)

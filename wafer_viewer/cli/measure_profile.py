@@ -49,7 +49,7 @@ def measure_profile(
         points: Also print the points of each section.
         out: Also write all curves to this file, .csv a table, .png a picture at print size.
     """
-    from wafer_viewer.session.cutting import require_known, write_sections
+    from wafer_viewer.session.measurement.section_export import require_known, write_sections
 
     if out is not None:
         require_known(out.suffix)
@@ -71,7 +71,7 @@ def measure_profile(
 
 
 def _opened(src: Path, field: int, result: str) -> tuple[Mosaic, bool]:
-    from wafer_viewer.session.offline import measured_surface
+    from wafer_viewer.session.surface.headless import measured_surface
 
     return measured_surface(src, field, result)
 
@@ -93,7 +93,7 @@ def _lines(surface: Outline, ends: Numbers, rows: Integers, columns: Integers, w
 def _cut(asked: Sequence[SectionAsked], surface: Mosaic, calibrated: bool, source: str) -> list[Section]:
     """Every line cut, from the zero that they all ask for."""
     from wafer_viewer.measure.base.levelled_surface import levelled
-    from wafer_viewer.session.cutting import cut
+    from wafer_viewer.session.measurement.section_export import cut
 
     from_zero = levelled(surface, asked[0].levelling)
     return [cut(one, from_zero, calibrated, source) for one in asked]

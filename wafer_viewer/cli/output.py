@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from wafer_viewer.model.job.revision_trial import Trial
     from wafer_viewer.model.job.verdict import WaferVerdict
     from wafer_viewer.model.quantity import Quantity
-    from wafer_viewer.session.doctor import Check
-    from wafer_viewer.session.preflight import Check as LookedAt
-    from wafer_viewer.session.state import SurfaceInfo
+    from wafer_viewer.session.core.environment_check import Check
+    from wafer_viewer.session.planning.preflight import Check as LookedAt
+    from wafer_viewer.session.state.snapshot import SurfaceInfo
     from wafer_viewer.store.dataset.dataset import CheckReport, Dataset
     from wafer_viewer.store.dataset.digests import Digest
     from wafer_viewer.store.dataset.integrity import KindReport

@@ -56,7 +56,7 @@ def reconstruct(
         na: Numerical aperture of the objective, in air, where SRC does not say: bounds the width of focus curves.
         wavelength_um: Of the light, for `na`; 0.55 um where it is not given.
     """
-    from wafer_viewer.session.offline import Hire, surface_of
+    from wafer_viewer.session.surface.headless import Hire, surface_of
     from wafer_viewer.store.formats.exporters import require_known
 
     require_sources(src)
@@ -99,7 +99,7 @@ def stitch(
         scheduler: A dask cluster that does the work, tls://HOST:PORT.
         workers: Processes of this machine that do the work; 1 is this one alone. As many as help by default.
     """
-    from wafer_viewer.session.offline import Hire, make_surface, write_poses_of
+    from wafer_viewer.session.surface.headless import Hire, make_surface, write_poses_of
 
     hire = Hire(scheduler, workers)
     with progress("Stitching") as tell:
@@ -129,7 +129,7 @@ def why(
         z_step_um: Distance between frames, where SRC does not say.
         pixel_um: Size of a pixel on the sample, where SRC does not say.
     """
-    from wafer_viewer.session.offline import evidence_of
+    from wafer_viewer.session.surface.headless import evidence_of
 
     require_sources(src)
     with progress("Reading the frames") as tell:
@@ -162,7 +162,7 @@ def convert(
         result: Name of the reconstruction of a NAME.wafer.
     """
     from wafer_viewer.model.file_formats import Reading
-    from wafer_viewer.session.offline import file_or_mosaic
+    from wafer_viewer.session.surface.headless import file_or_mosaic
     from wafer_viewer.store.formats.exporters import density, require_known
 
     require_known(out)
@@ -202,6 +202,6 @@ def report(
         parts: Contents, in this order; all by default.
         result: Name of the reconstruction.
     """
-    from wafer_viewer.session.reporting import make_report
+    from wafer_viewer.session.reporting.report import make_report
 
     print(make_report(dataset, result, ReportOrder(title=title, parts=parts), out))

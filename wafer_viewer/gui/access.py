@@ -23,7 +23,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
-from wafer_viewer.session.page_token import new_token
+from wafer_viewer.session.core.page_token import new_token
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 

@@ -20,7 +20,7 @@ from wafer_viewer.gui.stopping import NOT_STOPPED, stop
 from wafer_viewer.gui.verdict_section import VerdictSection, awaited
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.session.state import LatestFrame, OpenDataset, ScanProgress, Snapshot
+from wafer_viewer.session.state.snapshot import LatestFrame, OpenDataset, ScanProgress, Snapshot
 
 FRAME_EVERY_S = 0.18
 FRAME_WIDTH_PX = 720

@@ -25,8 +25,8 @@ from wafer_viewer.gui.tiles import Shown, surface_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.focus_stack import Image
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.session.paint_request import Facts, Source
-from wafer_viewer.session.state import FieldState, LatestFrame, OpenDataset, Snapshot
+from wafer_viewer.session.rendering.render_request import Facts, Source
+from wafer_viewer.session.state.snapshot import FieldState, LatestFrame, OpenDataset, Snapshot
 
 _TEXTURE_PIXELS = 1_600_000
 """For all finished fields together."""

@@ -13,7 +13,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.acquisition.plan import Job
-from wafer_viewer.session.state import Draft, Snapshot
+from wafer_viewer.session.state.snapshot import Draft, Snapshot
 
 FAILED = "The corner was not marked"
 

@@ -12,7 +12,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ from wafer_viewer.gui.icons import quicken
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.prop_types import cache_prop_types
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.papers import read_report
+from wafer_viewer.session.files.documents import read_report
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi

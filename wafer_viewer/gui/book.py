@@ -13,7 +13,7 @@ from wafer_viewer.gui.datums import Datums, FindDatum
 from wafer_viewer.gui.stage import NotYet, Orders, Paint
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Relief, Scale, Source
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale, Source
 
 Answer = TypeVar("Answer", Facts, Scale, Relief)
 _KEPT = 256

@@ -17,7 +17,7 @@ from wafer_viewer.gui.memory import Layout
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import LEFT_PX, RIGHT_PX
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 EDGE_PX = 4
 """A region at the side is so much wider than the panel in it."""

@@ -63,7 +63,7 @@ from wafer_viewer.gui.welcome import Welcome
 from wafer_viewer.gui.why_dock import WhyDock
 from wafer_viewer.gui.why_panel import WhyPanel
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi

@@ -9,8 +9,8 @@ from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.view import ColourBy, View
-from wafer_viewer.session.paint_request import Scale
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import Scale
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
 MOST_BAR_PX, LEAST_BAR_PX = 320, 110

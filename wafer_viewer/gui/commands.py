@@ -9,7 +9,7 @@ from typing import Any, Literal
 import viser
 
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 Group = Literal["Go to", "Look", "Plan", "Acquire", "Surface", "Measure", "Gauge check", "Review", "Report", "Page"]
 Obstacle = Callable[[Snapshot, View], str | None]

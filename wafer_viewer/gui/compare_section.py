@@ -20,8 +20,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
-from wafer_viewer.session.compared import Compared
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.state.snapshot import Snapshot
 
 NOTHING_TO_COMPARE = "Nothing else yet"
 ICON = viser.Icon

@@ -17,7 +17,7 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.stopping import kept
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 BEAT_S = 1.0
 PROGRAM, SINCE = secrets.token_hex(8), time.strftime("%H:%M:%S")

@@ -12,7 +12,7 @@ from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.sight import Sight
 from wafer_viewer.gui.stage import Item
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.paint_request import Facts, Scale, Source
+from wafer_viewer.session.rendering.render_request import Facts, Scale, Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.measurements import Profile
 from wafer_viewer.model.measurement.section_lines import Gap, gap
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _NOT_FELT_S = 0.03
 

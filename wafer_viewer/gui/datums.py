@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from wafer_viewer.gui.stage import NotYet
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.session.paint_request import Source
+from wafer_viewer.session.rendering.render_request import Source
 
 FindDatum = Callable[[Levelling, int], Datum]
 _KEPT = 64

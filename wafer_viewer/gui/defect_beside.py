@@ -19,8 +19,8 @@ from wafer_viewer.gui.review_items import neighbour
 from wafer_viewer.gui.view import OF_DEFECT, View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.session.like_place import SideBySide
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.comparison_views import SideBySide
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WAITING_PX = 120
 Asked = tuple[Any, ...]

@@ -17,7 +17,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.gui.place_shapes import outline_of
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.session.like_place import Like, Seen, SideBySide
+from wafer_viewer.session.rendering.comparison_views import Like, Seen, SideBySide
 
 TITLES: dict[Like, str] = {"here": "", "dies": "Other dies", "golden": "Golden die", "before": "Last scan"}
 COLUMNS, ASPECT = 3, 4 / 3

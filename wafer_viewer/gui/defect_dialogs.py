@@ -19,9 +19,9 @@ from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.defect_handover import Handover
-from wafer_viewer.session.defect_shelf import SAME_PLACE_UM
-from wafer_viewer.session.other_tool import KlarfUnit
+from wafer_viewer.session.inspection.defect_export import Handover
+from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit
+from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM
 
 NEAR = "Places closer than this count as the same defect"
 WAIT_S = 20.0

@@ -20,7 +20,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.sections import Section, SectionAsked
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 CUTTING = "Measuring the profile …"
 

@@ -35,8 +35,8 @@ from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
-from wafer_viewer.session.defect_shelf import product_of
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.inspection_resources import product_of
+from wafer_viewer.session.state.snapshot import Snapshot
 
 NOT_KEPT = "not kept"
 DIAL = "0 finds only clear defects, 1 everything that may be one"

@@ -13,7 +13,7 @@ from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, Inspect
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace as changed
-from wafer_viewer.session.defect_work import Against, Dies
+from wafer_viewer.session.inspection.inspection_job import Against, Dies
 
 DIE, GOLDEN, FORM = "Die to die", "Die to golden die", "With the fitted form"
 AGAINST = (DIE, GOLDEN, FORM)

@@ -13,7 +13,7 @@ from wafer_viewer.gui.defect_words import per_mm2
 from wafer_viewer.gui.dialogs import when
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection, threshold_of
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
-from wafer_viewer.session.defect_shelf import DefectShelf
+from wafer_viewer.session.state.inspection_resources import DefectShelf
 
 WAFER_MM2 = math.pi * 150.0**2
 """Of a wafer of 300 mm."""

@@ -15,8 +15,8 @@ from wafer_viewer.gui.view import OF_DEFECT, ReviewFilter
 from wafer_viewer.model.inspection.defect import Defect, Judgement
 from wafer_viewer.model.job.review_notes import Judgement as Noted
 from wafer_viewer.model.job.review_notes import Verdict
-from wafer_viewer.session.inspection_state import InspectionState
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.inspection_state import InspectionState
+from wafer_viewer.session.state.snapshot import Snapshot
 
 VERDICT_OF: dict[Judgement, Verdict] = {"open": "open", "real": "accepted", "nuisance": "rejected"}
 JUDGEMENT_OF: dict[Verdict, Judgement] = {verdict: judgement for judgement, verdict in VERDICT_OF.items()}

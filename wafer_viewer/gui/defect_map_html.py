@@ -15,7 +15,7 @@ from wafer_viewer.gui.defect_items import key_of
 from wafer_viewer.gui.defect_listing import DefectListing, MapBy
 from wafer_viewer.gui.defect_words import JUDGED
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
-from wafer_viewer.session.defect_shelf import OtherTool
+from wafer_viewer.session.state.inspection_resources import OtherTool
 
 BY: dict[MapBy, str] = {"class": "class", "count": "count"}
 MOST_SIGNS = 400

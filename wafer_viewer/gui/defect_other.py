@@ -12,8 +12,8 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.inspection.klarf import KlarfDefect
-from wafer_viewer.session.defect_shelf import OtherTool
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.inspection_resources import OtherTool
+from wafer_viewer.session.state.snapshot import Snapshot
 
 MOST_ROWS, MOST_MARKS = 6, 400
 INK = "var(--ink)"

@@ -18,7 +18,7 @@ from wafer_viewer.gui.defect_listing import DefectListing
 from wafer_viewer.gui.defect_words import sign_of
 from wafer_viewer.gui.view import ReviewFilter
 from wafer_viewer.model.inspection.defect import Defect, DefectClass
-from wafer_viewer.session.inspection_state import InspectionState
+from wafer_viewer.session.state.inspection_state import InspectionState
 
 
 def chart_of(state: InspectionState, listing: DefectListing, only: ReviewFilter) -> str:

@@ -33,8 +33,8 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.thumbnails import Thumbnails, framed, thumbnail
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.paint_request import PaintRequest
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.state.snapshot import Snapshot
 
 LAYERS = (Look(), Look(colour_by="grey"))
 """Of the thumbnails: heights, and the all-in-focus picture."""

@@ -21,8 +21,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
-from wafer_viewer.session.like_place import DiePicture
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.comparison_views import DiePicture
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WAITING_PX = 120
 

@@ -13,7 +13,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.over_scene import Room
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.inspection.repeating_defect import LEAST_DIES, RepeatedPlace
-from wafer_viewer.session.like_place import DiePicture
+from wafer_viewer.session.rendering.comparison_views import DiePicture
 
 HEAD_PX, FOOT_PX, PAD_PX, LIST_PX = 30, 26, 12, 250
 MOST_ROWS = 60

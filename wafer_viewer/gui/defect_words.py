@@ -9,7 +9,7 @@ from wafer_viewer.draw.charts.symbols import symbol_svg
 from wafer_viewer.draw.number_format import number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.inspection.defect import Defect, DefectClass, Inspection
-from wafer_viewer.session.inspection_state import InspectionState
+from wafer_viewer.session.state.inspection_state import InspectionState
 
 TINY_PER_MM2 = 1e-3
 

@@ -16,7 +16,7 @@ from wafer_viewer.gui.kit import Cell, button, in_a_row
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.file_formats import Reading
-from wafer_viewer.session.state import DatasetEntry
+from wafer_viewer.session.state.snapshot import DatasetEntry
 
 
 class KeepOpen(Exception):

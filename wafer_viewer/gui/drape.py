@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.session.paint_request import Relief
+from wafer_viewer.session.rendering.render_request import Relief
 
 Floats = NDArray[np.float64]
 _FINE = 4

@@ -18,8 +18,8 @@ from wafer_viewer.gui.review_item import ReviewItem
 from wafer_viewer.gui.review_items import review_items
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.plan import Field
-from wafer_viewer.session.paint_request import Brushed
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import Brushed
+from wafer_viewer.session.state.snapshot import Snapshot
 
 MOST_MARKS = 400
 """Of more things under review the first of the list are marked: more signs than these hide each other."""

@@ -24,7 +24,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, outlined
 from wafer_viewer.gui.sent_files import put_down
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
-from wafer_viewer.session.browsing import (
+from wafer_viewer.session.files.file_browser import (
     FILE_KINDS,
     PAGE,
     FileEntry,

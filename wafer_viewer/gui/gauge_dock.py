@@ -10,7 +10,7 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.gauge.run_chart import RunChart
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _EMPTY = "Signed checks of these blocks are drawn here, with limits, mean and drift."
 

@@ -10,7 +10,7 @@ from wafer_viewer.gui.latest import Latest
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 Surface = tuple[Path, int, int]
 """Dataset, what of it is on show, and its stamp."""

@@ -12,7 +12,7 @@ from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class GaugeGlass:

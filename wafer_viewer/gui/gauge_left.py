@@ -11,7 +11,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.verdict_words import LOOKS
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeRecord
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 MOST_ROWS = 30
 

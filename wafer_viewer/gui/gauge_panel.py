@@ -25,7 +25,7 @@ from wafer_viewer.gui.style import by_id
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 ICON = viser.Icon
 LEAD_PX = 58

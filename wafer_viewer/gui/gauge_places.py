@@ -10,7 +10,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import Levelling
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state import SurfaceInfo
+from wafer_viewer.session.state.snapshot import SurfaceInfo
 
 _SHARE = 0.28
 """Side of a face laid without a look at the surface, of the surface's own."""

@@ -10,7 +10,7 @@ import viser
 
 from wafer_viewer.gui import html
 from wafer_viewer.gui.gauge_words import day_and_time
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 PointName = Literal["clean", "warm", "scan", "faces", "sign"]
 BY_HAND: tuple[PointName, ...] = ("clean", "warm")

@@ -12,7 +12,7 @@ from wafer_viewer.gui.kit import Cell, Field, set_prop
 from wafer_viewer.gui.number_field import OptionalNumber, text_of
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The terms of the check were not changed"
 

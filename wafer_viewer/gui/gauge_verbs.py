@@ -10,7 +10,7 @@ from wafer_viewer.gui.gauge_points import BY_HAND, next_point
 from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 Lead = Literal["certificate", "measure", "sign", "new"]
 """What leads on: the one filled button."""

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 from wafer_viewer.gui.html import Tone
 from wafer_viewer.model.errors import HeldByAnother, MotionStopped, WaferViewerError
-from wafer_viewer.session.state import Fault
+from wafer_viewer.session.state.snapshot import Fault
 
 log = logging.getLogger("wafer_viewer.gui")
 _numbers = itertools.count(1)

@@ -16,8 +16,8 @@ from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.kit import Cell, bar, unbar
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.hands import Browser, Hands
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.control_state import Browser, Hands
+from wafer_viewer.session.state.snapshot import Snapshot
 
 HANDS_ON = frozenset(
     {

@@ -17,7 +17,7 @@ from wafer_viewer.gui.style import HEADER_PX, LEFT_PX, by_id
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.job.review_notes import keys_under_review
-from wafer_viewer.session.state import RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
 
 STEPS: tuple[Step, ...] = get_args(Step)
 TITLES: dict[Step, str] = {

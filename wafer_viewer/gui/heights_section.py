@@ -18,7 +18,7 @@ from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box, Span
-from wafer_viewer.session.paint_request import Brushed, Statistics
+from wafer_viewer.session.rendering.render_request import Brushed, Statistics
 
 FAILED = "The heights were not clipped"
 _ROOM = 0.5

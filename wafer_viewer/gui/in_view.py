@@ -13,7 +13,7 @@ from wafer_viewer.draw.surface.display_style import Look
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.quadtree import Span
 from wafer_viewer.gui.stage import Paint
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Scale
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale
 
 Corners = tuple[tuple[float, float], ...]
 Range = tuple[float, float]

@@ -20,10 +20,10 @@ from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.library import DEFAULT_RESULT
-from wafer_viewer.session.operating import JobEntry
-from wafer_viewer.session.preflight import Check
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
+from wafer_viewer.session.planning.preflight import Check
+from wafer_viewer.session.state.operator_state import JobEntry
+from wafer_viewer.session.state.snapshot import Snapshot
 
 BY_HAND = "as typed below"
 

@@ -7,7 +7,7 @@ import viser
 from wafer_viewer.draw.number_format import duration, share
 from wafer_viewer.gui import html
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot, Work
+from wafer_viewer.session.state.snapshot import Snapshot, Work
 
 HINT_S = 3.0
 """What takes less than this is over before it can be read."""

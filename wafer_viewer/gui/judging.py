@@ -11,7 +11,7 @@ from wafer_viewer.model.job.review_notes import Verdict
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi
-    from wafer_viewer.session.state import Snapshot
+    from wafer_viewer.session.state.snapshot import Snapshot
 
 
 def judge(session: SessionApi, key: str, verdict: Verdict) -> Future[Any]:

@@ -12,7 +12,7 @@ from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.quantity import Length, Quantity, Unit
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 TOOL_OF: dict[str, ToolName] = {
     **{tool: tool for tool in TOOLS},

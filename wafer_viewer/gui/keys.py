@@ -38,7 +38,7 @@ from wafer_viewer.gui.tool_icons import ICONS, TOOL_KEYS
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.gui.why_panel import WhyPanel
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 ICON = viser.Icon
 STEP_KEYS: dict[Step, str] = {

@@ -22,7 +22,7 @@ from wafer_viewer.gui.review_words import review_list
 from wafer_viewer.gui.saved_views import views_html
 from wafer_viewer.gui.style import LEFT_PX
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class LeftPanel:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.session.paint_request import Relief
+from wafer_viewer.session.rendering.render_request import Relief
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float]

@@ -28,7 +28,7 @@ from wafer_viewer.gui.view import Tool, View
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 __all__ = ["Answer", "MeasurePanel"]
 

@@ -15,7 +15,7 @@ import viser
 
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.state import Fault
+from wafer_viewer.session.state.snapshot import Fault
 
 VIEW_KEY, SELF_KEY, CAMERA_KEY = "wafer-viewer-view", "wafer-viewer-browser", "wafer-viewer-camera"
 EVERYWHERE = (

@@ -11,7 +11,7 @@ from wafer_viewer.gui.lie_of_land import Box, Floats, Land
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Mosaic
-from wafer_viewer.session.paint_request import Relief
+from wafer_viewer.session.rendering.render_request import Relief
 
 Read = Callable[[int], Mosaic]
 """The surface of a number, 0 the stitched one."""

@@ -8,7 +8,7 @@ from wafer_viewer.gui.defect_items import chosen_defect
 from wafer_viewer.gui.header import TITLES, possible, why_not
 from wafer_viewer.gui.view import Step, View
 from wafer_viewer.model.measurement.section_lines import MOST_LINES
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 def no_dataset(snapshot: Snapshot, _: View) -> str | None:

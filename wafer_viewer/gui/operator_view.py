@@ -15,8 +15,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.preflight import Check
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.planning.preflight import Check
+from wafer_viewer.session.state.snapshot import Snapshot
 
 FAILED = "The names were not changed"
 FOCUS = (

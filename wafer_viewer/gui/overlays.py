@@ -17,8 +17,8 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import LevelBy
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
-from wafer_viewer.session.questions import ReadOut
-from wafer_viewer.session.state import ScanProgress, Snapshot
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
+from wafer_viewer.session.state.snapshot import ScanProgress, Snapshot
 
 EDGE_PX = 14
 SHORT_NAME = 24

@@ -21,9 +21,9 @@ from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import ColourBy, View
 from wafer_viewer.gui.viewport import Viewport
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.session.paint_request import Scale, Statistics
-from wafer_viewer.session.seat import seat
-from wafer_viewer.session.state import Fault, Snapshot
+from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.rendering.render_request import Scale, Statistics
+from wafer_viewer.session.state.snapshot import Fault, Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.session.api import SessionApi

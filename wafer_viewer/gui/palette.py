@@ -13,7 +13,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.html import micro
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 Source = Callable[[Snapshot], Sequence[Command]]
 Name = tuple[str, Any, Any]

@@ -14,7 +14,7 @@ from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError, WaferViewerError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.state import Typed
+from wafer_viewer.session.state.snapshot import Typed
 
 FIRST_FRAMES = 31
 """Frames of the first sweep laid over a sample of which only the size is known."""

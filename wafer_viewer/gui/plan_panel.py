@@ -25,10 +25,10 @@ from wafer_viewer.gui.release_section import ReleaseSection
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import replace
-from wafer_viewer.session.drafting import PLAN_ENDING, suggested_name
-from wafer_viewer.session.library import today
-from wafer_viewer.session.preflight import Check, look_round, stops
-from wafer_viewer.session.state import Draft, Snapshot, Typed
+from wafer_viewer.session.core.dataset_library import today
+from wafer_viewer.session.planning.plan_editor import PLAN_ENDING, suggested_name
+from wafer_viewer.session.planning.preflight import Check, look_round, stops
+from wafer_viewer.session.state.snapshot import Draft, Snapshot, Typed
 
 
 class PlanPanel:

@@ -9,7 +9,7 @@ from wafer_viewer.gui.sample_scene import reach_box, sample_box, sample_items
 from wafer_viewer.gui.shapes import Box
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.plan import Job
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _WHOLE_OVER = 0.3
 """A grid that takes more than this share of the sample is shown with all of it, a smaller one from nearer."""

@@ -9,7 +9,7 @@ import viser
 from wafer_viewer.draw.number_format import THIN, duration, number, size, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.model.acquisition.plan import Price
-from wafer_viewer.session.state import Draft, Snapshot
+from wafer_viewer.session.state.snapshot import Draft, Snapshot
 
 _GAP = '<div style="height:8px"></div>'
 

@@ -11,7 +11,7 @@ from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.points_section import counted
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _LEAST_PX, _MOST_PX = 230, 760
 _LINE_PX, _EDGES_PX, _LETTER_PX, _BELOW_TOOLBAR_PX = 18, 14, 7.2, 48

@@ -13,7 +13,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.surface.clipping import LeftOut
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
-from wafer_viewer.session.paint_request import Refused, Statistics
+from wafer_viewer.session.rendering.render_request import Refused, Statistics
 
 FAILED = "The points were not changed"
 REFUSED: tuple[tuple[bool, str], ...] = ((False, "Hide"), (True, "Show"))

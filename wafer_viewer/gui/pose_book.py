@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from wafer_viewer.gui.latest import Latest
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.field_poses import Poses
-from wafer_viewer.session.paint_request import Source
+from wafer_viewer.session.rendering.render_request import Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)

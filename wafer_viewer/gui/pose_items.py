@@ -23,7 +23,7 @@ from wafer_viewer.gui.scene_colours import colours
 from wafer_viewer.gui.shapes import Layer, Layers, lines
 from wafer_viewer.gui.stage import Item
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
-from wafer_viewer.session.paint_request import PaintRequest, Relief
+from wafer_viewer.session.rendering.render_request import PaintRequest, Relief
 
 Place = tuple[float, float]
 Seen = tuple[float, float]

@@ -14,7 +14,7 @@ from wafer_viewer.gui.pose_items import LEAST_STITCH_PX, inks
 from wafer_viewer.gui.pose_lines import STITCH, Fields
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import OpenDataset, Snapshot
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
 WIDTH_PX, ROW_PX, EDGES_PX = 580, 21, 15
 ABOVE_SCALE_PX = 62

@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from wafer_viewer.gui import html
-from wafer_viewer.session.preflight import Check, State
+from wafer_viewer.session.planning.preflight import Check, State
 
 SIGNS: dict[State, tuple[Any, str]] = {
     "ok": (viser.Icon.CIRCLE_CHECK, "ok"),

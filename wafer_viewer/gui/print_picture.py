@@ -20,7 +20,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.style import RGB_OF_TONE
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.draw.print.print_figure import Caption, ColourKey

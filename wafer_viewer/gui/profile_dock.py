@@ -19,7 +19,7 @@ from wafer_viewer.gui.plot_view import with_cursor
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.section_lines import Gap, gap, next_measured
 from wafer_viewer.model.measurement.sections import Section
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 STILL_S = 0.6
 """While curves follow each other faster, a handle is being moved: the heights of the plot stay as they are."""

@@ -21,7 +21,7 @@ from wafer_viewer.model.measurement import section_lines
 from wafer_viewer.model.measurement.section_lines import MOST_LINES
 from wafer_viewer.model.measurement.sections import OtherSurface
 from wafer_viewer.model.surface.clipping import BeforeSlab
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 ALONE, CLEANED = "nothing", "measured and filtered heights"
 HINT = "A second curve along the active line: its other heights, or those of another surface"

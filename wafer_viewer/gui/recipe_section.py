@@ -15,7 +15,7 @@ from wafer_viewer.gui.kit import Cell, Field, button, in_a_row, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import READY_RECIPES, Recipe
-from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
 
 Put = Callable[[Recipe, Any], Recipe]
 

@@ -27,8 +27,8 @@ from wafer_viewer.model.acquisition.alignment import Marks
 from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.measurement.tools import TOOLS
-from wafer_viewer.session.finding_numbers import title_of
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.measurement.measurement_numbers import title_of
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class ReleaseSection:

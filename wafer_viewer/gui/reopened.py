@@ -9,7 +9,7 @@ from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.status_strip import job_shown, sample
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class Reopened:

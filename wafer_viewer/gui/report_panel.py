@@ -18,8 +18,8 @@ from wafer_viewer.gui.obstacles import no_surface
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
-from wafer_viewer.session.papers import REPORT, free_path, newest_report
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.files.documents import REPORT, free_path, newest_report
+from wafer_viewer.session.state.snapshot import Snapshot
 
 UNKNOWN = Holds("…")
 

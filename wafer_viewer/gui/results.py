@@ -19,7 +19,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.thumbnails import Thumbnails
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.measurements import AnyFinding
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 ROUND_PLACES = 2.4
 """How much more than its places is shown of where a result was measured."""

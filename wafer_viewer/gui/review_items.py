@@ -25,8 +25,8 @@ from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES
-from wafer_viewer.session.finding_numbers import title_of
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.measurement.measurement_numbers import title_of
+from wafer_viewer.session.state.snapshot import Snapshot
 
 FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
     ("all", "All"),

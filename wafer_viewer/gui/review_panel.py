@@ -29,8 +29,8 @@ from wafer_viewer.gui.verdict_words import waiting
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.inspection.defect import DefectClass
 from wafer_viewer.model.job.review_notes import Verdict
-from wafer_viewer.session.paint_request import PaintRequest
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.gui.scene import SceneView

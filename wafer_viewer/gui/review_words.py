@@ -7,7 +7,7 @@ from wafer_viewer.gui.review_item import VERDICTS, ReviewItem
 from wafer_viewer.gui.review_items import FILTERS, chosen_item, review_items
 from wafer_viewer.gui.review_looks import VERDICT_LOOKS
 from wafer_viewer.gui.view import ReviewFilter, View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _NONE: dict[ReviewFilter, str] = {
     "all": "Nothing is under review.",

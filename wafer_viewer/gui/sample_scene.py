@@ -17,7 +17,7 @@ from wafer_viewer.gui.shapes import Box, Group, closed, dashed, lines, lying, re
 from wafer_viewer.gui.stage import Handle, Item
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _PICTURE_SIDE_PX = 1400
 _STAGE_MM = 6.0

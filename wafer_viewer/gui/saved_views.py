@@ -17,7 +17,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import SavedView
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from wafer_viewer.gui.scene import SceneView

@@ -30,7 +30,7 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.gui.viewport import Viewport
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 _CAMERA_EVERY_S = 0.1
 _FENCE = "wafer-viewer-fence"

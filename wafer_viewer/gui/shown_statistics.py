@@ -18,8 +18,8 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.clipping import Box
 from wafer_viewer.model.surface.comparison import Face, comparison_of
-from wafer_viewer.session.paint_request import PaintRequest, Statistics
-from wafer_viewer.session.state import Snapshot, SurfaceInfo
+from wafer_viewer.session.rendering.render_request import PaintRequest, Statistics
+from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 Corners = tuple[tuple[float, float], ...]
 FACES: dict[Face, str] = {

@@ -10,7 +10,7 @@ from wafer_viewer.gui.kit import Cell, Field, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class SliceSection:

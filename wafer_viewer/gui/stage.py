@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 import viser
 
 from wafer_viewer.gui.gate import Gate
-from wafer_viewer.session.paint_request import PaintRequest
+from wafer_viewer.session.rendering.render_request import PaintRequest
 
 T = TypeVar("T")
 Handle = Any

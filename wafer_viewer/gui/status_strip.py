@@ -13,9 +13,9 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.plan import Job
-from wafer_viewer.session.hands import Hands
-from wafer_viewer.session.paint_request import Statistics
-from wafer_viewer.session.state import RigStatus, Snapshot, SurfaceInfo
+from wafer_viewer.session.rendering.render_request import Statistics
+from wafer_viewer.session.state.control_state import Hands
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo
 
 SOON_DAYS = 14
 """A calibration that is due within so many days is drawn attention to."""

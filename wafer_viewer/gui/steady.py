@@ -13,7 +13,7 @@ import numpy as np
 
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.acquisition.plan import ScanPlan
-from wafer_viewer.session.paint_request import Facts, Scale, Source
+from wafer_viewer.session.rendering.render_request import Facts, Scale, Source
 
 _HEIGHTS, _RANGE, _DEEPER = 0.12, 0.04, 0.02
 """By how much of their span heights and the range of colours may be off; what lies deeper than drawn shows at once."""

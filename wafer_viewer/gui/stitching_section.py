@@ -9,7 +9,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.pose_book import PoseBook
 from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot, SurfaceInfo
+from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 
 class StitchingSection:

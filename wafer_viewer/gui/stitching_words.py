@@ -9,7 +9,7 @@ from wafer_viewer.draw.number_format import THIN, digits_of_u, number, with_unit
 from wafer_viewer.gui import html
 from wafer_viewer.gui.recipe_words import notes
 from wafer_viewer.model.surface.field_poses import DOUBT_TITLES, Doubt, Poses
-from wafer_viewer.session.state import StitchingInfo
+from wafer_viewer.session.state.snapshot import StitchingInfo
 
 BY_STAGE = "Fields are placed by the stage alone: their overlaps were not compared."
 SHOWN, LISTED = 6, 60

@@ -7,7 +7,7 @@ import viser
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.dialogs import Dialog
 from wafer_viewer.gui.page import Page
-from wafer_viewer.session.state import FieldState, OpenDataset, RigStatus, Snapshot
+from wafer_viewer.session.state.snapshot import FieldState, OpenDataset, RigStatus, Snapshot
 
 NOT_STOPPED = "Nothing was stopped"
 COMPLETE = (FieldState.TAKEN, FieldState.RECONSTRUCTING, FieldState.MEASURED)

@@ -9,7 +9,7 @@ from wafer_viewer.gui import html
 from wafer_viewer.gui.measure_words import UNIT_SIGNS
 from wafer_viewer.model.gauge.gauge_rr import GaugeRR, Method
 from wafer_viewer.model.quantity import Unit
-from wafer_viewer.session.studies import Studied
+from wafer_viewer.session.gauge.study_commands import Studied
 
 GOOD, MARGINAL, LEAST_CATEGORIES = 0.10, 0.30, 5
 """Shares of %GRR up to which AIAG's manual calls a gauge acceptable, or acceptable for some uses; categories needed."""

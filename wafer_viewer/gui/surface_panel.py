@@ -26,8 +26,8 @@ from wafer_viewer.gui.tiles import OWN_COLOURS
 from wafer_viewer.gui.verdict_section import VerdictSection
 from wafer_viewer.gui.view import ColourBy, Counted, View
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.paint_request import Statistics
-from wafer_viewer.session.state import OpenDataset, Snapshot, SurfaceInfo
+from wafer_viewer.session.rendering.render_request import Statistics
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
 
 COUNTED: tuple[tuple[Counted, str], ...] = (("all", "All"), ("view", "In view"), ("selection", "Selection"))
 LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))

@@ -24,9 +24,9 @@ from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.surface.comparison import Face, comparison_of
-from wafer_viewer.session.changes import stamp_of
-from wafer_viewer.session.paint_request import Facts, PaintRequest, Source
-from wafer_viewer.session.state import OpenDataset, Snapshot
+from wafer_viewer.session.core.changes import stamp_of
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Source
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
 
 
 def source_of(snapshot: Snapshot, show: int) -> Source | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from wafer_viewer.gui.contents import OnShow
 from wafer_viewer.gui.quadtree import Heights, Span
-from wafer_viewer.session.paint_request import Relief
+from wafer_viewer.session.rendering.render_request import Relief
 
 _KEPT = 4096
 

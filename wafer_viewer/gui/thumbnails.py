@@ -17,8 +17,8 @@ from wafer_viewer.gui.surface_scene import source_of
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
-from wafer_viewer.session.paint_request import PaintRequest
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEIGHT_PX = 44, 33
 _ROOM, _LEAST_PX = 1.7, 32

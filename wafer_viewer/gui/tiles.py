@@ -18,7 +18,7 @@ from wafer_viewer.gui.stage import Cover, Handle, Item
 from wafer_viewer.gui.view import Look as Way
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.session.paint_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
+from wafer_viewer.session.rendering.render_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
 
 Box = tuple[float, float, float, float]
 """x low, y low, x high, y high in um."""

@@ -12,7 +12,7 @@ from wafer_viewer.gui.overlays import EDGE_PX
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.tool_icons import GAP, tool_strip
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WAYS_TO_LOOK = (
     ("top", "Top", "Look from above · T", viser.Icon.SQUARE),

@@ -24,9 +24,9 @@ from wafer_viewer.gui.report_panel import report_address
 from wafer_viewer.gui.review_panel import JUDGEMENTS
 from wafer_viewer.gui.view import Tour, View
 from wafer_viewer.model.measurement.step import StepHeight
-from wafer_viewer.session.papers import newest_report
-from wafer_viewer.session.state import Snapshot
-from wafer_viewer.session.tour import is_tour
+from wafer_viewer.session.files.documents import newest_report
+from wafer_viewer.session.planning.guided_tour import is_tour
+from wafer_viewer.session.state.snapshot import Snapshot
 
 N_STEPS = 7
 SCAN, LOOK, MEASURE, KEEP, INSPECT, JUDGE, REPORT = range(N_STEPS)

@@ -7,7 +7,7 @@ from wafer_viewer.gui.measure_words import whole
 from wafer_viewer.gui.verdict_words import LOOKS, state
 from wafer_viewer.model.decision_rule import Word
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
-from wafer_viewer.session.operating import Operating
+from wafer_viewer.session.state.operator_state import Operating
 
 MOST_CHANGES = 40
 """More than that are counted: a panel is not a file."""

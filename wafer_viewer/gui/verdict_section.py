@@ -5,7 +5,7 @@ from __future__ import annotations
 from wafer_viewer.gui import verdict_words as words
 from wafer_viewer.gui.kit import Cell
 from wafer_viewer.gui.page import Page
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 
 class VerdictSection:

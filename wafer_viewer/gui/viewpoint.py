@@ -9,7 +9,7 @@ from wafer_viewer.gui.memory import Standpoint, keep_standpoint
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.scene import SceneView
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 MOVED_MM = 1e-5
 

@@ -11,7 +11,7 @@ from wafer_viewer.gui.guard import guarded
 from wafer_viewer.gui.kit import Cell, button, leading, outlined, set_prop
 from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 WIDTH_PX, HEIGHT_PX = 380, 318
 TOUR_TIME = "about 2 min"

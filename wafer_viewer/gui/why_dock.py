@@ -16,7 +16,7 @@ from wafer_viewer.gui.style import PROFILE_PX
 from wafer_viewer.gui.view import View
 from wafer_viewer.gui.why_panel import FAILED, WhyPanel
 from wafer_viewer.model.surface.focus_curve import FocusCurve
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 READING = "Reading the frames …"
 PATCH_PX = 96

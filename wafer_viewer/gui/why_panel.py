@@ -15,7 +15,7 @@ from wafer_viewer.gui.page import Page
 from wafer_viewer.gui.view import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.focus_curve import FocusCurve
-from wafer_viewer.session.state import Snapshot
+from wafer_viewer.session.state.snapshot import Snapshot
 
 TITLE = "Why this height?"
 FAILED = "The frames were not read"

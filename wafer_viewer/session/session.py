@@ -16,26 +16,26 @@ from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
-from wafer_viewer.session.asking import Asking
-from wafer_viewer.session.browsing import Browsing
-from wafer_viewer.session.comparing import ComparingVerbs
-from wafer_viewer.session.conductor import Conductor
-from wafer_viewer.session.control import Control
-from wafer_viewer.session.defect_files import DefectFiles
-from wafer_viewer.session.defect_views import DefectViews
-from wafer_viewer.session.defects import DefectVerbs
-from wafer_viewer.session.exchange import Exchange
-from wafer_viewer.session.gauge import GaugeVerbs
-from wafer_viewer.session.jobs import JobVerbs
-from wafer_viewer.session.library import DEFAULT_RESULT
-from wafer_viewer.session.messages import Move
-from wafer_viewer.session.notebook import NotebookVerbs
-from wafer_viewer.session.papers import Papers
-from wafer_viewer.session.questions import Questions
-from wafer_viewer.session.sections import Sections
-from wafer_viewer.session.state import LatestFrame, Snapshot, Typed
-from wafer_viewer.session.studies import Studies
-from wafer_viewer.session.trials import TrialVerbs
+from wafer_viewer.session.acquisition.rig_messages import Move
+from wafer_viewer.session.coordinator import Conductor
+from wafer_viewer.session.core.control_handover import Control
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT
+from wafer_viewer.session.files.documents import Papers
+from wafer_viewer.session.files.file_browser import Browsing
+from wafer_viewer.session.files.file_commands import Exchange
+from wafer_viewer.session.gauge.gauge_commands import GaugeVerbs
+from wafer_viewer.session.gauge.study_commands import Studies
+from wafer_viewer.session.inspection.inspection_commands import DefectVerbs
+from wafer_viewer.session.inspection.inspection_files import DefectFiles
+from wafer_viewer.session.inspection.reference_views import DefectViews
+from wafer_viewer.session.measurement.dataset_queries import Questions
+from wafer_viewer.session.measurement.review_notes import NotebookVerbs
+from wafer_viewer.session.measurement.section_commands import Sections
+from wafer_viewer.session.planning.job_commands import JobVerbs
+from wafer_viewer.session.planning.trial_commands import TrialVerbs
+from wafer_viewer.session.queries import Asking
+from wafer_viewer.session.state.snapshot import LatestFrame, Snapshot, Typed
+from wafer_viewer.session.surface.comparison_commands import ComparingVerbs
 
 
 class Session(Asking):

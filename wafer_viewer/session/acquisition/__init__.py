@@ -1,0 +1,1 @@
+"""The rig process, its client and the scan."""

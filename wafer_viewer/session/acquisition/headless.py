@@ -1,0 +1,106 @@
+"""A scan without a browser: begun anew or gone on with, stopped by Ctrl-C with the rig at rest."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.progress import Progress
+from wafer_viewer.session.acquisition.rig_messages import Scan, ScanFault, Taken
+from wafer_viewer.session.acquisition.scan_monitor import Steering
+from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.core.dataset_library import today
+from wafer_viewer.session.planning.plan_editor import free_bytes, plan_of
+from wafer_viewer.session.planning.preflight import Check, Preflight, preflight
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.calibrations import calibration_in_force
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How it went: in words for people, and whether it was stopped or failed."""
+
+    words: str
+    stopped: bool
+    error: str | None
+
+
+def scan_to(
+    path: Path,
+    job: Job,
+    rig: Rig,
+    tell: Progress,
+    ready: Callable[[tuple[Check, ...]], None],
+    warn: Callable[[str], None],
+) -> Ended:
+    """Take a job into a dataset, or go on with it; `ready` hears of the look round before, and may raise.
+
+    `warn` hears of every fault of the running scan.
+
+    Raises DatasetError when it cannot be written, PlanError when it is of another job.
+    """
+    if path.exists():
+        scan = _goes_on(path, job)
+    else:
+        scan = Scan(path, plan_of(job, rig.limits), job)
+        ready(_look_round(scan, rig))
+    if isinstance(rig, SampleChanger):
+        rig.load_sample(job.sample)
+    steering = Steering()
+
+    def report(event: Any) -> None:
+        if isinstance(event, Taken):
+            tell(event.progress.frames_done / event.progress.frames_total)
+        elif isinstance(event, ScanFault):
+            warn(event.what)
+
+    with writer_of(scan, rig) as writer, _interrupt_stops(steering):
+        ended = take(scan, rig, writer, report, steering)
+        kept = len(writer.kept)
+    words = f"{kept} of {scan.plan.n_frames} frames kept"
+    more = "; the same command continues it" if ended.stopped else ""
+    return Ended(f"{words}{more}", ended.stopped, ended.error)
+
+
+def _goes_on(path: Path, job: Job) -> Scan:
+    data = Dataset.open(path)
+    if data.scan.job != job:
+        raise PlanError(
+            f"{path} was started with another plan: choose another name, or give the plan it was started with."
+        )
+    if not data.missing():
+        raise DatasetError(f"{path} has all its frames: choose another name.")
+    return Scan(path, data.scan.plan, job, goes_on=True)
+
+
+def _look_round(scan: Scan, rig: Rig) -> tuple[Check, ...]:
+    return preflight(
+        Preflight(
+            job=scan.job,
+            plan=scan.plan,
+            limits=rig.limits,
+            simulated=rig.simulated,
+            calibration=calibration_in_force(scan.path.absolute().parent, rig.name, rig.calibration),
+            setup=rig.setup,
+            free_bytes=free_bytes(scan.path.absolute().parent),
+            z_um=rig.stage.position().z_um,
+            today=today(),
+        )
+    )
+
+
+@contextmanager
+def _interrupt_stops(steering: Steering) -> Generator[None]:
+    """Ctrl-C stops the scan instead of the program, which ends once the rig is at rest."""
+    before = signal.signal(signal.SIGINT, lambda *_: steering.stop())
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,247 @@
+"""The viewer's end of the rig: asks its process to move and scan, and keeps the snapshot true to what it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+from wafer_viewer.compute.child_process import Link
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import DatasetError, MotionStopped, RigError
+from wafer_viewer.rigs.rig_config import RigConfig
+from wafer_viewer.session.acquisition.rig_messages import (
+    At,
+    FieldComplete,
+    LoadSample,
+    Move,
+    Pause,
+    Paused,
+    Resume,
+    RigAbsent,
+    RigReady,
+    SampleSeen,
+    Scan,
+    ScanEnded,
+    ScanFault,
+    Stop,
+    Taken,
+)
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.state.snapshot import LatestFrame, RigStatus
+
+
+@dataclass(frozen=True, slots=True)
+class Reports:
+    """Who wants to know of what the rig did; called on the session's thread."""
+
+    ready: Callable[[RigReady], None]
+    sample_seen: Callable[[SampleSeen], None]
+    taken: Callable[[Taken], None]
+    field_complete: Callable[[int], None]
+    scan_ended: Callable[[ScanEnded | None], None]
+    """With None when the rig's process died during a scan."""
+
+
+class Instrument:
+    """The rig of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, config: RigConfig, reports: Reports) -> None:
+        self._desk, self._notices, self._config, self._reports = desk, notices, config, reports
+        self._link: Link | None = None
+        self._sample: Sample | None = None
+        """What was to be loaded last."""
+        self._moves = 0
+        """How many were asked for and are not over."""
+        self.n_stops = 0
+        """How many were asked for from another thread, ahead of what waits for this one."""
+        self.latest_frame: LatestFrame | None = None
+        self._on = {
+            RigReady: self._ready,
+            SampleSeen: reports.sample_seen,
+            RigAbsent: self._absent,
+            At: self._at,
+            Paused: self._paused,
+            Taken: self._taken,
+            FieldComplete: lambda event: reports.field_complete(event.number),
+            ScanFault: self._scan_fault,
+            ScanEnded: self._scan_ended,
+        }
+
+    def start(self) -> Link:
+        """The link to a living process; a rig that failed is started anew when it is asked for something."""
+        if self._link is None or not self._link.alive:
+            self._show(state="starting", message="")
+            self._link = Link("wafer-viewer rig", _own_rig, (self._config,), self._heard, self._gone)
+            if self._sample is not None:
+                self._link.ask(LoadSample(self._sample))
+        return self._link
+
+    def load(self, sample: Sample | None) -> None:
+        """Have a rig that changes samples by itself load one; a rig that does not run loads it when it is started."""
+        if sample == self._sample:
+            return
+        self._sample = sample
+        if self._link is not None and self._link.alive:
+            self._link.ask(LoadSample(sample))
+
+    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
+        """Move the stage; done on arrival, or with MotionStopped, also where more than `n_stops` have come since."""
+        self.require_idle("move the stage")
+        if n_stops is not None and n_stops < self.n_stops:
+            stood = self._desk.now.rig
+            raise MotionStopped.at(stood.x_um, stood.y_um, stood.z_um)
+        link = self.start()
+        self._moves += 1
+        self._show_moves()
+        return self._desk.afterwards(link.ask(move), self._move_over)
+
+    def scan(self, scan: Scan) -> Future[None]:
+        """Begin a scan; done once it has begun."""
+        link = self.start()
+        self._show(state="scanning", message="")
+        begun = link.ask(scan)
+        begun.add_done_callback(lambda done: self._desk.note(self._begun, done))
+        return begun
+
+    def pause(self) -> Future[None]:
+        """Halt at the end of this pass."""
+        self._require_scan("pause")
+        self._show(message="Halts at the end of this pass.")
+        return self.start().ask(Pause())
+
+    def resume(self) -> Future[None]:
+        """Go on after a pause."""
+        self._require_scan("continue")
+        self._show(message="")
+        return self.start().ask(Resume())
+
+    def stop_at_once(self) -> Future[bool]:
+        """Break off, from any thread, ahead of what waits for this one: moves among it are not begun any more."""
+        self.n_stops += 1
+        return self.break_off()
+
+    def break_off(self) -> Future[bool]:
+        """Stop whatever moves, from any thread; done at rest, with whether there was anything to stop."""
+        if self._link is not None and self._link.alive:
+            return self._link.ask(Stop())
+        nothing: Future[bool] = Future()
+        nothing.set_result(False)
+        return nothing
+
+    def stop_scan(self) -> None:
+        """End the scan with the rig at rest."""
+        self._require_scan("stop")
+        self._show(state="stopping", message="")
+        self.break_off()
+
+    def require_idle(self, what: str) -> None:
+        """Raise RigError while a scan has the rig."""
+        if self._desk.now.scanning:
+            raise RigError(f"A scan is running: stop it or wait for its end to {what}.")
+
+    def close(self) -> None:
+        """Stop motion, disarm the box, end the process."""
+        if self._link is not None:
+            self._link.close()
+
+    def _heard(self, event: Any) -> None:
+        self._desk.note(self._on[type(event)], event)
+
+    def _gone(self, exit_code: int | None) -> None:
+        self._desk.note(self._died, exit_code)
+
+    def _ready(self, event: RigReady) -> None:
+        state = "scanning" if self._desk.now.scanning else "ready"
+        status = RigStatus(
+            event.name,
+            event.simulated,
+            state,
+            limits=event.limits,
+            calibration=self._calibration(event),
+            setup=event.setup,
+            homed=event.homed,
+        )
+        self._desk.change(rig=status)
+        self._at(At(event.position))
+        self._show_moves()
+        self._reports.ready(event)
+
+    def _calibration(self, event: RigReady) -> Calibration | None:
+        """What the rig came with, or what it was corrected to since."""
+        from wafer_viewer.store.records.calibrations import calibration_in_force
+
+        try:
+            return calibration_in_force(self._desk.now.data_folder, event.name, event.calibration)
+        except DatasetError as fault:
+            self._notices.fault("The rig's calibration is not known", str(fault), "rig")
+            return None
+
+    def _absent(self, event: RigAbsent) -> None:
+        self._show(state="absent", message=event.why)
+
+    def _at(self, event: At) -> None:
+        p, homed = event.position, event.homed
+        known = self._desk.now.rig.homed if homed is None else homed
+        self._show(x_um=p.x_um, y_um=p.y_um, z_um=p.z_um, homed=known)
+
+    def _move_over(self) -> None:
+        self._moves -= 1
+        self._show_moves()
+
+    def _show_moves(self) -> None:
+        """Moving from the first of several moves to the end of the last."""
+        if self._desk.now.rig.state in ("ready", "moving"):
+            self._show(state="moving" if self._moves else "ready")
+
+    def _paused(self, event: Paused) -> None:
+        if self._desk.now.rig.state != "stopping":
+            self._show(state="paused" if event.paused else "scanning", message="")
+
+    def _taken(self, event: Taken) -> None:
+        self.latest_frame = event.latest or self.latest_frame
+        self._at(At(event.position))
+        self._desk.change(scan=event.progress)
+        self._reports.taken(event)
+
+    def _scan_fault(self, event: ScanFault) -> None:
+        self._notices.fault("The scan reports a fault", event.what, "scan")
+
+    def _begun(self, done: Future[None]) -> None:
+        if done.exception() is not None and self._desk.now.scanning:
+            self._show(state="ready")
+
+    def _scan_ended(self, event: ScanEnded) -> None:
+        self._show(state="ready", message="")
+        if event.error is not None:
+            self._notices.fault("The scan stopped", f"{event.error} The frames of complete passes are kept.", "scan")
+        self._reports.scan_ended(event)
+
+    def _died(self, exit_code: int | None) -> None:
+        """The process is gone without having been asked to; an absent rig has told why before."""
+        snapshot = self._desk.now
+        if snapshot.rig.state == "absent":
+            return
+        kept = " The frames of complete passes are kept." if snapshot.scanning else ""
+        text = f"The rig's process ended (exit code {exit_code}).{kept}"
+        self._show(state="fault", message=f"{text} The next move or scan restarts it.")
+        self._notices.fault("The rig stopped answering", f"{text} The next move or scan restarts it.", "rig")
+        if snapshot.scanning:
+            self._reports.scan_ended(None)
+
+    def _require_scan(self, what: str) -> None:
+        if not self._desk.now.scanning:
+            raise RigError(f"No scan is running: there is nothing to {what}.")
+
+    def _show(self, **changes: Any) -> None:
+        self._desk.change(rig=replace(self._desk.now.rig, **changes))
+
+
+def _own_rig(pipe: Connection, config: RigConfig) -> None:
+    from wafer_viewer.session.acquisition.rig_process import run_rig
+
+    run_rig(pipe, config)

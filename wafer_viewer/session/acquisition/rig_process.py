@@ -1,0 +1,168 @@
+"""The process that owns the rig: it carries out moves and scans, writes frames and journal, and reports.
+
+When its pipe ends, because the viewer closed it or is gone, it stops motion, disarms the pulse box and exits.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+
+from wafer_viewer.acquire.motion import come_to_rest, device_errors, move
+from wafer_viewer.compute.child_process import Ask, ChildEnd, live_in_the_background
+from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
+from wafer_viewer.model.acquisition.plan import Axis
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import MotionStopped, RigError, WaferViewerError
+from wafer_viewer.rigs.rig_config import RigConfig, open_rig
+from wafer_viewer.session.acquisition.rig_messages import (
+    At,
+    LoadSample,
+    Move,
+    Pause,
+    Resume,
+    RigAbsent,
+    RigReady,
+    SampleSeen,
+    Scan,
+    Stop,
+)
+from wafer_viewer.session.acquisition.scan_monitor import Steering
+from wafer_viewer.session.acquisition.scan_run import take, writer_of
+from wafer_viewer.session.planning.guided_tour import tour_of
+
+
+def run_rig(pipe: Connection, config: RigConfig) -> None:
+    """Live as the rig's process until the pipe ends."""
+    live_in_the_background()
+    end = ChildEnd(pipe)
+    try:
+        rig = open_rig(config)
+    except WaferViewerError as fault:
+        end.tell(RigAbsent(str(fault)))
+        return
+    try:
+        end.tell(_introduce(rig, config))
+        end.tell(SampleSeen(rig.overview()))
+        Operator(rig, end).work()
+    finally:
+        rig.close()
+
+
+def _introduce(rig: Rig, config: RigConfig) -> RigReady:
+    return RigReady(
+        name=rig.name,
+        simulated=rig.simulated,
+        limits=rig.limits,
+        setup=rig.setup,
+        calibration=rig.calibration,
+        position=rig.stage.position(),
+        tour=tour_of(rig, config),
+        homed=rig.stage.homed(),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A verb in its turn, with the number of stops before it: what was asked for before a stop is not begun after."""
+
+    ask: Ask
+    n_stops: int
+
+
+class Operator:
+    """Carries out one verb at a time; what steers or breaks off a motion is heard at once, on a thread of its own.
+
+    That thread only counts and sets flags: whoever moves the rig asks for them, so one thread alone uses the devices.
+    """
+
+    def __init__(self, rig: Rig, end: ChildEnd) -> None:
+        self._rig, self._end = rig, end
+        self._todo: queue.SimpleQueue[Order | None] = queue.SimpleQueue()
+        self._steering = Steering()
+        self._steer = {Pause: self._steering.pause, Resume: self._steering.resume}
+        self._n_stops = self._heeded = 0
+        """Stops heard so far, and how many of them had been heard when something was last broken off."""
+
+    def work(self) -> None:
+        """Work until the pipe ends."""
+        threading.Thread(target=self._listen, name="verbs", daemon=True).start()
+        while (order := self._todo.get()) is not None:
+            try:
+                self._carry_out(order)
+            except WaferViewerError as fault:
+                if isinstance(fault, MotionStopped):
+                    self._heeded = self._n_stops
+                self._end.refuse(order.ask, fault)
+
+    def _listen(self) -> None:
+        for ask in self._end.verbs():
+            if (steer := self._steer.get(type(ask.verb))) is not None:
+                steer()
+                self._end.answer(ask)
+                continue
+            if isinstance(ask.verb, Stop):
+                self._stop()
+            self._todo.put(Order(ask, self._n_stops))
+        self._steering.end()
+        self._stop()
+        self._todo.put(None)
+
+    def _stop(self) -> None:
+        self._n_stops += 1
+        self._steering.stop()
+
+    def _carry_out(self, order: Order) -> None:
+        match order.ask.verb:
+            case Scan() as scan:
+                self._scan(order, scan)
+            case Move() as goal:
+                self._move(order, goal)
+            case LoadSample() as load:
+                self._load(load.sample)
+                self._end.answer(order.ask)
+            case _:
+                self._end.answer(order.ask, order.n_stops <= self._heeded)
+
+    def _stopped_since(self, order: Order) -> bool:
+        return self._n_stops > order.n_stops
+
+    def _move(self, order: Order, to: Move) -> None:
+        wanted: dict[Axis, float | None] = {"x": to.x_um, "y": to.y_um, "z": to.z_um}
+        goal_um: dict[Axis, float] = {axis: um for axis, um in wanted.items() if um is not None}
+        try:
+            with device_errors("stage"):
+                move(self._rig, goal_um, lambda: self._stopped_since(order))
+        finally:
+            self._tell_where()
+        self._end.answer(order.ask)
+
+    def _load(self, sample: Sample | None) -> None:
+        """Load a sample where the rig does that by itself, and show what lies on the stage now."""
+        if isinstance(self._rig, SampleChanger) and self._rig.load_sample(sample):
+            self._end.tell(SampleSeen(self._rig.overview()))
+
+    def _scan(self, order: Order, scan: Scan) -> None:
+        self._load(scan.job.sample)
+        self._steering.reset()
+        if self._stopped_since(order):
+            self._steering.stop()
+        with writer_of(scan, self._rig) as writer:
+            self._end.answer(order.ask)
+            ended = take(scan, self._rig, writer, self._end.tell, self._steering)
+        if ended.stopped:
+            self._heeded = self._n_stops
+        try:
+            with device_errors("stage"):
+                come_to_rest(self._rig)
+        except RigError as fault:
+            ended = replace(ended, stopped=True, error=ended.error or str(fault))
+        self._tell_where()
+        self._end.tell(ended)
+
+    def _tell_where(self) -> None:
+        """Also whether it is homed: a search for the reference that was broken off leaves it not so."""
+        stage = self._rig.stage
+        self._end.tell(At(stage.position(), stage.homed()))

@@ -1,0 +1,221 @@
+"""Between a scan and those who watch it: passes frames on to the dataset, tells how far it is, hears pause and stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.model.acquisition.devices import Position, PulseSummary
+from wafer_viewer.model.acquisition.focus_stack import Frame, Image
+from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
+from wafer_viewer.session.acquisition.rig_messages import FieldComplete, Paused, ScanFault, Taken
+from wafer_viewer.session.state.snapshot import LatestFrame, ScanProgress
+from wafer_viewer.store.dataset.writer import DatasetWriter
+from wafer_viewer.store.io.atomic_files import writing
+
+REPORT_EVERY_S = 0.12
+RATE_KNOWN_AFTER = 10
+"""Frames after which the time left follows from the frames so far instead of the plan's prediction."""
+
+
+class Steering:
+    """What people want of the running scan; set from one thread, asked from another."""
+
+    def __init__(self) -> None:
+        self._stop, self._ended = threading.Event(), threading.Event()
+        self._go = threading.Event()
+        self._go.set()
+
+    def reset(self) -> None:
+        """For a new scan: neither paused nor stopped."""
+        self._stop.clear()
+        self._go.set()
+
+    def pause(self) -> None:
+        """Halt at the end of the pass."""
+        self._go.clear()
+
+    def resume(self) -> None:
+        """Go on."""
+        self._go.set()
+
+    def stop(self) -> None:
+        """End soon, also out of a pause."""
+        self._stop.set()
+        self._go.set()
+
+    def end(self) -> None:
+        """Nobody is there any more: this scan and every later one end."""
+        self._ended.set()
+        self._go.set()
+
+    def should_stop(self) -> bool:
+        """Whether the scan is to end."""
+        return self._stop.is_set() or self._ended.is_set()
+
+    def should_pause(self) -> bool:
+        """Whether the scan is to halt."""
+        return not self._go.is_set()
+
+    def wait_while_paused(self) -> None:
+        """Return when the pause is over or the scan is to end."""
+        self._go.wait()
+
+
+class Stopwatch:
+    """Seconds a scan was at work, pauses left out."""
+
+    def __init__(self) -> None:
+        self._since, self._gone_s = time.monotonic(), 0.0
+
+    def halt(self) -> None:
+        """Time stands."""
+        self._gone_s = self.seconds()
+        self._since = float("inf")
+
+    def go_on(self) -> None:
+        """Time runs again."""
+        self._since = time.monotonic()
+
+    def seconds(self) -> float:
+        """Seconds so far."""
+        return self._gone_s + max(0.0, time.monotonic() - self._since)
+
+
+class ScanWatch:
+    """The sink and the control of a scan in one, as the runner sees them.
+
+    What the system refuses to write becomes a DatasetError here, so that any other OSError is one of a device.
+    """
+
+    def __init__(self, writer: DatasetWriter, plan: ScanPlan, tell: Callable[[Any], None], steering: Steering) -> None:
+        self._writer, self._plan, self._tell, self._steering = writer, plan, tell, steering
+        writer.on_field_complete = lambda number: tell(FieldComplete(number))
+        self._fields = {f.number: f for f in plan.fields}
+        self._order = {number: i for i, number in enumerate(order_of_fields(plan), 1)}
+        self._kept_before = len(writer.kept)
+        self._done = self._kept_before
+        self._empty: set[Shot] = set()
+        self._pulses = 0
+        self._watch = Stopwatch()
+        self._started = time.strftime("%H:%M:%S")
+        self._reported_at = -REPORT_EVERY_S
+        self._last: Frame | None = None
+
+    def pass_begun(self, number: int, leg: Leg) -> None:
+        """A leg starts."""
+        with writing(self._writer.path):
+            self._writer.pass_begun(number, leg)
+
+    def frame(self, frame: Frame) -> None:
+        """Keep a frame, and report a few times a second."""
+        with writing(self._writer.path):
+            self._writer.frame(frame)
+        self._pulses += 1
+        self._done = self._writer.n_arrived
+        self._last = frame
+        if time.monotonic() - self._reported_at >= REPORT_EVERY_S:
+            self._report(frame)
+
+    def missed(self, shot: Shot, pulse_count: int, why: str) -> None:
+        """A slot stayed empty."""
+        self._empty.add(shot)
+        with writing(self._writer.path):
+            self._writer.missed(shot, pulse_count, why)
+        self._done = self._writer.n_arrived
+
+    def repaired(self, shot: Shot) -> None:
+        """A slot that stayed empty has its frame now."""
+        self._empty.discard(shot)
+        with writing(self._writer.path):
+            self._writer.repaired(shot)
+
+    def pass_ended(self, number: int, summary: PulseSummary) -> None:
+        """A leg is over."""
+        with writing(self._writer.path):
+            self._writer.pass_ended(number, summary)
+
+    def fault(self, what: str) -> None:
+        """Something a person should know."""
+        with writing(self._writer.path):
+            self._writer.fault(what)
+        self._tell(ScanFault(what))
+
+    def should_stop(self) -> bool:
+        """Whether the scan is to end."""
+        return self._steering.should_stop()
+
+    def should_pause(self) -> bool:
+        """Whether the scan is to halt at the end of this leg."""
+        return self._steering.should_pause()
+
+    def wait_while_paused(self) -> None:
+        """Halt, saying so, until the pause is over or the scan is to stop."""
+        self._watch.halt()
+        self._tell(Paused(True))
+        self._steering.wait_while_paused()
+        self._watch.go_on()
+        self._tell(Paused(False))
+
+    def progress(self, plan: ScanPlan, frame: Frame) -> None:
+        """A frame was kept; `frame` has told of it."""
+
+    def finish(self) -> None:
+        """Say how the scan stood at its end."""
+        if self._last is not None:
+            self._report(self._last, finished=True)
+
+    def _report(self, frame: Frame, *, finished: bool = False) -> None:
+        self._reported_at = time.monotonic()
+        position = Position(frame.x_um, frame.y_um, frame.z_um)
+        self._tell(Taken(self._progress(frame, finished), position, self._latest(frame)))
+
+    def _progress(self, frame: Frame, finished: bool) -> ScanProgress:
+        return ScanProgress(
+            field=self._fields[frame.shot.field],
+            k=frame.shot.k,
+            z_um=frame.z_um,
+            order=self._order[frame.shot.field],
+            frames_done=self._done,
+            frames_total=self._plan.n_frames,
+            frames_missing=len(self._empty),
+            pulses=self._pulses,
+            seconds_left=0.0 if finished else self._seconds_left(),
+            seconds_gone=self._watch.seconds(),
+            started=self._started,
+            strategy=self._plan.strategy,
+            finished=finished,
+        )
+
+    def _seconds_left(self) -> float:
+        """From the rate so far; at the very beginning from the prediction."""
+        left, new = self._plan.n_frames - self._done, self._done - self._kept_before
+        if new < RATE_KNOWN_AFTER:
+            return self._plan.predicted_s * left / self._plan.n_frames
+        return self._watch.seconds() / new * left
+
+    def _latest(self, frame: Frame) -> LatestFrame | None:
+        if frame.image is None:
+            return None
+        return LatestFrame(
+            image=frame.image,
+            field=self._fields[frame.shot.field],
+            k=frame.shot.k,
+            z_um=frame.z_um,
+            brightest=int(frame.image.max()),
+            clipped_fraction=clipped_fraction(frame.image),
+        )
+
+
+def clipped_fraction(image: Image) -> float:
+    """Share of pixels at the top of the image's range."""
+    return float(np.count_nonzero(image == np.iinfo(image.dtype).max)) / image.size
+
+
+def order_of_fields(plan: ScanPlan) -> list[int]:
+    """Numbers of the fields in the order in which they are taken first."""
+    return list(dict.fromkeys(shot.field for leg in plan.legs for shot in leg.shots))

@@ -1,0 +1,308 @@
+"""What follows from what: the parts of the session, and the verbs that need several of them."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.rigs.rig_config import RigConfig
+from wafer_viewer.session.acquisition.rig_client import Instrument, Reports
+from wafer_viewer.session.acquisition.rig_messages import Move, RigReady, SampleSeen, Scan, ScanEnded, Taken
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name, today
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.files.file_jobs import FileWork
+from wafer_viewer.session.gauge.gauge_controller import GaugeKeeper
+from wafer_viewer.session.inspection.inspection_commands import DefectKeeper
+from wafer_viewer.session.inspection.inspection_files import DefectFilesKeeper
+from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.measurement.review_notes import NotebookKeeper
+from wafer_viewer.session.planning.job_commands import JobKeeper
+from wafer_viewer.session.planning.plan_editor import Drafting, suggested_name
+from wafer_viewer.session.planning.preflight import look_round, require_go
+from wafer_viewer.session.planning.trial_commands import TrialKeeper
+from wafer_viewer.session.planning.verdicts import Judge
+from wafer_viewer.session.session_restore import Reopening
+from wafer_viewer.session.state.snapshot import FieldState, RigStatus, Snapshot
+from wafer_viewer.session.surface.comparison_commands import ComparingKeeper
+from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.reconstruction_queue import Reconstruction
+
+
+class Conductor:
+    """Everything here but the constructor and `close` happens on the session's thread."""
+
+    def __init__(self, folder: Path, config: RigConfig, scheduler: str | None) -> None:
+        self._folder = _made(folder)
+        status = RigStatus(name=config.name, simulated=config.kind == "virtual")
+        self.desk = desk = Desk(Snapshot(rig=status, data_folder=self._folder, reopening=True))
+        self.reopening = Reopening(self._folder)
+        self.notices = Notices(desk)
+        self.drafting = Drafting(desk, self._folder)
+        self.library = Library(desk, self._folder)
+        self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
+        self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
+        self.book = RecordBook(desk, self.library)
+        self.notebook = NotebookKeeper(desk, self.library)
+        self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
+        self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
+        self.defect_files = DefectFilesKeeper(desk, self.library, self.files, self._folder)
+        self.jobs = JobKeeper(desk, self.drafting, self._folder)
+        self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
+        self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)
+        self.judge = Judge(desk, self.library, self.notices)
+        reports = Reports(self._rig_ready, self._sample_seen, self._taken, self._field_complete, self._scan_ended)
+        self.rig = Instrument(desk, self.notices, config, reports)
+        self._sample: Sample | None = None
+        self._scan_over: Future[None] = Future()
+        self._asked = count(1)
+
+    def start(self) -> None:
+        """Bring up the rig and look at what there is; the workers follow when they take no time from the first page."""
+        self.rig.start()
+        self.defects.watch()
+        self.desk.subscribe(lambda now: self.desk.note(self._load_sample) if _sample_of(now) != self._sample else None)
+        self.drafting.price()
+        self.library.refresh()
+        self.jobs.refresh()
+        self.defect_files.refresh()
+        try:
+            self._reopen()
+        except WaferViewerError as fault:
+            self.notices.fault("What was open is not open again", str(fault), "open", needs_person=False)
+        finally:
+            self.desk.change(reopening=False)
+            self.desk.subscribe(lambda now: self.reopening.keep(now, self.library.result_name))
+
+    def close(self) -> None:
+        """Put the rig at rest and end all processes."""
+        self.desk.close()
+        self.reopening.close(self.desk.snapshot, self.library.result_name)
+        self.judge.close()
+        self.gauge.close()
+        self.rig.close()
+        self.reconstruction.compute.close()
+        self.library.let_go()
+
+    def open(self, path: Path) -> Path:
+        """Open a dataset; what it lacks of its surface is made."""
+        self.rig.require_idle("open another dataset")
+        self.reconstruction.abandon()
+        self.library.open(path)
+        self._open_books()
+        self._make_what_is_missing()
+        self.library.refresh()
+        return path
+
+    def _reopen(self) -> None:
+        """Open what was open when the program ended. Raises DatasetError where that cannot be."""
+        if (why := self.reopening.claim()) is not None:
+            self.notices.fault("What is open here is not remembered", why, "open", needs_person=False)
+            return
+        kept = self.reopening.read()
+        if kept.is_empty:
+            return
+        self.drafting.reopen(kept.plan(), kept.typed)
+        if kept.dataset is None:
+            return
+        path = Path(kept.dataset)
+        if not path.exists():
+            raise DatasetError(f"{path} was open and is not there any more: open it from where it is now.")
+        self.open(path)
+        if kept.result in self.library.shown.results:
+            self._look_at(kept.result)
+        if (why := self.library.shown.read_only) is not None:
+            self.notices.fault(f"{self.library.shown.name} can only be read", why, "open", needs_person=False)
+
+    def _look_at(self, result: str) -> None:
+        """Another result of the open dataset."""
+        if result != self.library.result_name:
+            self.reconstruction.abandon()
+            self.library.show_result(result)
+            self._open_books()
+            self._make_what_is_missing()
+
+    def move_to(self, move: Move, n_stops: int | None = None) -> Future[None]:
+        """Move the stage, where it is known what lies on it."""
+        self.drafting.require_confirmed()
+        return self.rig.move_to(move, n_stops)
+
+    def close_dataset(self) -> None:
+        """Close the dataset."""
+        self.rig.require_idle("close its dataset")
+        self.reconstruction.abandon()
+        self.library.close()
+        self._open_books()
+
+    def start_scan(self, name: str | None) -> Future[Path]:
+        """Take the plan into a new dataset."""
+        from wafer_viewer.store.io.atomic_files import require_space
+
+        self.rig.require_idle("start another")
+        job, plan = self.drafting.ready()
+        path = self._path_for(name or free_name(self._folder, f"{suggested_name(job)}-{time.strftime('%Y%m%d')}"))
+        require_space(self._folder, plan.bytes_on_disk, path.stem)
+        require_go(look_round(self.desk.now, self.rig.latest_frame, today()))
+        return self._begin(Scan(path, plan, job))
+
+    def continue_scan(self) -> Future[Path]:
+        """Take the frames that the open dataset lacks."""
+        self.rig.require_idle("start another")
+        self.drafting.require_confirmed()
+        shown = self.library.shown
+        if shown.read_only is not None:
+            raise DatasetError(f"The scan cannot be continued: {shown.read_only}")
+        if not self.library.dataset.missing():
+            raise DatasetError(f"{shown.name} has all its frames: there is nothing to continue.")
+        self.library.let_go()
+        return self._begin(Scan(shown.path, shown.plan, shown.job, goes_on=True))
+
+    def stop_scan(self) -> Future[None]:
+        """End the scan; done when it is over, at once where it is over already."""
+        if not self.desk.now.scanning:
+            over: Future[None] = Future()
+            over.set_result(None)
+            return over
+        self.rig.stop_scan()
+        return self._scan_over
+
+    def stop(self, at_once: Future[bool]) -> Future[bool]:
+        """Stop in its turn what was asked for before a stop that went to the rig `at_once`, ahead of this thread."""
+        if self.desk.now.scanning:
+            return self.desk.then(self.stop_scan(), lambda _: True)
+        return self.desk.then(self.rig.break_off(), lambda anything: anything or at_once.result())
+
+    def reconstruct(self, recipe: Recipe | None, result: str) -> Future[None]:
+        """Make all heights of the open dataset again."""
+        shown = self.library.shown
+        if not shown.fields:
+            raise DatasetError(f"{shown.name} is a surface without frames: there is nothing to reconstruct.")
+        if shown.read_only is not None:
+            raise DatasetError(f"Nothing can be reconstructed: {shown.read_only}")
+        fields = [n for n, state in shown.states.items() if self._has_stack(n, state)]
+        if not fields:
+            raise DatasetError(f"{shown.name} has no field with all its frames yet: scan first.")
+        self.reconstruction.abandon()
+        self.library.show_result(result)
+        self._open_books()
+        answer: Future[None] = Future()
+        self.reconstruction.begin(recipe or shown.job.recipe, result, fields, answer)
+        return answer
+
+    def focus_curve(self, x_um: float, y_um: float, show: int) -> Future[FocusCurve]:
+        """Have a worker say why a pixel has its height."""
+        asked = (self.library.dataset.path, self.library.result_name, show, x_um, y_um)
+        return self.reconstruction.compute.run(f"why-{next(self._asked)}", focus_curve, *asked)
+
+    def _open_books(self) -> None:
+        """What was measured on the surface being looked at, and what was noted down about it."""
+        self.book.open()
+        self.notebook.open()
+        self.comparing.open()
+        self.defects.open()
+        self.defect_files.open()
+
+    def _path_for(self, name: str) -> Path:
+        path = self._folder / f"{Path(name).name.removesuffix(ENDING)}{ENDING}"
+        if path.exists():
+            raise DatasetError(f"There is a dataset {path.name} already: choose another name, or continue its scan.")
+        return path
+
+    def _begin(self, scan: Scan) -> Future[Path]:
+        self.reconstruction.abandon()
+        self._scan_over = Future()
+        begun = self.rig.scan(scan)
+        begun.add_done_callback(lambda done: self.desk.note(self._unless_begun, done))
+        return self.desk.then(begun, lambda _: self._scan_begun(scan.path))
+
+    def _unless_begun(self, begun: Future[None]) -> None:
+        """The rig did not take the scan: what was open is ours again."""
+        if begun.exception() is None:
+            return
+        if self.desk.now.dataset is not None:
+            self.library.hold()
+        self._scan_over.set_result(None)
+
+    def _scan_begun(self, path: Path) -> Path:
+        """The rig's process holds the dataset and takes frames: open it beside, and wait for fields."""
+        self.library.open(path, taking=True)
+        self._open_books()
+        shown = self.library.shown
+        taken = [n for n, state in shown.states.items() if state is FieldState.TAKEN]
+        self.reconstruction.begin(shown.job.recipe, self.library.result_name, taken)
+        self.library.refresh()
+        return path
+
+    def _load_sample(self) -> None:
+        """Have the sample of the plan on the stage, without a plan that of the open dataset."""
+        self._sample = _sample_of(self.desk.now)
+        self.rig.load(self._sample)
+
+    def _sample_seen(self, event: SampleSeen) -> None:
+        self.desk.change(overview=event.overview)
+        self.reconstruction.compute.start()
+
+    def _rig_ready(self, event: RigReady) -> None:
+        self.drafting.tour = event.tour
+        self.drafting.price()
+
+    def _taken(self, event: Taken) -> None:
+        if not event.progress.finished:
+            self.library.taking(event.progress.field.number)
+            self.reconstruction.coming(event.progress.field.number)
+
+    def _field_complete(self, number: int) -> None:
+        self.library.set_state(number, FieldState.TAKEN)
+        self.reconstruction.add([number])
+
+    def _scan_ended(self, event: ScanEnded | None) -> None:
+        """Also when the rig's process died: what is on disk counts."""
+        self.library.scan_ended()
+        self.reconstruction.no_more_frames()
+        if (scan := self.desk.now.scan) is not None:
+            self.desk.change(scan=replace(scan, finished=True, seconds_left=0.0))
+        if event is not None and not event.stopped:
+            self.reconstruction.add([n for n, s in self.library.shown.states.items() if s is FieldState.TO_REPEAT])
+        self.reconstruction.go_on()
+        self.drafting.price()
+        self._scan_over.set_result(None)
+
+    def _make_what_is_missing(self) -> None:
+        """Fields without heights, a surface not stitched, numbers not known: as far as the dataset may be written."""
+        shown, result = self.library.shown, self.library.result
+        taken = [n for n, s in shown.states.items() if s is FieldState.TAKEN]
+        if shown.read_only is None and (taken or (shown.stamps and not result.shows_all(shown.fields))):
+            recipe = result.recipe() if shown.stamps else shown.job.recipe
+            self.reconstruction.begin(recipe, result.name, taken, restitch=True)
+        elif result.has_mosaic and self.desk.now.surface is None:
+            self.reconstruction.describe()
+
+    def _has_stack(self, number: int, state: FieldState) -> bool:
+        if state not in (FieldState.TO_COME, FieldState.TAKING, FieldState.TO_REPEAT):
+            return True
+        return sum(shot.field == number for shot in self.library.dataset.arrived()) >= MIN_FRAMES
+
+
+def _sample_of(now: Snapshot) -> Sample | None:
+    if now.draft.job is not None:
+        return now.draft.job.sample
+    return now.dataset.job.sample if now.dataset is not None else None
+
+
+def _made(folder: Path) -> Path:
+    """The data folder, made at need."""
+    from wafer_viewer.store.io.atomic_files import writing
+
+    if folder.exists() and not folder.is_dir():
+        raise DatasetError(f"{folder} is a file: choose a folder for the datasets.")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder.absolute()

@@ -1,0 +1,1 @@
+"""Command queue, control, undo and notifications."""

@@ -1,0 +1,178 @@
+"""Who holds the controls: the first comer does, others ask, and nobody is locked out by one who has gone.
+
+Passing the controls on stops nothing: a scan goes on, whoever holds them.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any
+
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.state.control_state import Browser, Hands
+
+ANSWER_S = 15.0
+"""So long the holder may answer one who asks; then the controls pass."""
+GRACE_S = 20.0
+"""So long a browser that has gone is expected back: a reload takes seconds, on a busy machine many."""
+LONGEST_NAME = 40
+Later = Callable[[float, Callable[[], None]], Callable[[], None]]
+"""Has something done after so many seconds; returns how to call it off."""
+
+
+def after(wait_s: float, then: Callable[[], None]) -> Callable[[], None]:
+    """Do something later, on a thread of its own."""
+    timer = threading.Timer(wait_s, then)
+    timer.daemon = True
+    timer.start()
+    return timer.cancel
+
+
+class Control:
+    """The verbs that change `Snapshot.hands`; every one may be called from any thread.
+
+    A browser is known by its key, whatever number of windows it has open; it has gone when the last of them has.
+    """
+
+    def __init__(self, desk: Desk, later: Later = after) -> None:
+        self._desk, self._later = desk, later
+        self._windows: Counter[str] = Counter()
+        self._expected: dict[str, Callable[[], None]] = {}
+        self._waiting: Callable[[], None] | None = None
+        self._came = 0
+
+    def arrive(self, key: str, name: str = "") -> Future[None]:
+        """A window of a browser opened; the first browser of all holds the controls."""
+        return self._desk.do(self._arrive, key, name)
+
+    def leave(self, key: str) -> Future[None]:
+        """A window closed; the controls are free when the browser does not come back soon."""
+        return self._desk.do(self._leave, key)
+
+    def rename(self, key: str, name: str) -> Future[None]:
+        """What a browser calls itself from now on."""
+        return self._desk.do(self._rename, key, name)
+
+    def ask(self, key: str) -> Future[None]:
+        """Take the controls where nobody holds them, else ask the holder, who has `ANSWER_S` to keep them."""
+        return self._desk.do(self._ask, key)
+
+    def hand_over(self, key: str, to: str) -> Future[None]:
+        """Pass the controls on to another browser. Raises WaferViewerError where `key` does not hold them."""
+        return self._desk.do(self._hand_over, key, to)
+
+    def keep(self, key: str) -> Future[None]:
+        """Turn down the one who asks."""
+        return self._desk.do(self._keep, key)
+
+    # --- on the session's thread
+
+    @property
+    def _hands(self) -> Hands:
+        return self._desk.now.hands
+
+    def _show(self, **changes: Any) -> None:
+        self._desk.change(hands=replace(self._hands, **changes))
+
+    def _arrive(self, key: str, name: str) -> None:
+        self._windows[key] += 1
+        if (call_off := self._expected.pop(key, None)) is not None:
+            call_off()
+        known = self._hands.browser(key)
+        if known is None:
+            self._came += 1
+            known = Browser(key, _tidy(name) or f"Browser {self._came}")
+        self._put(replace(known, present=True))
+        if self._hands.holder is None and len(self._hands.browsers) == 1:
+            self._pass_to(key)
+
+    def _leave(self, key: str) -> None:
+        browser = self._hands.browser(key)
+        if self._windows[key] < 1 or browser is None:
+            return
+        self._windows[key] -= 1
+        if self._windows[key] > 0:
+            return
+        self._put(replace(browser, present=False))
+        self._expected[key] = self._later(GRACE_S, lambda: self._desk.note(self._gone, key))
+
+    def _gone(self, key: str) -> None:
+        """A browser did not come back: who asked gets the controls; where nobody did they are free."""
+        if self._expected.pop(key, None) is None:
+            return
+        del self._windows[key]
+        hands = self._hands
+        self._show(browsers=tuple(b for b in hands.browsers if b.key != key))
+        if hands.asking == key:
+            self._end_asking()
+        if hands.holder == key:
+            heirs = [b.key for b in self._hands.browsers if b.present]
+            asked = self._hands.asking
+            self._pass_to(asked if asked is not None else heirs[0] if len(heirs) == 1 else None)
+
+    def _rename(self, key: str, name: str) -> None:
+        browser = self._hands.browser(key)
+        if browser is not None and _tidy(name):
+            self._put(replace(browser, name=_tidy(name)))
+
+    def _ask(self, key: str) -> None:
+        hands = self._hands
+        if hands.browser(key) is None or hands.holds(key):
+            return
+        if hands.holder is None:
+            self._pass_to(key)
+            return
+        if hands.asking == key:
+            return
+        if hands.asking is not None:
+            raise WaferViewerError(f"{hands.name_of(hands.asking)} asks for the controls already: wait for the answer.")
+        self._show(asking=key, asked_at=time.time(), answer_s=ANSWER_S, kept_from=None)
+        self._waiting = self._later(ANSWER_S, lambda: self._desk.note(self._unanswered, key))
+
+    def _unanswered(self, key: str) -> None:
+        if self._hands.asking == key:
+            self._pass_to(key)
+
+    def _hand_over(self, key: str, to: str) -> None:
+        self._require_holder(key)
+        if self._hands.browser(to) is None:
+            raise WaferViewerError("That browser has disconnected: control was not handed over.")
+        self._pass_to(to)
+
+    def _keep(self, key: str) -> None:
+        self._require_holder(key)
+        asking = self._hands.asking
+        self._end_asking()
+        self._show(kept_from=asking)
+
+    def _pass_to(self, key: str | None) -> None:
+        self._end_asking()
+        self._show(holder=key, kept_from=None)
+
+    def _end_asking(self) -> None:
+        if self._waiting is not None:
+            self._waiting()
+            self._waiting = None
+        self._show(asking=None)
+
+    def _require_holder(self, key: str) -> None:
+        if (why := self._hands.why_not(key)) is not None:
+            raise WaferViewerError(f"{why} Ask for them first.")
+
+    def _put(self, browser: Browser) -> None:
+        """Add a browser, or take the place of its older self."""
+        others = self._hands.browsers
+        if self._hands.browser(browser.key) is None:
+            self._show(browsers=(*others, browser))
+        else:
+            self._show(browsers=tuple(browser if b.key == browser.key else b for b in others))
+
+
+def _tidy(name: str) -> str:
+    return " ".join(name.split())[:LONGEST_NAME]

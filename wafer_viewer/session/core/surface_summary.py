@@ -1,0 +1,103 @@
+"""How a stitched surface looks, in numbers: what the page shows beside it. Kept as ``surface.json`` in its result."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, UNMEASURED_FROM, HeightMap, Mosaic, Origin
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.state.snapshot import SurfaceInfo
+from wafer_viewer.store.dataset.result import Result
+from wafer_viewer.store.io.atomic_files import write_text
+from wafer_viewer.store.io.checksums import sealed_text, verified_text
+from wafer_viewer.store.mosaic.layout import SURFACE
+from wafer_viewer.store.mosaic.statistics import Facts, facts_of
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+
+SUMMARY = "surface.json"
+COLOUR_RANGE_PERCENT = (0.5, 99.5)
+OUTLIERS_BEYOND = 3.0
+"""Robust deviations beyond which a difference in an overlap is a false height, not a misfit of fields."""
+HALF_NORMAL_MEDIAN = 0.6745
+"""Of the sizes of normal errors of deviation 1."""
+
+
+def summarise(mosaic: Mosaic, n_fields: int, result: str, asked: Recipe | None = None) -> SurfaceInfo:
+    """How a mosaic of some fields, made by the recipe `asked`, looks: from the facts that are kept beside it.
+
+    Of a surface in memory they are found now. Fractions are of the pixels that fields cover: what lies round a round
+    wafer is nobody's loss.
+    """
+    rows, cols = mosaic.shape
+    facts = mosaic.facts() if isinstance(mosaic, ZarrMosaic) else _facts_of(mosaic.window())
+    covered = max(1, int(facts.counts.sum() - facts.counts[Origin.NOT_COVERED]))
+    low_um, high_um = _colour_range(facts.heights_um)
+    return SurfaceInfo(
+        result=result,
+        stamp=0,
+        rows=rows,
+        cols=cols,
+        pixel_um=mosaic.pixel_um,
+        x0_um=mosaic.x0_um,
+        y0_um=mosaic.y0_um,
+        levels=mosaic.levels,
+        n_fields=n_fields,
+        highest_um=facts.highest_um if facts.has_heights else 0.0,
+        lowest_um=facts.lowest_um if facts.has_heights else 0.0,
+        measured_fraction=float(facts.counts[Origin.MEASURED]) / covered,
+        filled_fraction=float(facts.counts[Origin.FILLED]) / covered,
+        unmeasured=unmeasured_reasons(facts.counts, covered),
+        overlap_rms_um=_rms_um(facts.overlaps_um),
+        low_um=low_um,
+        high_um=high_um,
+        recipe_notes=mosaic.provenance.notes,
+        asked=asked,
+        settled=mosaic.provenance.recipe,
+    )
+
+
+def save_summary(result: Result, info: SurfaceInfo) -> None:
+    """Keep a summary beside its mosaic."""
+    text = msgspec.json.format(msgspec.json.encode(info), indent=2).decode()
+    write_text(result.path / SUMMARY, sealed_text(text))
+
+
+def load_summary(result: Result) -> SurfaceInfo | None:
+    """The kept summary; None when there is none, a damaged one, or one of another version."""
+    try:
+        return msgspec.json.decode(verified_text(result.path / SUMMARY), type=SurfaceInfo)
+    except (DatasetError, msgspec.DecodeError, UnicodeDecodeError):
+        return None
+
+
+def _facts_of(surface: HeightMap) -> Facts:
+    layers = {name: getattr(surface, name) for name in SURFACE if getattr(surface, name) is not None}
+    return facts_of(layers)
+
+
+def _rms_um(differences_um: NDArray[np.float32]) -> float | None:
+    """How well neighbours agree where they overlap; None when none do.
+
+    Differences beyond three robust deviations of those of normal errors are left out: they are never negative.
+    """
+    if not differences_um.size:
+        return None
+    limit_um = OUTLIERS_BEYOND * float(np.median(differences_um)) / HALF_NORMAL_MEDIAN
+    near = differences_um[differences_um <= limit_um + 1e-6]
+    return float(np.sqrt(np.mean(near**2)))
+
+
+def _colour_range(heights_um: NDArray[np.float32]) -> tuple[float, float]:
+    if not heights_um.size:
+        return 0.0, 1.0
+    low_um, high_um = np.percentile(heights_um, COLOUR_RANGE_PERCENT)
+    return float(low_um), float(high_um)
+
+
+def unmeasured_reasons(counts: NDArray[np.int64], covered: int) -> tuple[tuple[str, float], ...]:
+    """Why covered pixels are unmeasured, the most frequent reason first."""
+    codes = [o for o in Origin if o >= UNMEASURED_FROM and o != Origin.NOT_COVERED and counts[o] > 0]
+    return tuple((ORIGIN_TITLES[o], float(counts[o]) / covered) for o in sorted(codes, key=lambda o: -int(counts[o])))

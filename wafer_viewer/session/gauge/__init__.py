@@ -1,0 +1,1 @@
+"""Gauge checks and studies of the session."""

@@ -1,0 +1,216 @@
+"""The gauge-block check of the snapshot: what it has so far, what that comes to, and what was signed before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge.gauge_check import (
+    Certificate,
+    GaugeCheck,
+    GaugeRecord,
+    GaugeRepeat,
+    GaugeTerms,
+    ScaleCorrection,
+)
+from wafer_viewer.model.gauge.run_chart import RunChart
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library, today
+from wafer_viewer.session.gauge import gauge_check as work
+from wafer_viewer.session.measurement.results import RecordBook
+from wafer_viewer.session.state.gauge_state import Faces, GaugeState, Tick
+from wafer_viewer.session.state.snapshot import Snapshot
+
+NO_CERTIFICATE = "There is no certificate: load the one of the blocks first."
+Measure = Callable[[Faces | None, int], GaugeRepeat]
+
+
+class GaugeKeeper:
+    """On the session's thread, but `measure`, which has one of its own."""
+
+    def __init__(self, desk: Desk, library: Library, book: RecordBook, folder: Path) -> None:
+        self._desk, self._library, self._book, self._folder = desk, library, book, folder
+        self._at_work = ThreadPoolExecutor(1, thread_name_prefix="gauge")
+        self._of: object = None
+        desk.subscribe(self._look)
+
+    @property
+    def state(self) -> GaugeState:
+        """As the verb sees it that is being carried out."""
+        return self._desk.now.gauge
+
+    def close(self) -> None:
+        """Let the thread go."""
+        self._at_work.shutdown(wait=True, cancel_futures=True)
+
+    def put_certificate(self, certificate: Certificate | None) -> None:
+        """Take up a certificate, or none; repeats against another one are let go."""
+        if certificate != self.state.certificate:
+            self._show(certificate=certificate, repeats=(), faces=None, signed=None)
+
+    def load_certificate(self, path: Path) -> Certificate:
+        """Take up the certificate in a file."""
+        from wafer_viewer.store.records.certificates import read_certificate
+
+        certificate = read_certificate(path)
+        self.put_certificate(certificate)
+        return certificate
+
+    def set_terms(self, terms: GaugeTerms) -> None:
+        """What the check is made under."""
+        self._show(terms=terms)
+
+    def tick(self, point: str, done: bool) -> None:
+        """Somebody says that a point of the preparation is done, or not."""
+        others = tuple(tick for tick in self.state.ticks if tick.point != point)
+        self._show(ticks=(*others, Tick(point, work.now())) if done else others)
+
+    def add_repeat(self, measure: Measure, faces: Faces | None, show: int) -> Future[GaugeRepeat]:
+        """Measure the open dataset as one repeat, on a thread of its own; done when it counts."""
+        self.require_certificate()
+        self._desk.change(gauge=replace(self.state, busy=True))
+        measured = self._at_work.submit(measure, faces, show)
+        counted = self._desk.then(measured, self._count)
+        return self._desk.afterwards(counted, lambda: self._desk.change(gauge=replace(self.state, busy=False)))
+
+    def drop_repeat(self, n: int) -> None:
+        """Take a repeat out, by its place from 0."""
+        repeats = self.state.repeats
+        if not 0 <= n < len(repeats):
+            raise MeasureError(f"The check has {len(repeats)} repeats and no number {n + 1}: choose one of them.")
+        self._show(repeats=(*repeats[:n], *repeats[n + 1 :]), signed=None)
+
+    def clear(self) -> None:
+        """Begin anew with the same certificate and terms."""
+        self._show(repeats=(), ticks=(), faces=None, signed=None)
+
+    def sign(self, operator: str) -> GaugeRecord:
+        """Keep the check under a name: in the log of the data folder, and as a result of the open dataset."""
+        from wafer_viewer.store.records.gauge_checks import sign
+
+        state, shown = self.state, self._library.shown
+        if state.signed is not None:
+            raise MeasureError("This check is signed: scan the blocks again for another one.")
+        if state.check is None:
+            raise MeasureError(state.refusal or "There is nothing to sign: measure a repeat first.")
+        if all(repeat.dataset != shown.name for repeat in state.repeats):
+            raise MeasureError(f"{shown.name} is not a repeat of this check: open one of its scans to sign it.")
+        if shown.read_only is not None:
+            raise MeasureError(f"The check cannot be kept: {shown.read_only}")
+        check = work.signed(state.check, operator, state.records)
+        record = work.record_of(check, self._library.dataset.scan.rig, self._library.result_name)
+        sign(self._folder, record)
+        self._book.keep(check)
+        self._show(signed=check)
+        return record
+
+    def correct_scale(self, operator: str, why: str) -> Calibration:
+        """Put in force what the signed check offers; the rig's next scans have it."""
+        from wafer_viewer.session.gauge.z_scale_correction import correct
+
+        record, rig = self._signed_record(), self._desk.now.rig
+        if record is None:
+            raise MeasureError("The z scale is corrected by a signed check: sign it first.")
+        if record.rig != rig.name or rig.calibration is None:
+            raise MeasureError(f"The check is of {record.rig or 'no rig'} and {rig.name} is here: correct it there.")
+        if self._desk.now.scanning:
+            raise MeasureError("A scan is running: correct the z scale when it has ended.")
+        after = correct(self._folder, record, rig.calibration, operator, why).calibration
+        self._desk.change(rig=replace(rig, calibration=after))
+        self._show()
+        return after
+
+    def require_certificate(self) -> Certificate:
+        """The certificate. Raises MeasureError as long as there is none."""
+        if (certificate := self.state.certificate) is None:
+            raise MeasureError(NO_CERTIFICATE)
+        return certificate
+
+    def _count(self, repeat: GaugeRepeat) -> GaugeRepeat:
+        """One more repeat; the first after a signed check begins another."""
+        from wafer_viewer.measure.gauge.gauge_check import require_new
+
+        before = () if self.state.signed is not None else self.state.repeats
+        require_new(repeat, before)
+        work.check_of((*before, repeat), self.require_certificate(), self.state.terms, self.state.records)
+        self._show(repeats=(*before, repeat), faces=(repeat.upper, repeat.lower), signed=None)
+        return repeat
+
+    def _look(self, now: Snapshot) -> None:
+        """After every change: whether another dataset is open, or another rig is there."""
+        data, rig = now.dataset, now.rig
+        of = (data and (data.path, data.calibration_problem), rig.name, rig.calibration)
+        if of != self._of:
+            self._of = of
+            self._desk.note(self._show)
+
+    def _show(self, **changes: Any) -> None:
+        """The state with what follows from it."""
+        state = replace(self.state, **changes)
+        records = self._records(state.certificate)
+        self._desk.change(gauge=replace(state, records=records))
+        check = _check(state, records)
+        self._desk.change(
+            gauge=replace(
+                self.state,
+                refusal=self._refusal(state.certificate),
+                check=check,
+                chart=_chart(records),
+                capability=work.capability_of(records, state.terms.tolerance_um, check),
+                correction=self._correction(),
+            )
+        )
+
+    def _records(self, certificate: Certificate | None) -> tuple[GaugeRecord, ...]:
+        from wafer_viewer.store.records.gauge_checks import signed_checks
+
+        if certificate is None:
+            return ()
+        shown, records = self._desk.now.dataset, signed_checks(self._folder, certificate.serials)
+        rig = self._desk.now.rig.name if shown is None else self._library.dataset.scan.rig
+        return tuple(record for record in records if record.rig == rig)
+
+    def _refusal(self, certificate: Certificate | None) -> str | None:
+        from wafer_viewer.measure.gauge.gauge_check import refusal
+
+        shown = self._desk.now.dataset
+        if certificate is None or shown is None:
+            return None
+        scan = self._library.dataset.scan
+        return refusal(certificate, scan.calibration, shown.calibration_problem, scan.taken[:10] or today())
+
+    def _signed_record(self) -> GaugeRecord | None:
+        signed = self.state.signed
+        return next((r for r in reversed(self.state.records) if signed is not None and r.check.at == signed.at), None)
+
+    def _correction(self) -> ScaleCorrection | None:
+        from wafer_viewer.session.gauge.z_scale_correction import offered
+
+        record, rig = self._signed_record(), self._desk.now.rig
+        in_force = rig.calibration
+        if record is None or in_force is None or record.rig != rig.name:
+            return None
+        try:
+            correction = offered(record, in_force)
+        except MeasureError:
+            return None
+        return correction if correction.calibration.z_scale != in_force.z_scale else None
+
+
+def _check(state: GaugeState, records: tuple[GaugeRecord, ...]) -> GaugeCheck | None:
+    if state.certificate is None or not state.repeats:
+        return None
+    if state.signed is not None:
+        return state.signed
+    return work.check_of(state.repeats, state.certificate, state.terms, records)
+
+
+def _chart(records: tuple[GaugeRecord, ...]) -> RunChart | None:
+    from wafer_viewer.measure.gauge.run_chart import run_chart
+
+    return run_chart(records)

@@ -1,0 +1,64 @@
+"""The z scale of a rig set by a signed check: what it would be, and the change put in force and written down."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge.gauge_check import GaugeRecord, ScaleCorrection
+from wafer_viewer.session.core.dataset_library import today
+from wafer_viewer.session.gauge.gauge_check import now
+from wafer_viewer.store.records.calibrations import CalibrationChange, calibration_in_force, record_change
+from wafer_viewer.store.records.gauge_checks import signed_checks
+
+
+def offered(record: GaugeRecord, in_force: Calibration) -> ScaleCorrection:
+    """What a signed check offers. Raises MeasureError where it offers nothing."""
+    from wafer_viewer.calibrate.z_scale import scale_correction
+
+    return scale_correction(record.check, in_force, today())
+
+
+def correct(folder: Path, record: GaugeRecord, in_force: Calibration, by: str, why: str = "") -> ScaleCorrection:
+    """Put the correction that a check offers in force for the rig's next scans into a data folder, and write it down.
+
+    Raises MeasureError without a name, or where the check offers none or its correction was made already.
+    """
+    if not by.strip():
+        raise MeasureError("The z scale is corrected under a name: say who does it.")
+    correction = offered(record, in_force)
+    if correction.calibration.z_scale == in_force.z_scale:
+        raise MeasureError("The z scale was corrected by this check already: check it with other blocks.")
+    record_change(
+        folder,
+        CalibrationChange(
+            rig=record.rig,
+            at=now(),
+            by=by.strip(),
+            why=why.strip()
+            or f"Check signed by {record.check.signed_by} on {record.check.at[:10]}: {correction.advice}",
+            before=in_force,
+            after=correction.calibration,
+        ),
+    )
+    return correction
+
+
+def last_check(folder: Path, serials: Sequence[str]) -> GaugeRecord:
+    """The newest signed check of a data folder, of some blocks or of any. Raises MeasureError where there is none."""
+    records = signed_checks(folder, serials)
+    if not records:
+        of = f" of block{'' if len(serials) == 1 else 's'} {' and '.join(serials)}" if serials else ""
+        raise MeasureError(f"{folder} has no signed check{of}: sign one with measure gauge … --sign NAME.")
+    return records[-1]
+
+
+def in_force(folder: Path, record: GaugeRecord) -> Calibration:
+    """The calibration that a check's rig has now, by the log of its corrections. Raises MeasureError without any."""
+    used = record.check.repeats[0].calibration
+    found = calibration_in_force(folder, record.rig, used)
+    if found is None:
+        raise MeasureError("The check was made without a calibration: there is no scale to correct.")
+    return found

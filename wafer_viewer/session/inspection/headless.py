@@ -1,0 +1,106 @@
+"""What the command line does about defects: the surface of a file or a dataset inspected in its own process."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.inspection.golden_die import GoldenDie
+from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.inspection.die_lattice_source import GivenDies, dies_or_why
+from wafer_viewer.session.inspection.die_row_tasks import RowHands
+from wafer_viewer.session.inspection.inspection_job import NOT_BY_DIES
+from wafer_viewer.session.surface.headless import Hire, is_dataset, measured_surface
+from wafer_viewer.store.dataset.dataset import Dataset
+
+CLUSTER_PAYS_PX = 60_000_000
+"""Of a surface: from there on workers of one's own are sooner done, though they take a while to start."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wafer:
+    """The surface that is inspected, and what is known of the wafer; center_um: its centre on the stage."""
+
+    surface: Mosaic
+    calibrated: bool
+    sample: Sample = Sample()
+    center_um: tuple[float, float] = (0.0, 0.0)
+    job: Job | None = None
+    lies_in: tuple[Path, Path] | None = None
+    """The folders of its dataset and its result; None of a file."""
+    before: Inspection | None = None
+    """What people said of its defects is taken over from there."""
+
+
+def wafer_of(src: Path, result: str) -> Wafer:
+    """The stitched surface of a dataset, or that of a file. Raises DatasetError where there is none."""
+    from wafer_viewer.store.records.inspection_file import read_inspection
+
+    surface, calibrated = measured_surface(src, 0, result)
+    if not is_dataset(src):
+        return Wafer(surface, calibrated)
+    data = Dataset.open(src)
+    job = data.scan.job
+    center_um = job.alignment.to_stage(0.0, 0.0) if job.alignment is not None else (0.0, 0.0)
+    kept = data.result(result).path
+    return Wafer(surface, calibrated, job.sample, center_um, job, (data.path, kept), read_inspection(kept))
+
+
+def inspected(
+    wafer: Wafer,
+    recipe: DefectRecipe,
+    given: GivenDies,
+    golden: GoldenDie | None,
+    against: str,
+    tell: Progress,
+    hire: Hire = Hire(),
+) -> Inspection:
+    """Look for defects; the dies are those given, those of the job, or found. `against` "form": without dies.
+
+    Where no dies are found it is compared with the fitted form, and a note says why. Raises MeasureError where nothing
+    can be said.
+    """
+    from wafer_viewer.measure.defects.inspection import inspect
+    from wafer_viewer.store.records.inspection_file import carry_over
+
+    known = replace(recipe, product=recipe.product or wafer.sample.product)
+    grid, no_dies = None, NOT_BY_DIES
+    if against != "form":
+        grid, no_dies = dies_or_why(lambda: dies_on(wafer, given), needed=golden is not None)
+    with _rows_by(wafer, hire) as rows_by:
+        found = inspect(
+            wafer.surface,
+            grid,
+            known,
+            golden,
+            calibration_valid=wafer.calibrated,
+            progress=tell,
+            rows_by=rows_by,
+            no_dies=no_dies,
+        )
+    return found if wafer.before is None else carry_over(wafer.before, found)
+
+
+@contextmanager
+def _rows_by(wafer: Wafer, hire: Hire) -> Generator[RowHands | None]:
+    """Who compares the rows of dies: the crew that is hired, where workers can read the surface themselves."""
+    if wafer.lies_in is None:
+        yield None
+        return
+    large = wafer.surface.shape[0] * wafer.surface.shape[1] >= CLUSTER_PAYS_PX
+    with hire.crew(math.inf if large else 0.0) as crew:
+        yield RowHands.of(crew, *wafer.lies_in)
+
+
+def dies_on(wafer: Wafer, given: GivenDies) -> DieGrid:
+    """The dies given by the operator, else those of the job, else as they are found."""
+    return given.on(wafer.surface, wafer.job).grid

@@ -1,0 +1,224 @@
+"""The defects of the open dataset: searched for by a worker, judged by people with undo, saved at every change."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, DefectClass, DefectRecipe, Inspection, Judgement
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.inspection.inspection_job import Against, Dies, inspect_dataset, mosaic_mark
+from wafer_viewer.session.state.inspection_resources import product_of
+from wafer_viewer.session.state.inspection_state import InspectionState
+
+if TYPE_CHECKING:
+    from wafer_viewer.compute.compute_client import Compute
+    from wafer_viewer.model.inspection.defect_limits import DefectLimits
+    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.dataset_library import Library
+    from wafer_viewer.session.core.notifications import Notices
+    from wafer_viewer.session.inspection.inspection_files import DefectFiles
+    from wafer_viewer.session.inspection.reference_views import DefectViews
+    from wafer_viewer.session.state.snapshot import Snapshot
+
+
+class DefectKeeper:
+    """The inspection of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
+        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+        self._history: History[Inspection | None] = History(None)
+        self._of: tuple[Path, str] | None = None
+        self._work, self._problem, self._stamp = "", "", 0
+
+    def watch(self) -> None:
+        """Look again whether the inspection still holds whenever the surface is another."""
+        self._desk.subscribe(lambda now: self._desk.note(self._look_again) if self._stamp != _stamp(now) else None)
+
+    def open(self) -> None:
+        """Read what was found on the surface being looked at; the search on another one is given up."""
+        from wafer_viewer.store.records.inspection_file import read_inspection
+
+        of = self._looked_at
+        if self._work and of != self._of:
+            self._notices.cancel(self._work)
+        self._problem, kept = "", None
+        if of is not None:
+            try:
+                kept = read_inspection(self._library.result.path)
+            except WaferViewerError as fault:
+                self._problem = str(fault)
+        self._history.restart(kept)
+        self._show()
+
+    def begin(self, recipe: DefectRecipe | None, dies: Dies, against: Against) -> Future[Inspection]:
+        """Search the stitched surface for defects; done with what was found."""
+        self._require_writable()
+        if self._work:
+            raise DatasetError("Defects are being searched for already: wait, or cancel it in the job list.")
+        if self._desk.now.surface is None:
+            raise DatasetError("There is no stitched surface yet: defects are searched for on that.")
+        work = self._notices.begin("Search for defects", lambda: self._compute.cancel(work))
+        self._work, self._of, self._problem = work, self._looked_at, ""
+        of = self._library.dataset.path, self._library.result_name
+        done = self._compute.lead(work, inspect_dataset, *of, recipe or self._own_recipe, dies, against)
+        self._show()
+        return self._desk.afterwards(done, lambda: self._over(work, done))
+
+    def judge(self, number: int, judgement: Judgement | None, kind: DefectClass | None, note: str | None) -> None:
+        """Say what one thinks of a defect; None leaves judgement, class or note as it is."""
+        self._require_writable()
+        inspection, old = self._numbered(number)
+        new = replace(
+            old,
+            judgement=old.judgement if judgement is None else judgement,
+            judged_kind=old.judged_kind if kind is None else kind,
+            note=old.note if note is None else note.strip(),
+        )
+        if new == old:
+            return
+        new = replace(new, judged_by=self._library.shown.job.sample.operator, judged_at=now())
+        defects = tuple(new if defect.number == number else defect for defect in inspection.defects)
+        self._history.put(replace(inspection, defects=defects))
+        self._save()
+
+    def limit(self, limits: DefectLimits) -> None:
+        """How many defects a die and a wafer may have."""
+        self._require_writable()
+        if (inspection := self._history.value) is None:
+            raise DatasetError("Limits are for what was found: inspect for defects first.")
+        if limits != inspection.recipe.limits:
+            self._history.put(replace(inspection, recipe=replace(inspection.recipe, limits=limits)))
+            self._save()
+
+    def undo(self) -> None:
+        """What people thought before."""
+        self._require_writable()
+        self._history.undo()
+        self._save()
+
+    def redo(self) -> None:
+        """What was undone."""
+        self._require_writable()
+        self._history.redo()
+        self._save()
+
+    def _over(self, work: str, done: Future[Inspection]) -> None:
+        """Take over what was found; why nothing was stands where the list would be."""
+        self._notices.end(work)
+        self._work = ""
+        if self._of == self._looked_at:
+            try:
+                self._take_over(done.result())
+            except WaferViewerError as fault:
+                self._problem = str(fault)
+        self._show()
+
+    def _take_over(self, found: Inspection) -> None:
+        """Keep it, with what people thought of the same places before."""
+        from wafer_viewer.store.records.inspection_file import carry_over, write_inspection
+
+        before = self._history.value
+        inspection = found if before is None else carry_over(before, found)
+        write_inspection(self._library.result.path, inspection)
+        self._history.restart(inspection)
+
+    def _save(self) -> None:
+        from wafer_viewer.store.records.inspection_file import write_inspection
+
+        if (inspection := self._history.value) is not None:
+            write_inspection(self._library.result.path, inspection)
+        self._show()
+
+    def _look_again(self) -> None:
+        """The surface is another one than at the last look."""
+        if self._stamp != _stamp(self._desk.now):
+            self._show()
+
+    def _show(self) -> None:
+        history, inspection = self._history, self._history.value
+        self._stamp = _stamp(self._desk.now)
+        stale = inspection is not None and inspection.mark not in ("", mosaic_mark(self._library.result))
+        self._desk.change(
+            inspection=InspectionState(inspection, stale, self._problem, self._work, history.can_undo, history.can_redo)
+        )
+
+    @property
+    def _own_recipe(self) -> DefectRecipe:
+        """The one kept for the product of the dataset."""
+        product = product_of(self._library.shown.job)
+        return self._desk.now.shelf.recipe_of(product) or DefectRecipe(product=product)
+
+    @property
+    def _looked_at(self) -> tuple[Path, str] | None:
+        shown = self._desk.now.dataset
+        return (shown.path, self._library.result_name) if shown is not None else None
+
+    def _numbered(self, number: int) -> tuple[Inspection, Defect]:
+        inspection = self._history.value
+        found = next((d for d in inspection.defects if d.number == number), None) if inspection is not None else None
+        if inspection is None or found is None:
+            raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
+        return inspection, found
+
+    def _require_writable(self) -> None:
+        if (why := self._library.shown.read_only) is not None:
+            raise DatasetError(f"Defects were not changed: {why}")
+
+
+class DefectVerbs:
+    """What the page asks for, ``session.defects``: every verb returns a future."""
+
+    files: DefectFiles
+    views: DefectViews
+
+    def __init__(
+        self, do: Callable[..., Future[Any]], keeper: DefectKeeper, files: DefectFiles, views: DefectViews
+    ) -> None:
+        self._do, self._keeper, self.files, self.views = do, keeper, files, views
+
+    def inspect(
+        self, recipe: DefectRecipe | None = None, dies: Dies = None, against: Against = "dies"
+    ) -> Future[Inspection]:
+        """Search the stitched surface for defects; it can be cancelled.
+
+        recipe: by default that saved last for the product of the dataset. dies: a lattice, "found" on the surface, or
+        None: the job's, else found. against: what is compared, without dies the fitted form.
+        """
+        return self._do(self._keeper.begin, recipe, dies, against)
+
+    def judge(
+        self,
+        number: int,
+        judgement: Judgement | None = None,
+        kind: DefectClass | None = None,
+        note: str | None = None,
+    ) -> Future[None]:
+        """Say that a defect is real or a nuisance, of what class it is, or note something down about it."""
+        return self._do(self._keeper.judge, number, judgement, kind, note)
+
+    def limit(self, limits: DefectLimits) -> Future[None]:
+        """How many defects a die and a wafer may have; `verdict_of` holds what was found against them."""
+        return self._do(self._keeper.limit, limits)
+
+    def undo(self) -> Future[None]:
+        """The judgements before."""
+        return self._do(self._keeper.undo)
+
+    def redo(self) -> Future[None]:
+        """The judgements that were undone."""
+        return self._do(self._keeper.redo)
+
+
+def now() -> str:
+    """This moment, ISO 8601."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _stamp(now: Snapshot) -> int:
+    return now.surface.stamp if now.surface is not None else 0

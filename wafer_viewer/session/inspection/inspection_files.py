@@ -1,0 +1,157 @@
+"""Recipes, golden dies and files of defects: what is kept beside the datasets, what goes out, and a KLARF laid over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace as with_changes
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.session.inspection.defect_export import Handover, hand_over, keep_golden
+from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit, laid_over
+from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, DefectShelf, OtherTool
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.inspection.golden_die import GoldenHeader
+    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.dataset_library import Library
+    from wafer_viewer.session.files.file_jobs import FileWork
+
+TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
+
+
+class DefectFilesKeeper:
+    """The shelf of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, library: Library, files: FileWork, folder: Path) -> None:
+        self._desk, self._library, self._files, self._folder = desk, library, files, folder
+
+    def open(self) -> None:
+        """Another surface is looked at: what another tool found on the one before is taken away."""
+        self.take_away()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """List recipes and golden dies anew."""
+        from wafer_viewer.store.records.defect_recipes import readable_recipes
+        from wafer_viewer.store.records.golden_dies import FOLDER, every_golden
+
+        recipes, problems = readable_recipes(self._folder)
+        golden = sorted(every_golden(self._folder / FOLDER), key=lambda header: header.name.casefold())
+        self._put(recipes=recipes, golden=tuple(golden), problems=problems)
+
+    def save_recipe(self, recipe: DefectRecipe) -> Path:
+        """Keep a recipe under its product and name."""
+        from wafer_viewer.store.records.defect_recipes import save_defect_recipe
+
+        path = save_defect_recipe(self._folder, recipe)
+        self.refresh()
+        return path
+
+    def rename_recipe(self, recipe: DefectRecipe, name: str) -> None:
+        """Give a kept recipe another name."""
+        from wafer_viewer.store.records.defect_recipes import rename_defect_recipe
+
+        rename_defect_recipe(self._folder, recipe, name)
+        self.refresh()
+
+    def delete_recipe(self, recipe: DefectRecipe) -> None:
+        """Remove a kept recipe."""
+        from wafer_viewer.store.records.defect_recipes import delete_defect_recipe
+
+        delete_defect_recipe(self._folder, recipe)
+        self.refresh()
+
+    def keep_golden(self, name: str) -> Future[Path]:
+        """Have a worker keep the typical die; it is listed when it is there."""
+        done = self._files.work(f"Golden die {name}", keep_golden, *self._looked_at, name)
+        return self._desk.afterwards(done, self.refresh)
+
+    def add_golden(self, path: Path) -> GoldenHeader:
+        """Keep a copy of a golden die from a file as the next version of its name; one of the shelf stays as it is."""
+        from wafer_viewer.store.records.golden_dies import ENDING, FOLDER, header_of, open_golden, save_golden
+
+        folder = self._folder / FOLDER
+        if path.absolute().parent == folder.absolute():
+            header = header_of(path)
+        else:
+            golden = open_golden(path)
+            name = golden.header.name or path.name.removesuffix(ENDING)
+            header = header_of(save_golden(golden, folder / name))
+        self.refresh()
+        return header
+
+    def write(self, what: Handover, path: Path) -> Future[Path]:
+        """Have a worker write the defects to a file or a folder."""
+        return self._files.work(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
+
+    def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
+        """Read a KLARF file and lay its defects over the surface."""
+        alignment, inspection = self._library.shown.job.alignment, self._desk.now.inspection.inspection
+        other = laid_over(path, alignment, inspection, unit, within_um)
+        self._put(other=other)
+        return other
+
+    def take_away(self) -> None:
+        """Show what was found here alone again."""
+        if self._desk.now.shelf.other is not None:
+            self._put(other=None)
+
+    @property
+    def _looked_at(self) -> tuple[Path, str]:
+        return self._library.dataset.path, self._library.result_name
+
+    def _put(self, **changes: Any) -> None:
+        shelf: DefectShelf = with_changes(self._desk.now.shelf, **changes)
+        if shelf != self._desk.now.shelf:
+            self._desk.change(shelf=shelf)
+
+
+class DefectFiles:
+    """What the page asks for, ``session.defects.files``: every verb returns a future."""
+
+    def __init__(self, do: Callable[..., Future[Any]], keeper: DefectFilesKeeper) -> None:
+        self._do, self._keeper = do, keeper
+
+    def save_recipe(self, recipe: DefectRecipe) -> Future[Path]:
+        """Keep a recipe under its product and name, in place of the one before."""
+        return self._do(self._keeper.save_recipe, recipe)
+
+    def rename_recipe(self, recipe: DefectRecipe, name: str) -> Future[None]:
+        """Give a kept recipe another name."""
+        return self._do(self._keeper.rename_recipe, recipe, name)
+
+    def delete_recipe(self, recipe: DefectRecipe) -> Future[None]:
+        """Remove a kept recipe; its file is gone then."""
+        return self._do(self._keeper.delete_recipe, recipe)
+
+    def keep_golden(self, name: str) -> Future[Path]:
+        """Keep the typical die of what was inspected as the next version of a name; none is ever written over."""
+        return self._do(self._keeper.keep_golden, name)
+
+    def add_golden(self, path: Path) -> Future[GoldenHeader]:
+        """Take a golden die from a file, as the next version of its name; done with what it is called then."""
+        return self._do(self._keeper.add_golden, Path(path))
+
+    def write(self, what: Handover, path: Path) -> Future[Path]:
+        """Write the defects as they are judged now: ``klarf`` and ``csv`` to a file, ``training`` to a new folder."""
+        return self._do(self._keeper.write, what, Path(path))
+
+    def lay_over(
+        self, path: Path, unit: KlarfUnit | None = None, within_um: float = SAME_PLACE_UM
+    ) -> Future[OtherTool]:
+        """Lay the defects of a KLARF file over the surface; its lengths are um where neither it nor `unit` says else.
+
+        within_um: a defect found here that is so near is the same one.
+        """
+        return self._do(self._keeper.lay_over, Path(path), unit, within_um)
+
+    def take_away(self) -> Future[None]:
+        """Remove overlay what was laid over."""
+        return self._do(self._keeper.take_away)
+
+    def refresh(self) -> Future[None]:
+        """List recipes and golden dies anew."""
+        return self._do(self._keeper.refresh)

@@ -1,0 +1,225 @@
+"""What a reviewer compares a defect with: ``session.defects.views``; pictures are made by the painter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import msgspec
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.inspection.defect import Defect, Inspection
+from wafer_viewer.model.surface.comparison import Face
+from wafer_viewer.session.rendering.comparison_views import DiePicture, LikePlace, Place, SideBySide
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.acquisition.alignment import Alignment
+    from wafer_viewer.model.acquisition.plan import Job
+    from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
+    from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
+
+T = TypeVar("T")
+Box = tuple[float, float, float, float]
+ROUND_A_DEFECT, LEAST_PX, ASPECT = 2.2, 160, 4 / 3
+"""Of the surface so much more than the defect is shown, at least so many of its pixels, so wide for its height."""
+MOST_DIES = 9
+"""What is usual is the median of so many dies: the nearest, or evenly spread ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """An earlier scan of the same wafer; at_um turns places of this stage into those of its own.
+
+    turn_rad: how the wafer is turned there against how it lies here, anticlockwise.
+    """
+
+    source: Source
+    name: str
+    at_um: Callable[[float, float], tuple[float, float]]
+    turn_rad: float = 0.0
+
+
+class DefectViews:
+    """Questions, from any thread; they read the disk. All raise WaferViewerError when there is no answer."""
+
+    def __init__(
+        self,
+        paint: Callable[[PaintRequest], Future[bytes]],
+        snapshot: Callable[[], Snapshot],
+        earlier: Callable[[Snapshot, OpenDataset], Earlier | str] | None = None,
+    ) -> None:
+        self._paint, self._snapshot, self._earlier = paint, snapshot, earlier or earlier_scan
+
+    def beside(self, number: int) -> Future[SideBySide | None]:
+        """A defect beside the same place of the other dies or the golden one, and of the last scan of the wafer.
+
+        Done with None where nothing of the place was scanned.
+        """
+        now = self._snapshot()
+        defect, inspection = now.inspection.defect(number), now.inspection.inspection
+        data, surface = now.dataset, now.surface
+        if defect is None or inspection is None or data is None or surface is None:
+            raise DatasetError(f"There is no defect {number}: the surface was searched again, choose another.")
+        box = box_of(defect, surface.pixel_um)
+        like = _like(inspection, defect, box, self._earlier(now, data))
+        return _read(self._paint(PaintRequest(_source(data, surface), "beside", box_um=box, like=like)), SideBySide)
+
+    def die(self) -> Future[DiePicture | None]:
+        """A die as all of them are: the golden one, or the median of some that were scanned whole."""
+        now = self._snapshot()
+        inspection, data, surface = now.inspection.inspection, now.dataset, now.surface
+        if inspection is None or data is None or surface is None:
+            raise DatasetError("Nothing was inspected yet: search for defects first.")
+        request = PaintRequest(_source(data, surface), "die", like=like_die(inspection))
+        return _read(self._paint(request), DiePicture)
+
+    def repeats(self, within_um: float | None = None) -> tuple[RepeatedPlace, ...]:
+        """The places at which at least three dies have a defect; see `wafer_viewer.repeated_places`."""
+        from wafer_viewer.measure.defects.repeaters import repeated_places
+
+        inspection = self._snapshot().inspection.inspection
+        return () if inspection is None else repeated_places(inspection, within_um)
+
+
+def box_of(defect: Defect, pixel_um: float) -> Box:
+    """What is shown of the surface for a defect, stage um: x low, y low, x high, y high."""
+    x0, y0, x1, y1 = defect.outline.bounds_um
+    width = max(ROUND_A_DEFECT * max(x1 - x0, (y1 - y0) * ASPECT), LEAST_PX * pixel_um)
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - width / 2, y - width / ASPECT / 2, x + width / 2, y + width / ASPECT / 2
+
+
+def like_die(inspection: Inspection) -> LikePlace:
+    """Which dies a picture of the usual one is made of."""
+    return LikePlace(inspection.grid, None, _spread(_whole(inspection)), _golden(inspection), inspection.product)
+
+
+def _like(inspection: Inspection, defect: Defect, box: Box, found: Earlier | str) -> LikePlace:
+    here = _place(defect.die)
+    missing, before = (found, None) if isinstance(found, str) else ("", found)
+    middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
+    return LikePlace(
+        grid=inspection.grid,
+        die=here,
+        dies=_nearest(_whole(inspection), here),
+        golden=_golden(inspection),
+        product=inspection.product,
+        defect_um=defect.outline.bounds_um,
+        before=before.source if before is not None else None,
+        before_at_um=before.at_um(*middle) if before is not None else None,
+        before_turn_rad=before.turn_rad if before is not None else 0.0,
+        before_name=before.name if before is not None else "",
+        no_before=missing,
+    )
+
+
+def _place(die: str) -> Place | None:
+    if not die:
+        return None
+    col, row = map(int, die.split(","))
+    return col, row
+
+
+def _whole(inspection: Inspection) -> list[Place]:
+    return [(die.col, die.row) for die in inspection.dies if die.state == "whole"]
+
+
+def _nearest(dies: list[Place], here: Place | None) -> tuple[Place, ...]:
+    if here is None:
+        return ()
+    others = (die for die in dies if die != here)
+    return tuple(sorted(others, key=lambda d: ((d[0] - here[0]) ** 2 + (d[1] - here[1]) ** 2, d))[:MOST_DIES])
+
+
+def _spread(dies: list[Place]) -> tuple[Place, ...]:
+    n = min(len(dies), MOST_DIES)
+    return tuple(dies[k * len(dies) // n] for k in range(n))
+
+
+def _golden(inspection: Inspection) -> str:
+    return inspection.recipe.golden if inspection.reference == "golden" else ""
+
+
+def _source(data: OpenDataset, surface: SurfaceInfo) -> Source:
+    return Source(data.path, surface.result, 0, surface.stamp)
+
+
+def _read(painted: Future[bytes], kind: type[T]) -> Future[T | None]:
+    """The answer of the painter as what it is."""
+    answer: Future[T | None] = Future()
+
+    def take(done: Future[bytes]) -> None:
+        if done.cancelled():
+            answer.cancel()
+        elif (fault := done.exception()) is not None:
+            answer.set_exception(fault)
+        else:
+            data = done.result()
+            answer.set_result(msgspec.msgpack.decode(data, type=kind) if data else None)
+
+    painted.add_done_callback(take)
+    return answer
+
+
+def earlier_scan(now: Snapshot, data: OpenDataset) -> Earlier | str:
+    """The last scan of the same wafer before this one that has a surface; a sentence where there is none."""
+    sample = data.job.sample
+    if not sample.wafer_id:
+        return "The sample has no wafer id: an earlier scan of it cannot be found."
+    before = (entry for entry in now.datasets if entry.path != data.path and entry.taken < data.taken)
+    for entry in sorted(before, key=lambda entry: entry.taken, reverse=True):
+        known = _known(entry.path)
+        if known is not None and _same_wafer(data.job, known):
+            if (source := _compared(now, data, entry.path)) is not None:
+                return Earlier(source, entry.path.stem, lambda x, y: (x, y))
+            if (source := _stitched(entry.path)) is not None:
+                return _laid(source, entry.path.stem, data.job.alignment, known.alignment)
+    return f"No earlier scan of wafer {sample.wafer_id} with a surface lies in the data folder."
+
+
+def _same_wafer(here: Job, there: Job) -> bool:
+    mine, theirs = here.product or here.sample.product, there.product or there.sample.product
+    return here.sample.wafer_id == there.sample.wafer_id and (not mine or mine == theirs)
+
+
+def _known(path: Path) -> Job | None:
+    with suppress(WaferViewerError):
+        return _job_of(path)
+    return None
+
+
+@lru_cache(maxsize=2048)
+def _job_of(path: Path) -> Job:
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    return Dataset.open(path).scan.job
+
+
+def _compared(now: Snapshot, data: OpenDataset, path: Path) -> Source | None:
+    """The other surface as a comparison laid it on this one, if one was made."""
+    for made in now.comparisons:
+        second = made.comparison.second
+        if Path(second.path) == path and not second.field and not made.outdated:
+            return Source(data.path, made.name, -Face.SECOND, made.stamp)
+    return None
+
+
+def _stitched(path: Path) -> Source | None:
+    found = sorted(path.glob("results/*/mosaic.zarr/zarr.json"), key=lambda header: header.stat().st_mtime_ns)
+    if not found:
+        return None
+    return Source(path, found[-1].parent.parent.name, 0, found[-1].stat().st_mtime_ns)
+
+
+def _laid(source: Source, name: str, here: Alignment | None, there: Alignment | None) -> Earlier:
+    """Over the wafer where both scans are aligned to it, else as the stage says."""
+    if here is None or there is None:
+        return Earlier(source, name, lambda x_um, y_um: (x_um, y_um))
+    turn_rad = here.rotation_rad - there.rotation_rad
+    return Earlier(source, name, lambda x_um, y_um: there.to_stage(*here.to_wafer(x_um, y_um)), turn_rad)

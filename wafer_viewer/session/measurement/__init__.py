@@ -1,0 +1,1 @@
+"""Measurements, sections and results of the session."""

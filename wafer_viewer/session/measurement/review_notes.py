@@ -1,0 +1,131 @@
+"""The notebook of the open dataset: views kept, renamed, deleted, results judged; with undo, saved at every change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.job.review_notes import Notebook, SavedView, Verdict
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.state.review_state import NotebookState
+
+
+class NotebookKeeper:
+    """On the session's thread only."""
+
+    def __init__(self, desk: Desk, library: Library) -> None:
+        self._desk, self._library = desk, library
+        self._history: History[Notebook] = History(Notebook())
+
+    def open(self) -> None:
+        """Read the notebook of the result being looked at; an empty one without a dataset."""
+        from wafer_viewer.store.records.review_notes import read_notebook
+
+        shown = self._desk.now.dataset
+        self._history.restart(Notebook())  # that of another dataset must not stay where this cannot be read
+        self._history.restart(read_notebook(self._library.result.path) if shown is not None else Notebook())
+        self._show()
+
+    def save_view(self, view: SavedView) -> SavedView:
+        """Number and keep a view; one without a name is called by its number."""
+        views = self._history.value.views
+        number = next(n for n in range(1, len(views) + 2) if all(v.number != n for v in views))
+        kept = replace(view, number=number, name=view.name.strip() or f"View {number}")
+        self._put(views=tuple(sorted((*views, kept), key=lambda v: v.number)))
+        return kept
+
+    def rename_view(self, number: int, name: str) -> None:
+        """Another name for a view."""
+        old = self._numbered(number)
+        renamed = replace(old, name=name.strip() or old.name)
+        self._put(views=tuple(renamed if v.number == number else v for v in self._history.value.views))
+
+    def delete_view(self, number: int) -> None:
+        """Take a view off the list."""
+        self._numbered(number)
+        self._put(views=tuple(v for v in self._history.value.views if v.number != number))
+
+    def judge(self, key: str, verdict: Verdict | None, note: str | None) -> None:
+        """Say what one thinks of a thing; None leaves the verdict or the note as it is."""
+        old = self._history.value.judgement(key)
+        new = replace(
+            old,
+            verdict=old.verdict if verdict is None else verdict,
+            note=old.note if note is None else note.strip(),
+        )
+        if new != old:
+            others = tuple(j for j in self._history.value.judgements if j.key != key)
+            self._put(judgements=tuple(sorted((*others, new), key=lambda j: j.key)))
+
+    def undo(self) -> None:
+        """Back to the notebook before."""
+        self._require_writable()
+        self._history.undo()
+        self._save()
+
+    def redo(self) -> None:
+        """Forth to what was undone."""
+        self._require_writable()
+        self._history.redo()
+        self._save()
+
+    def _put(self, **changes: Any) -> None:
+        self._require_writable()
+        self._history.put(replace(self._history.value, **changes))
+        self._save()
+
+    def _save(self) -> None:
+        from wafer_viewer.store.records.review_notes import write_notebook
+
+        write_notebook(self._library.result.path, self._history.value)
+        self._show()
+
+    def _show(self) -> None:
+        history = self._history
+        self._desk.change(notebook=NotebookState(history.value, history.can_undo, history.can_redo))
+
+    def _numbered(self, number: int) -> SavedView:
+        found = self._history.value.view(number)
+        if found is None:
+            raise DatasetError(f"There is no view {number}: it was deleted, choose another.")
+        return found
+
+    def _require_writable(self) -> None:
+        if (why := self._library.shown.read_only) is not None:
+            raise DatasetError(f"Nothing can be noted down: {why}")
+
+
+class NotebookVerbs:
+    """The notebook for the page: every verb returns a future."""
+
+    def __init__(self, do: Callable[..., Future[Any]], keeper: NotebookKeeper) -> None:
+        self._do, self._keeper = do, keeper
+
+    def save_view(self, view: SavedView) -> Future[SavedView]:
+        """Number, name and keep a way to look at the surface."""
+        return self._do(self._keeper.save_view, view)
+
+    def rename_view(self, number: int, name: str) -> Future[None]:
+        """Another name for a saved view."""
+        return self._do(self._keeper.rename_view, number, name)
+
+    def delete_view(self, number: int) -> Future[None]:
+        """Take a saved view off the list."""
+        return self._do(self._keeper.delete_view, number)
+
+    def judge(self, key: str, verdict: Verdict | None = None, note: str | None = None) -> Future[None]:
+        """Accept or reject a thing under review, or note something down about it."""
+        return self._do(self._keeper.judge, key, verdict, note)
+
+    def undo(self) -> Future[None]:
+        """The notebook before."""
+        return self._do(self._keeper.undo)
+
+    def redo(self) -> Future[None]:
+        """The notebook that was undone."""
+        return self._do(self._keeper.redo)

@@ -1,0 +1,1 @@
+"""Plans, jobs, releases and the guided tour."""

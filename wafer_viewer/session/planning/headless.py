@@ -1,0 +1,90 @@
+"""Released jobs at the prompt: made of a plan and a good dataset, named and aligned for a wafer, judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.job.revision_trial import Trial
+from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.surface_summary import load_summary
+from wafer_viewer.session.planning.job_releases import blank, free_place, prepared, released, revised
+from wafer_viewer.session.planning.plan_editor import read_job
+from wafer_viewer.session.planning.revision_trial import datasets_of, try_job
+from wafer_viewer.session.planning.verdicts import verdict_of
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+
+
+def job_to_release(plan: Path, names: dict[str, str | None], good: Path | None, result: str, folder: Path) -> Job:
+    """The job of a plan as it would be released in `folder`/jobs; a good sample's dataset settles what is ``auto``.
+
+    names: product and revision, where they are not those of the plan. Raises PlanError with what is missing and where
+    that revision is released already, DatasetError where the dataset has no stitched surface.
+    """
+    job = read_job(plan)
+    job = replace(job, released=False, **{key: name for key, name in names.items() if name is not None})
+    ready = revised(job) if good is None else _settled(job, Dataset.open(good), result)
+    free_place(folder, ready)
+    return ready
+
+
+def tried(job: Job, against: Sequence[Path], result: str, tell: Progress) -> Trial:
+    """What a job comes to on stored datasets, and in folders of them."""
+    return try_job(job, datasets_of(against), result, progress=tell)
+
+
+def _settled(job: Job, data: Dataset, result: str) -> Job:
+    """The job with the recipe that a dataset came to."""
+    kept = data.result(result)
+    settled, info = kept.mosaic().provenance.recipe, load_summary(kept)
+    stitched = info.stitching if info is not None else None
+    errors_um = (stitched.stage_error_um, stitched.z_error_um) if stitched is not None else None
+    return released(job, data.scan.plan, settled, errors_um)
+
+
+def job_of_wafer(plan: Path, out: Path, names: dict[str, str | None], corners_um: Sequence[float]) -> Job:
+    """The job in a file for one wafer: named, and aligned by where its corners were seen, x and y of each in order.
+
+    A dataset that is gone on with knows both already. Raises PlanError for corners that make no alignment.
+    """
+    job = read_job(plan)
+    given = {key: name for key, name in names.items() if name is not None}
+    if out.exists() and not given and not corners_um and _is_of(out, job):
+        return Dataset.open(out).scan.job
+    job = replace(job, sample=replace(job.sample, **given))
+    return _aligned(job, corners_um) if corners_um else job
+
+
+def verdict_kept_in(path: Path, result: str) -> WaferVerdict:
+    """The verdict on the wafer of a dataset, kept in it where nobody else holds it."""
+    data = Dataset.open(path.absolute())
+    try:
+        lock = Lock.take(data.path)
+    except DatasetError:
+        return verdict_of(data, data.result(result), keep=False)
+    try:
+        return verdict_of(data, data.result(result), keep=True)
+    finally:
+        lock.release()
+
+
+def _is_of(out: Path, job: Job) -> bool:
+    begun: Any = Dataset.open(out).scan.job
+    return job.released and prepared(begun) == prepared(blank(job))
+
+
+def _aligned(job: Job, corners_um: Sequence[float]) -> Job:
+    from wafer_viewer.calibrate.wafer_alignment import fit_alignment
+
+    if job.marks is None:
+        raise PlanError("The plan names no corners to align by: leave --corners out, or name them in the plan.")
+    if len(corners_um) % 2:
+        raise PlanError(f"--corners has {len(corners_um)} numbers: give x and y of each corner.")
+    seen_um = list(zip(corners_um[::2], corners_um[1::2], strict=True))
+    return replace(job, alignment=fit_alignment(job.marks, seen_um, job.sample.notch))

@@ -1,0 +1,153 @@
+"""Released jobs: what an engineer settles once and an operator runs, a file each, never overwritten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.session.state.operator_state import JobEntry
+
+FOLDER, ENDING = "jobs", ".toml"
+OF_ONE_WAFER = {"name": "", "lot": "", "wafer_id": "", "slot": 0, "operator": ""}
+"""What of a sample is the wafer's, or the day's, and not the product's."""
+NOMINAL_TILT = 1e-4
+"""Of a field against the stage, um per um: one scan cannot tell it from the form of the wafer."""
+SEARCH_PX = 40
+"""How far from the stage's word a neighbour is looked for, as long as nobody says otherwise."""
+
+
+def as_released(job: Job, plan: ScanPlan, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Job:
+    """A plan as the job that operators run: a recipe without ``auto`` is kept, else it is that of the surface on show.
+
+    Raises PlanError with what is missing.
+    """
+    if not job.recipe.has_auto:
+        return revised(replace(job, strategy=plan.strategy))
+    if settled is None:
+        raise PlanError("There is no surface whose recipe could be released: scan a good sample with this plan first.")
+    return released(job, plan, settled, errors_um)
+
+
+def released(job: Job, plan: ScanPlan, settled: Recipe, errors_um: tuple[float, float] | None) -> Job:
+    """The job an operator can run: no ``auto`` in it, and nothing of a single wafer.
+
+    settled: the recipe of a reconstruction with what ``auto`` chose; errors_um: of the stage in the plane and along z,
+    as its overlaps said. Raises PlanError with what is still missing.
+    """
+    _require_complete(job)
+    recipe = replace(settled, stitching=_stitching(settled.stitching, plan, errors_um))
+    if recipe.has_auto:
+        raise PlanError(
+            "The recipe still holds an 'auto' that no field settled: scan and reconstruct a good sample first."
+        )
+    return replace(
+        job,
+        product=job.product.strip(),
+        revision=job.revision.strip(),
+        sample=replace(job.sample, **OF_ONE_WAFER),
+        alignment=None,
+        strategy=plan.strategy,
+        recipe=recipe,
+        released=True,
+    )
+
+
+def revised(job: Job) -> Job:
+    """A job that leaves nothing to the data, as it would be released; no scan is needed for it.
+
+    Raises PlanError with what is still missing.
+    """
+    _require_complete(job)
+    if job.recipe.has_auto or job.strategy == "auto":
+        raise PlanError("The job still holds an 'auto': name a dataset of a good sample that settles it, with --good.")
+    names = {"product": job.product.strip(), "revision": job.revision.strip()}
+    return replace(prepared(job), **names, released=True)
+
+
+def blank(job: Job) -> Job:
+    """The job for another wafer: its id and its place on the stage are to be given."""
+    return replace(job, sample=replace(job.sample, wafer_id="", name="", slot=0), alignment=None)
+
+
+def prepared(job: Job) -> Job:
+    """What of a job the engineer prepared: without the names of the wafer and how it lies."""
+    return replace(job, sample=replace(job.sample, **OF_ONE_WAFER), alignment=None)
+
+
+def require_as_released(before: Job | None, after: Job | None) -> None:
+    """Raise PlanError where what an engineer released was changed under its own name."""
+    if before is None or after is None or not before.released or not after.released:
+        return
+    if prepared(before) != prepared(after):
+        raise PlanError(
+            f"{before.product}, revision {before.revision}, is released and stays as it is: "
+            "copy it to a plan that can be changed, and release that as another revision."
+        )
+
+
+def write_released(folder: Path, job: Job) -> Path:
+    """Keep a released job under its product and revision. Raises PlanError where that revision is there already."""
+    from wafer_viewer.store.io.atomic_files import write_text, writing
+
+    path = free_place(folder, job)
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, encode(job))
+    return path
+
+
+def free_place(folder: Path, job: Job) -> Path:
+    """Where a job will lie once it is released. Raises PlanError where that revision is there already."""
+    path = folder / FOLDER / f"{_plain(job.product)}-{_plain(job.revision)}{ENDING}"
+    if path.exists():
+        raise PlanError(
+            f"Revision {job.revision} of {job.product} is released already ({path.name}): choose another revision."
+        )
+    return path
+
+
+def list_released(folder: Path) -> tuple[JobEntry, ...]:
+    """The released jobs beside the datasets, by product, the newest revision first."""
+    paths = (folder / FOLDER).glob(f"*{ENDING}")
+    entries = [entry for path in paths if (entry := _entry(path)) is not None]
+    newest_first = sorted(entries, key=lambda e: e.revision, reverse=True)
+    return tuple(sorted(newest_first, key=lambda e: e.product.casefold()))
+
+
+def _require_complete(job: Job) -> None:
+    if not job.product.strip() or not job.revision.strip():
+        raise PlanError("The job has no product or no revision: name both, an operator chooses by them.")
+    if job.marks is None:
+        raise PlanError("The job has no corners to align by: name at least two corners of dies.")
+    unplaced = [feature.name for feature in job.features if not feature.has_place]
+    if unplaced or not job.features:
+        what = f"feature '{unplaced[0]}' has no place" if unplaced else "job has no feature"
+        raise PlanError(f"The {what} to be measured at: give it one, or there is no verdict.")
+
+
+def _stitching(asked: Stitching, plan: ScanPlan, errors_um: tuple[float, float] | None) -> Stitching:
+    """What stitching found of the stage, where it was left to the data."""
+    in_plane_um, along_z_um = errors_um or (6 * plan.pixel_um, 1.0)
+    found = {
+        "search_um": SEARCH_PX * plan.pixel_um,
+        "stage_error_um": in_plane_um,
+        "z_error_um": along_z_um,
+        "tilt_error": NOMINAL_TILT,
+    }
+    return replace(asked, **{name: value for name, value in found.items() if getattr(asked, name) == "auto"})
+
+
+def _entry(path: Path) -> JobEntry | None:
+    """A line of the list; None for a file that is no released job."""
+    try:
+        job = decode(path.read_bytes(), Job, path.name)
+    except (OSError, WaferViewerError):
+        return None
+    return JobEntry(path, job.product, job.revision, len(job.all_fields()), len(job.features)) if job.released else None
+
+
+def _plain(name: str) -> str:
+    return "-".join("".join(c if c.isalnum() or c in "._" else " " for c in name).split()) or "job"

@@ -1,0 +1,288 @@
+"""The plan being edited: priced at every change, with undo."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+from wafer_viewer.model.acquisition.devices import Overview
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.rig_limits import RigLimits
+from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.undo_history import History
+from wafer_viewer.session.planning.job_releases import as_released, blank, require_as_released, write_released
+from wafer_viewer.session.state.alignment_marks import Seen
+from wafer_viewer.session.state.snapshot import Draft, Typed
+
+PLAN_ENDING = ".toml"
+RIG_STARTS = "The rig is starting: its time is estimated as soon as the rig answers."
+UNCONFIRMED = (
+    "What was open is open again, and another sample may lie on the stage by now: confirm the sample before anything "
+    "moves."
+)
+NO_JOB = "There is no plan yet: lay a field grid over the sample first."
+
+
+class Drafting:
+    """The draft of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, folder: Path) -> None:
+        self._desk, self._folder = desk, folder
+        self._jobs: History[Job | None] = History(None)
+        self._seen = Seen()
+        self._confirmed = True
+        self._typed: Typed | None = None
+        self._typed_over: Job | None = None
+        self.tour: Job | None = None
+
+    def edit(self, job: Job | None) -> None:
+        """Another job; None clears it. Raises PlanError where it changes what was released."""
+        before = self._jobs.value
+        require_as_released(before, job)
+        if job is not None and before is not None and before.alignment == job.alignment and _another(before, job):
+            job = replace(job, alignment=None)
+        self._put(job)
+
+    def reopen(self, job: Job | None, typed: Typed | None = None) -> None:
+        """The plan that was there when the program ended: whoever scans it has to look at the sample first.
+
+        How a wafer lay is forgotten: nobody saw whether it still does.
+        """
+        self._jobs.restart(None if job is None else replace(job, alignment=None))
+        self._confirmed = False
+        self.keep_typed(typed)
+
+    def keep_typed(self, typed: Typed | None) -> None:
+        """What stands on the form and makes no plan yet; None when it makes one again, as it does by any edit."""
+        self._typed, self._typed_over = typed, self._jobs.value
+        self.price()
+
+    def require_confirmed(self) -> None:
+        """Raise PlanError as long as a plan that was opened again may be of another sample than lies on the stage."""
+        if not self._confirmed:
+            raise PlanError(UNCONFIRMED)
+
+    def confirm(self) -> None:
+        """A person looked: the sample on the stage is the one that is named."""
+        self._confirmed = True
+        self.price()
+
+    def mark(self, n: int, x_um: float, y_um: float) -> None:
+        """The n-th corner (from 0) was seen at a place on the stage; with the last of them the wafer is aligned.
+
+        Raises PlanError when there are no corners to mark, and when they make no alignment.
+        """
+        from wafer_viewer.calibrate.wafer_alignment import fit_alignment
+
+        job = self._jobs.value
+        if job is None or job.marks is None:
+            raise PlanError("The plan names no corners to align by: name them first.")
+        self._seen = self._seen.with_place(job, n, (x_um, y_um))
+        self._put(replace(job, alignment=None))
+        seen_um = [place for place in self._seen.places_um(job) if place is not None]
+        if len(seen_um) == len(job.marks.places):
+            found = fit_alignment(job.marks, seen_um, job.sample.notch)
+            self._put(replace(job, alignment=found))
+
+    def unmark(self) -> None:
+        """Forget where corners were marked."""
+        self._seen = Seen()
+        if (job := self._jobs.value) is not None:
+            self._put(replace(job, alignment=None))
+
+    def next_wafer(self) -> None:
+        """The same job for another wafer; what was of the last one cannot come back by an undo."""
+        self._seen, self._confirmed = Seen(), True
+        self._jobs.restart(blank(self._job()))
+        self.price()
+
+    def copy(self) -> None:
+        """A released job as a plan that can be changed, to become another revision."""
+        self._put(replace(self._job(), released=False, revision="", alignment=None))
+
+    def release(self, settled: Recipe | None, errors_um: tuple[float, float] | None) -> Path:
+        """Write the job as a released one and take it up; settled: the recipe of the surface being looked at."""
+        ready = as_released(*self.ready(), settled, errors_um)
+        path = write_released(self._folder, ready)
+        self._take_up(ready)
+        return path
+
+    def _put(self, job: Job | None) -> None:
+        self._jobs.put(job)
+        self.price()
+
+    def _take_up(self, job: Job) -> None:
+        """A job from a file: a released one is of no wafer yet."""
+        self._seen, self._confirmed = Seen(), True
+        self._put(blank(job) if job.released else job)
+
+    def undo(self) -> None:
+        """Back to the job before."""
+        self._jobs.undo()
+        self.price()
+
+    def redo(self) -> None:
+        """Forth again."""
+        self._jobs.redo()
+        self.price()
+
+    def price(self) -> None:
+        """Plan the job anew: after an edit, and when the rig answers."""
+        job, limits = self._jobs.value, self._desk.now.rig.limits
+        plan, problem = _plan(job, limits)
+        typed = self._typed if self._typed_over is job else None
+        seen_um = self._seen.places_um(job) if job is not None else ()
+        can = self._jobs.can_undo, self._jobs.can_redo
+        draft = Draft(job, plan, problem, *can, free_bytes(self._folder), seen_um, self._confirmed, typed)
+        self._desk.change(draft=draft)
+
+    def cover_sample(self) -> None:
+        """As many fields as cover the sample, round its middle."""
+        job = self._job()
+        x_um, y_um, width_um, height_um = _extent(job, self._desk.now.overview)
+        grid = self._grid(job)
+        covering = FieldGrid.covering(
+            width_um,
+            height_um,
+            field_width_um=grid.field_width_um,
+            field_height_um=grid.field_height_um,
+            overlap_x_fraction=grid.overlap_x_fraction,
+            overlap_y_fraction=grid.overlap_y_fraction,
+            center_x_um=x_um,
+            center_y_um=y_um,
+        )
+        self.edit(replace(job, grid=covering, fields=()))
+
+    def centre_on_stage(self) -> None:
+        """The grid round where the stage stands."""
+        job, rig = self._job(), self._desk.now.rig
+        self.edit(replace(job, grid=self._grid(job).centred_on(rig.x_um, rig.y_um), fields=()))
+
+    def take_tour(self) -> None:
+        """The job that the virtual rig brings along."""
+        if self.tour is None:
+            raise PlanError(
+                "The tour needs a virtual rig that answers: wait until it has started, or serve without --rig."
+            )
+        self._take_up(self.tour)
+
+    def load(self, path: Path) -> None:
+        """Read a job from PLAN.toml."""
+        self._take_up(read_job(path))
+
+    def save(self, path: Path | None) -> Path:
+        """Write the job to PLAN.toml: beside the datasets when no path is given."""
+        from wafer_viewer.store.io.atomic_files import write_text
+
+        job = self._job()
+        target = path or self._folder / f"{suggested_name(job)}{PLAN_ENDING}"
+        write_text(target, encode(job))
+        return target
+
+    def ready(self) -> tuple[Job, ScanPlan]:
+        """The job and its plan. Raises PlanError with the reason when there is none to scan."""
+        draft = self._desk.now.draft
+        if draft.typed is not None:
+            raise PlanError(draft.typed.problem)
+        if draft.job is None or draft.plan is None:
+            raise PlanError(draft.problem or NO_JOB)
+        return draft.job, draft.plan
+
+    def _job(self) -> Job:
+        limits = self._desk.now.rig.limits
+        if self._jobs.value is not None:
+            return self._jobs.value
+        if limits is None:
+            raise PlanError(RIG_STARTS)
+        return first_job(limits)
+
+    def _grid(self, job: Job) -> FieldGrid:
+        if job.grid is not None:
+            return job.grid
+        limits = self._desk.now.rig.limits
+        if limits is None:
+            raise PlanError(RIG_STARTS)
+        return one_field(limits)
+
+
+def _another(before: Job, after: Job) -> bool:
+    """Whether another wafer is meant, which lies otherwise on the stage."""
+    return (before.sample.lot, before.sample.wafer_id) != (after.sample.lot, after.sample.wafer_id)
+
+
+def first_job(limits: RigLimits) -> Job:
+    """One field and a sweep of steps of half the depth of field: what a plan begins with."""
+    step_um = max(0.1, round(limits.depth_of_field_um / 2, 1))
+    return Job(grid=one_field(limits), sweep=FocusSweep(z_step_um=step_um, n_frames=40))
+
+
+def one_field(limits: RigLimits) -> FieldGrid:
+    """A grid of one field at the stage's origin."""
+    return FieldGrid(rows=1, cols=1, field_width_um=limits.field_width_um, field_height_um=limits.field_height_um)
+
+
+def read_job(path: Path) -> Job:
+    """The job in a PLAN.toml. Raises PlanError when it cannot be read or says something that cannot be."""
+    try:
+        text = path.read_bytes()
+    except OSError as fault:
+        raise PlanError(f"{path} cannot be read: {(fault.strerror or str(fault)).lower()}: check the path.") from fault
+    return decode(text, Job, path.name)
+
+
+def suggested_name(job: Job) -> str:
+    """A file's name from the names of the sample."""
+    words = [w for w in (job.sample.lot, job.sample.wafer_id or job.sample.name, job.product) if w][:2]
+    plain = "-".join("".join(c if c.isalnum() or c in "._" else "-" for c in w).strip("-.") for w in words)
+    return plain or "scan"
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Free space of a folder's disk; None when it cannot be asked."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
+
+
+def plan_of(job: Job, limits: RigLimits) -> ScanPlan:
+    """Lay out a job on a rig. Raises PlanError when the rig cannot do it."""
+    from wafer_viewer.acquire.planner import plan_scan
+
+    return plan_scan(job.all_fields(), job.sweep, job.exposures_us, limits, job.strategy)
+
+
+def _plan(job: Job | None, limits: RigLimits | None) -> tuple[ScanPlan | None, str | None]:
+    """The plan of a job, or why there is none."""
+    if job is None:
+        return None, None
+    if limits is None:
+        return None, RIG_STARTS
+    try:
+        return plan_of(job, limits), None
+    except WaferViewerError as fault:
+        return None, str(fault)
+
+
+def _extent(job: Job, overview: Overview | None) -> tuple[float, float, float, float]:
+    """(x, y) of the middle, width and height of the sample in um."""
+    outline = overview.outline_um if overview is not None else ()
+    sample = job.sample
+    if (size_um := sample.size_um) is not None:
+        x_um, y_um = job.grid.center_um if job.grid is not None and not outline else _middle(outline)
+        return x_um, y_um, *size_um
+    if not outline:
+        raise PlanError("The sample has no size: give its width and height, then cover it.")
+    xs, ys = [x for x, _ in outline], [y for _, y in outline]
+    return *_middle(outline), max(xs) - min(xs), max(ys) - min(ys)
+
+
+def _middle(outline: tuple[tuple[float, float], ...]) -> tuple[float, float]:
+    if not outline:
+        return 0.0, 0.0
+    xs, ys = [x for x, _ in outline], [y for _, y in outline]
+    return math.fsum((min(xs), max(xs))) / 2, math.fsum((min(ys), max(ys))) / 2

@@ -1,0 +1,227 @@
+"""A job tried on stored datasets before it is released: the verdicts that would change by it, and why.
+
+Where only limits changed, what was measured then is judged anew; where a place or the tool changed it is measured anew
+on the stored surface; where the recipe changed the frames are reconstructed anew, into a result of their own. Nothing
+that is there is written over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError
+from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
+from wafer_viewer.model.job.verdict import Judged
+from wafer_viewer.model.measurement.feature import Die, Feature
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT, ENDING, today
+from wafer_viewer.session.planning.revision_text import added, feature_changes, recipe_changes, taken_off
+from wafer_viewer.session.planning.verdicts import kept_verdict
+from wafer_viewer.session.surface.headless import Hire, make_surface
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.result import Result
+
+if TYPE_CHECKING:
+    from wafer_viewer.compute.task_runner import Crew
+
+Key = tuple[str, str]
+"""A feature and the die that it is on."""
+
+
+def datasets_of(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """The datasets that are named, and those in folders that are named. Raises DatasetError where there is none."""
+    found: list[Path] = []
+    for path in paths:
+        if path.suffix == ENDING:
+            found.append(path)
+        else:
+            found += sorted(path.glob(f"*{ENDING}"))
+    if not found:
+        names = ", ".join(str(path) for path in paths)
+        raise DatasetError(f"There is no dataset in {names}: name folders that hold some, or datasets.")
+    return tuple(dict.fromkeys(path.absolute() for path in found))
+
+
+def try_job(
+    job: Job,
+    datasets: Sequence[Path],
+    result: str = DEFAULT_RESULT,
+    *,
+    crew: Crew | None = None,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Trial:
+    """Judge stored datasets by a job, and compare each word with the one it has.
+
+    result: the reconstruction to be judged. crew: who reconstructs; this process where left out. A dataset that cannot
+    be judged is named with the reason. Raises ComputeError when the work is stopped.
+    """
+    wafers, not_tried = list[TriedWafer](), list[NotTried]()
+    for n, path in enumerate(datasets):
+        tell = partial(_tell, progress, should_stop, n, len(datasets))
+        tell(0.0)
+        try:
+            wafers.append(_tried(job, path, result, _Led(hands=crew) if crew is not None else Hire(), tell))
+        except (ComputeError, DatasetError, MeasureError) as fault:
+            if should_stop():
+                raise
+            not_tried.append(NotTried(dataset=path.name, why=str(fault)))
+    progress(1.0)
+    return Trial(job=f"{job.product} {job.revision}".strip(), wafers=tuple(wafers), not_tried=tuple(not_tried))
+
+
+@dataclass(frozen=True, slots=True)
+class _Led(Hire):
+    """Hands that are there already."""
+
+    hands: Crew | None = None
+
+    def crew(self, work_bytes: float) -> AbstractContextManager[Crew]:
+        """Them, for any work."""
+        return nullcontext(self.hands) if self.hands is not None else Hire.crew(self, work_bytes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Before:
+    """How a dataset was judged: every feature's word, on which surface, and the dies by their names."""
+
+    job: Job
+    kept: Result
+    surface: Mosaic
+    items: dict[Key, Judged]
+    dies: dict[str, Die]
+
+
+def _tried(job: Job, path: Path, result: str, hire: Hire, tell: Progress) -> TriedWafer:
+    from wafer_viewer.measure.verdict import overall
+
+    data = Dataset.open(path)
+    _require_judgeable(data, job)
+    before = _judged_before(data, result)
+    of_recipe = recipe_changes(before.surface.provenance.recipe, job.recipe)
+    kept = _remade(data, job, hire, tell) if of_recipe else before.kept
+    after = {_key(item): item for item in _judged_now(data, job, before, kept, bool(of_recipe))}
+    changes = tuple(_changes(before, after, job, of_recipe))
+    return TriedWafer(
+        dataset=path.name,
+        wafer_id=data.scan.job.sample.wafer_id or data.scan.job.sample.name,
+        result=kept.name,
+        before=overall(tuple(before.items.values())) if before.items else None,
+        after=overall(tuple(after.values())),
+        changes=changes,
+        n_same=len(before.items.keys() | after.keys()) - len(changes),
+    )
+
+
+def _require_judgeable(data: Dataset, job: Job) -> None:
+    """Raise MeasureError where the job is not of the wafer in a dataset, or its places cannot be found there."""
+    then = data.scan.job
+    if then.product.strip() and then.product.strip() != job.product.strip():
+        raise MeasureError(f"It is of the product '{then.product}', and the job of '{job.product}'.")
+    if job.marks is not None and then.alignment is None:
+        raise MeasureError("The wafer was not aligned, and the places of the job are in wafer um.")
+
+
+def _judged_before(data: Dataset, result: str) -> _Before:
+    """The verdict that was kept of this very surface; where none was, the one that its own job comes to."""
+    from wafer_viewer.measure.verdict import judge_features
+
+    kept, job = data.result(result), data.scan.job
+    surface, verdict = kept.mosaic(), kept_verdict(kept)
+    items = (
+        verdict.items
+        if verdict is not None
+        else judge_features(surface, job.features, job.alignment, calibration_valid=_calibrated(data), dies=job.dies)
+    )
+    dies = {die.name: die for die in job.dies.all()} if job.dies is not None else {}
+    return _Before(job, kept, surface, {_key(item): item for item in items}, dies)
+
+
+def _judged_now(data: Dataset, job: Job, before: _Before, kept: Result, remade: bool) -> Iterator[Judged]:
+    """Every feature by the new job: what was measured then where that is the same number, else measured anew."""
+    from wafer_viewer.measure.verdict import judge, judge_at
+    from wafer_viewer.model.spec import replace
+
+    surface = kept.mosaic() if remade else before.surface
+    lies = data.scan.job.alignment if job.marks is not None else None
+    for feature, die in judged_places(job):
+        then = before.items.get((feature.name, die.name if die else ""))
+        if then is not None and then.measured is not None and not remade and _same_number(then, before, feature, die):
+            yield replace(judge(feature, then.measured), die=then.die, not_evaluated=then.not_evaluated)
+        else:
+            yield judge_at(surface, feature, die, lies, _calibrated(data))
+
+
+def _same_number(then: Judged, before: _Before, feature: Feature, die: Die | None) -> bool:
+    """Whether what was measured then is what the feature measures now."""
+    return then.feature.measures == feature.measures and before.dies.get(then.die) == die
+
+
+def judged_places(job: Job) -> Iterator[tuple[Feature, Die | None]]:
+    """Every feature that is judged by itself, with each die that it is repeated on."""
+    for feature in job.features:
+        if feature.has_place and not feature.per_die:
+            yield feature, None
+        elif feature.has_place and job.dies is not None:
+            yield from ((feature, die) for die in job.dies.all())
+
+
+def _changes(before: _Before, after: dict[Key, Judged], job: Job, recipe: tuple[str, ...]) -> Iterator[VerdictChange]:
+    """The features that have another word than before, in the order of the job; those that are gone last."""
+    for key, now in after.items():
+        then = before.items.get(key)
+        if then is None:
+            yield VerdictChange(
+                feature=now.name, after=now.word, measured_after=now.measured, why=(added(bool(before.items)),)
+            )
+        elif then.word != now.word:
+            yield VerdictChange(
+                feature=now.name,
+                before=then.word,
+                after=now.word,
+                measured_before=then.measured,
+                measured_after=now.measured,
+                why=(*feature_changes(then, now, before.job.dies != job.dies), *recipe),
+            )
+    for key, then in before.items.items():
+        if key not in after:
+            why = (taken_off(then, job),)
+            yield VerdictChange(feature=then.name, before=then.word, measured_before=then.measured, why=why)
+
+
+def _remade(data: Dataset, job: Job, hire: Hire, tell: Progress) -> Result:
+    """The surface by the job's recipe: made into a result of its own, or the one that was made by it before."""
+    faults: list[str] = []
+    name = _free_result(data, job)
+    make_surface(data.path, job.recipe, name, again=False, tell=tell, warn=faults.append, hire=hire)
+    return data.result(name)
+
+
+def _free_result(data: Dataset, job: Job) -> str:
+    """A name that no other recipe's result has."""
+    plain = "".join(c if c.isalnum() or c in ".+-_" else "-" for c in job.revision.strip()) or "next"
+    wishes = (f"revision {plain}" if n == 1 else f"revision {plain} {n}" for n in count(1))
+    return next(name for name in wishes if not (made := data.result(name)).exists or made.recipe() == job.recipe)
+
+
+def _calibrated(data: Dataset) -> bool:
+    return data.calibration_problem(today()) is None
+
+
+def _key(item: Judged) -> Key:
+    return item.feature.name, item.die
+
+
+def _tell(progress: Progress, should_stop: ShouldStop, n: int, total: int, share: float) -> None:
+    """How far all of it is; also where the work ends when it is not wanted any more."""
+    if should_stop():
+        raise ComputeError(f"The trial was stopped at dataset {n + 1} of {total}; nothing was released.")
+    progress((n + share) / total)

@@ -1,0 +1,133 @@
+"""The verdict on a wafer: once its surface is whole, the features of its job are measured and judged; it is kept."""
+
+from __future__ import annotations
+
+import hashlib
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.job.verdict import WaferVerdict
+from wafer_viewer.model.spec import encode
+from wafer_viewer.model.surface.height_map import Provenance
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library, today
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.state.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.dataset.result import Result
+
+FILE = "verdict.json"
+Subject = tuple[Path, str, int]
+
+
+class Judge:
+    """The verdict of the snapshot: it follows the surface by itself. Changes on the session's thread only."""
+
+    def __init__(self, desk: Desk, library: Library, notices: Notices) -> None:
+        self._desk, self._library, self._notices = desk, library, notices
+        self._at_work = ThreadPoolExecutor(1, thread_name_prefix="judge")
+        self._of: Subject | None = None
+        desk.subscribe(self._look)
+
+    def close(self) -> None:
+        """Let the thread go."""
+        self._at_work.shutdown(wait=True, cancel_futures=True)
+
+    def _look(self, now: Snapshot) -> None:
+        """After every change: whether there is a surface to be judged that was not judged yet."""
+        subject = _subject(now)
+        ready = subject is None or now.surface_is_whole
+        if subject == self._of or not (ready or self._of is not None):
+            return
+        self._of = subject if ready else None
+        self._desk.note(self._begin, self._of)
+
+    def _begin(self, subject: Subject | None) -> None:
+        self._show(None, judging=subject is not None)
+        if subject is None or subject != _subject(self._desk.now):
+            return
+        data, result = self._library.dataset, self._library.result
+        done = self._at_work.submit(verdict_of, data, result, keep=self._library.shown.read_only is None)
+        done.add_done_callback(lambda done: self._desk.note(self._judged, subject, done))
+
+    def _judged(self, subject: Subject, done: Future[WaferVerdict]) -> None:
+        if subject != self._of or done.cancelled():
+            return
+        fault = done.exception()
+        if fault is not None:
+            self._notices.fault("There is no verdict", str(fault), "measure")
+        self._show(done.result() if fault is None else None, judging=False)
+
+    def _show(self, verdict: WaferVerdict | None, *, judging: bool) -> None:
+        self._desk.change(operating=replace(self._desk.now.operating, verdict=verdict, judging=judging))
+
+
+def kept_verdict(result: Result) -> WaferVerdict | None:
+    """The verdict that was kept on this very surface of a result, if there is one."""
+    from wafer_viewer.store.io.checksums import load_json
+
+    path = result.path / FILE
+    if not (path.exists() and result.has_mosaic):
+        return None
+    kept = load_json(path, WaferVerdict)
+    return kept if kept.surface == _mark(result.mosaic().provenance) else None
+
+
+def verdict_of(data: Dataset, result: Result, *, keep: bool) -> WaferVerdict:
+    """The verdict on the wafer of a dataset: the kept one where it is of this very surface, else judged now.
+
+    Raises MeasureError where the job has no feature with a place, DatasetError without a stitched surface.
+    """
+    from wafer_viewer.measure.verdict import judge_dies, judge_features, overall, what_next
+    from wafer_viewer.store.io.checksums import save_json
+
+    job, mosaic = data.scan.job, result.mosaic()
+    require_features(job)
+    if (kept := kept_verdict(result)) is not None:
+        return kept
+    calibrated = data.calibration_problem(today()) is None
+    items = judge_features(mosaic, job.features, job.alignment, calibration_valid=calibrated, dies=job.dies)
+    verdict = WaferVerdict(
+        word=overall(items),
+        next=what_next(items),
+        items=items,
+        dies=judge_dies(items, job.dies),
+        job=f"{job.product} {job.revision}".strip(),
+        lot=job.sample.lot,
+        wafer_id=job.sample.wafer_id or job.sample.name,
+        released=job.released,
+        simulated=data.simulated or mosaic.provenance.simulated,
+        residual_um=job.alignment.residual_um if job.alignment else None,
+        surface=_mark(mosaic.provenance),
+    )
+    if keep:
+        save_json(result.path / FILE, verdict)
+    return verdict
+
+
+def require_features(job: Job) -> None:
+    """Raise MeasureError where there is nothing to judge."""
+    if not any(feature.has_place for feature in job.features):
+        raise MeasureError(
+            "The job of this dataset has no feature with a place: there is nothing to give a verdict on."
+        )
+
+
+def _subject(now: Snapshot) -> Subject | None:
+    """What tells a surface to be judged from the next; None where there is none."""
+    data, surface = now.dataset, now.surface
+    if data is None or surface is None or not data.finished:
+        return None
+    judged = any(feature.has_place for feature in data.job.features)
+    return (data.path, surface.result, surface.stamp) if judged else None
+
+
+def _mark(provenance: Provenance) -> str:
+    """What a surface was made of and how: another one has another mark."""
+    return hashlib.sha256(encode(provenance, "json").encode()).hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""The render process: tiles, thumbnails and statistics of surfaces."""

@@ -1,0 +1,192 @@
+"""A place of a die beside the same place of the others, of a golden die, of an earlier scan; and a die as all are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.surface.matched_pictures import Range, greys_of, heights_of, picture_of
+from wafer_viewer.measure.dies.die_crops import (
+    LEAST_ALIKE,
+    Cut,
+    Laid,
+    Patch,
+    cut,
+    cut_of_golden,
+    laid_on,
+    levelled_on,
+    usual,
+)
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.session.rendering.comparison_views import DiePicture, LikePlace, Seen, SideBySide
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+from wafer_viewer.session.rendering.surface_source import Shelf
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.inspection.golden_die import GoldenDie
+    from wafer_viewer.model.surface.height_map import Mosaic
+
+PLACE_PX, DIE_PX = 320, 640
+"""The longer side of a picture has at most so many pixels."""
+DIE_REACH_PX, SCAN_REACH_PX = 3, 48
+"""How far a die, or an earlier scan, may lie from where it should."""
+LEAST_MEASURED = 0.2
+
+Pair = tuple[Seen, Cut | None]
+
+
+def beside(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A `SideBySide` as msgpack; no bytes where nothing of the place was scanned."""
+    like, box = request.like, request.box_um
+    if like is None or box is None:
+        return b""
+    surface = shelf.surface(request.source)
+    patch = Patch.of_box(surface, box, PLACE_PX)
+    own = cut(surface, patch)
+    if own is None or not (np.isfinite(own.z_um).any() or np.isfinite(own.picture).any()):
+        return b""
+    found = [(Seen("here"), own), *_others(shelf, request.source, like, surface, patch, own)]
+    cuts = [one for _, one in found if one is not None]
+    heights = heights_of([one.z_um for one in cuts], _inside(own, patch, like), patch.pixel_um)
+    greys = greys_of([one.picture for one in cuts])
+    seen = tuple(_drawn(told, one, patch.pixel_um, heights, greys) for told, one in found)
+    answer = SideBySide(heights.low, heights.high, heights.zero, _box_of(patch), patch.pixel_um, seen)
+    return msgspec.msgpack.encode(answer)
+
+
+def die(shelf: Shelf, request: PaintRequest) -> bytes:
+    """A `DiePicture` as msgpack."""
+    if request.like is None:
+        return b""
+    folder = request.source.dataset.parent
+    return msgspec.msgpack.encode(picture_of_die(shelf.surface(request.source), folder, request.like))
+
+
+def picture_of_die(surface: Mosaic, folder: Path, like: LikePlace) -> DiePicture:
+    """The picture of a die along its own axes: that of the golden one, or the median of the dies of `like`.
+
+    folder: the data folder, where golden dies lie.
+    """
+    nothing = DiePicture(why_not="No die was scanned completely.")
+    if like.grid is None or not (like.dies or like.golden):
+        return nothing
+    place = like.dies[0] if like.dies else (like.grid.first_col, like.grid.first_row)
+    patch = Patch.of_die(surface, like.grid, place, DIE_PX)
+    if like.golden:
+        with suppress(WaferViewerError):
+            golden = _golden(folder, like, surface)
+            return DiePicture(_grey(cut_of_golden(golden, like.grid, place, patch)), golden.header.dies, golden.title)
+    own = cut(surface, patch)
+    if own is None:
+        return nothing
+    cuts = [own, *(one.cut for one in _laid(surface, replace(like, die=place, dies=like.dies[1:]), patch, own))]
+    return DiePicture(_grey(usual(own, cuts)), len(cuts))
+
+
+def _others(shelf: Shelf, source: Source, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Iterator[Pair]:
+    """The reference, then the earlier scan; why it is missing where it is."""
+    yield (
+        _of_golden(source.dataset.parent, like, surface, patch, own)
+        if like.golden
+        else _of_dies(like, surface, patch, own)
+    )
+    yield _of_before(shelf, like, patch, own)
+
+
+def _of_dies(like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
+    if like.grid is None:
+        return Seen("dies", why_not="The surface was compared with its form: there are no dies to show."), None
+    if like.die is None:
+        return Seen("dies", why_not="The place lies outside of the dies."), None
+    laid = list(_laid(surface, like, patch, own))
+    if not laid:
+        return Seen("dies", why_not="No other die was scanned completely."), None
+    return Seen("dies", dies=len(laid)), usual(own, [one.cut for one in laid])
+
+
+def _laid(surface: Mosaic, like: LikePlace, patch: Patch, own: Cut) -> Iterator[Laid]:
+    """The same place of the dies that are measured there."""
+    for there in like.dies:
+        if like.grid is not None and like.die is not None and there != like.die:
+            found = laid_on(own, surface, patch.on_die(like.grid, like.die, there), DIE_REACH_PX)
+            if found is not None and found.cut.measured >= LEAST_MEASURED:
+                yield found
+
+
+def _of_golden(folder: Path, like: LikePlace, surface: Mosaic, patch: Patch, own: Cut) -> Pair:
+    if like.grid is None or like.die is None:
+        return Seen("golden", why_not="The place lies outside of the dies."), None
+    try:
+        golden = _golden(folder, like, surface)
+    except WaferViewerError as fault:
+        return Seen("golden", why_not=str(fault)), None
+    found = levelled_on(own, cut_of_golden(golden, like.grid, like.die, patch))
+    if found.measured < LEAST_MEASURED:
+        return Seen("golden", why_not=f"{golden.title} knows nothing of this place: a street has no golden die."), None
+    return Seen("golden", name=golden.title, dies=golden.header.dies), found
+
+
+def _golden(folder: Path, like: LikePlace, surface: Mosaic) -> GoldenDie:
+    """The stored golden die. Raises DatasetError where it is gone, MeasureError where it does not fit."""
+    from wafer_viewer.store.records.golden_dies import FOLDER, golden_named
+
+    golden = golden_named(folder / FOLDER, like.golden, like.product)
+    if like.grid is None:
+        raise MeasureError("There are no dies: nothing to lay a golden die on.")
+    size = {"width_um": like.grid.width_um, "height_um": like.grid.height_um}
+    golden.require_fit(product=like.product, pixel_um=surface.pixel_um, **size)
+    return golden
+
+
+def _of_before(shelf: Shelf, like: LikePlace, patch: Patch, own: Cut) -> Pair:
+    if like.before is None or like.before_at_um is None:
+        return Seen("before", why_not=like.no_before), None
+    name, (x_um, y_um) = like.before_name, like.before_at_um
+    try:
+        earlier = shelf.surface(like.before)
+    except WaferViewerError as fault:
+        return Seen("before", name=name, why_not=str(fault)), None
+    there = replace(patch, x_um=x_um, y_um=y_um, angle_rad=like.before_turn_rad)
+    laid = laid_on(own, earlier, there, SCAN_REACH_PX)
+    if laid is None or laid.cut.measured < LEAST_MEASURED:
+        return Seen("before", name=name, why_not=f"{name} was not scanned, or not measured, at this place."), None
+    if laid.alike < LEAST_ALIKE:
+        told = f"What {name} has within {SCAN_REACH_PX * patch.pixel_um:.0f} um of this place does not look like it."
+        return Seen("before", name=name, alike=laid.alike, why_not=told), None
+    down_um, right_um = laid.moved_um
+    return Seen("before", name=name, moved_um=(right_um, -down_um), alike=laid.alike), laid.cut
+
+
+def _drawn(told: Seen, one: Cut | None, pixel_um: float, heights: Range, greys: Range) -> Seen:
+    if one is None:
+        return told
+    height, picture = picture_of(one.z_um, pixel_um, heights), picture_of(one.picture, pixel_um, greys)
+    return msgspec.structs.replace(told, height=height, picture=picture)
+
+
+def _grey(seen: Cut) -> bytes:
+    return picture_of(seen.picture, 1.0, greys_of([seen.picture]))
+
+
+def _inside(own: Cut, patch: Patch, like: LikePlace) -> NDArray[np.float32]:
+    """The heights of what differs."""
+    if like.defect_um is None:
+        return own.z_um[:0]
+    (x0, y0, x1, y1), (left, low, _, high) = like.defect_um, _box_of(patch)
+    cols = slice(max(0, int((x0 - left) / patch.pixel_um)), max(0, int((x1 - left) / patch.pixel_um) + 1))
+    rows = slice(max(0, int((high - y1) / patch.pixel_um)), max(0, int((high - y0) / patch.pixel_um) + 1))
+    return own.z_um[rows, cols] if high > low else own.z_um
+
+
+def _box_of(patch: Patch) -> tuple[float, float, float, float]:
+    """What an upright patch takes in, to the outer edges of its pixels."""
+    half_y, half_x = (n / 2 * patch.pixel_um for n in patch.shape)
+    x_um, y_um = float(patch.x_um), float(patch.y_um)
+    return x_um - half_x, y_um - half_y, x_um + half_x, y_um + half_y

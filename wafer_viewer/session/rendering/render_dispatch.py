@@ -1,0 +1,37 @@
+"""How each thing the page asks for is made. Runs in the painter's process and imports what is heavy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.session.rendering import (
+    render_comparisons,
+    render_frames,
+    render_statistics,
+    render_summary,
+    render_thumbnails,
+    render_tiles,
+)
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.rendering.surface_source import Shelf
+
+PAINTERS: dict[str, Callable[[Shelf, PaintRequest], bytes]] = {
+    "facts": render_summary.facts,
+    "scale": render_summary.scale,
+    "relief": render_summary.relief,
+    "tile": render_tiles.tile,
+    "flat": render_tiles.flat,
+    "points": render_tiles.points,
+    "walls": render_tiles.walls,
+    "frame": render_frames.frame,
+    "slice": render_frames.stitched,
+    "picture": render_thumbnails.picture,
+    "beside": render_comparisons.beside,
+    "die": render_comparisons.die,
+    "statistics": render_statistics.statistics,
+}
+
+
+def paint(shelf: Shelf, request: PaintRequest) -> bytes:
+    """Make what a request asks for; no bytes when there is nothing to be seen. Raises WaferViewerError."""
+    return PAINTERS[request.what](shelf, request)

@@ -1,0 +1,160 @@
+"""The painter: a process of its own that makes the page's pictures, so that the page never waits for them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import multiprocessing
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+from wafer_viewer.compute.child_process import live_in_the_background
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.surface.comparison import Face
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.rendering.render_refused import PlacedField
+
+__all__ = ["PaintRequest", "Painter", "Source"]
+
+_KEPT_BYTES = 48 * 2**20
+"""Of answers kept for other browsers: some views of one."""
+NICENESS = 5
+"""By how much painting gives way."""
+
+
+class Painter:
+    """Answers `PaintRequest`s in order, one at a time. An answer is kept, so that a second browser has it at once.
+
+    A request that no one needs any more is withdrawn by cancelling its future. When the process dies it is started
+    anew with the next request; the futures it held raise BrokenProcessPool.
+    """
+
+    def __init__(self, work: Callable[[PaintRequest], bytes] | None = None) -> None:
+        self._work = work or paint_from_store
+        self._lock = threading.Lock()
+        self._kept: OrderedDict[PaintRequest, bytes] = OrderedDict()
+        self._kept_bytes = 0
+        self._pool = _new_pool()
+        self._pool.submit(_warm_up)
+
+    def paint(self, request: PaintRequest) -> Future[bytes]:
+        """What the request asks for, made now or kept from before. WaferViewerErrors come out of the future."""
+        with self._lock:
+            if request in self._kept:
+                self._kept.move_to_end(request)
+                return _done(self._kept[request])
+            future = self._submit(request)
+        future.add_done_callback(lambda done: self._keep(request, done))
+        return future
+
+    def close(self) -> None:
+        """End the process; what is not yet made is cancelled."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _submit(self, request: PaintRequest) -> Future[bytes]:
+        try:
+            return self._pool.submit(self._work, request)
+        except BrokenProcessPool:
+            self._pool = _new_pool()
+            return self._pool.submit(self._work, request)
+
+    def _keep(self, request: PaintRequest, done: Future[bytes]) -> None:
+        if done.cancelled() or done.exception() is not None:
+            return
+        with self._lock:
+            self._kept_bytes += len(done.result()) - len(self._kept.pop(request, b""))
+            self._kept[request] = done.result()
+            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
+                self._kept_bytes -= len(self._kept.popitem(last=False)[1])
+
+
+def _done(data: bytes) -> Future[bytes]:
+    future: Future[bytes] = Future()
+    future.set_result(data)
+    return future
+
+
+def _new_pool() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_settle_in)
+
+
+def _settle_in() -> None:
+    """Give way to the scan, and end with the viewer even if that is killed."""
+    live_in_the_background(NICENESS)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=lambda: (parent.join(), os._exit(0)), daemon=True).start()
+
+
+def _warm_up() -> None:
+    """Import what the first picture needs while the page is still loading."""
+    importlib.import_module("wafer_viewer.session.rendering.render_dispatch")
+
+
+def paint_from_store(request: PaintRequest) -> bytes:
+    """Runs in the painter's process: make a request from the datasets on disk."""
+    from wafer_viewer.session.rendering.render_dispatch import paint
+
+    return paint(_STORE, request)
+
+
+class _StoreShelf:
+    """Surfaces and stacks from datasets; the few used last stay open."""
+
+    def surface(self, source: Source) -> Mosaic:
+        return _surface(source)
+
+    def stacks(self, source: Source) -> list[FieldStack]:
+        return _stacks(source)
+
+    def fields(self, source: Source) -> list[PlacedField]:
+        return _fields(source)
+
+
+_STORE = _StoreShelf()
+
+
+@lru_cache(maxsize=4)
+def _fields(source: Source) -> list[PlacedField]:
+    from wafer_viewer.session.rendering.render_refused import placed_fields
+
+    return placed_fields(source)
+
+
+@lru_cache(maxsize=12)
+def _surface(source: Source) -> Mosaic:
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    if source.show < 0:
+        from wafer_viewer.session.surface.comparison_job import face_of
+
+        return face_of(source.dataset, source.result, Face(-source.show))
+    dataset = Dataset.open(source.dataset)
+    result = dataset.result(source.result)
+    return result.mosaic() if source.show == 0 else result.surface(dataset.field(source.show))
+
+
+@lru_cache(maxsize=2)
+def _stacks(source: Source) -> list[FieldStack]:
+    from wafer_viewer.session.surface.placement_summary import as_stitched
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    dataset = Dataset.open(source.dataset)
+    if source.show:
+        return [dataset.stack(source.show, verify=False)]
+    complete = dataset.complete_fields()
+    shown = as_stitched(dataset.fields, dataset.result(source.result).poses())
+    return [
+        dataclasses.replace(dataset.stack(field.number, verify=False), field=field)
+        for field in shown
+        if field.number in complete
+    ]

@@ -1,0 +1,213 @@
+"""What the page may ask the painter for, and what comes back where it is not a picture."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.draw.surface.display_style import Form, Light, Look
+from wafer_viewer.draw.surface.mesh import Skirts
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.surface.clipping import Clip, LeftOut, Span
+from wafer_viewer.session.rendering.comparison_views import LikePlace
+
+Kind = Literal[
+    "facts", "scale", "relief", "tile", "flat", "points", "walls", "frame", "slice", "picture", "beside", "die",
+    "statistics",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A surface on disk: the stitched one (show 0) or that of a field. `stamp` changes whenever its contents do."""
+
+    dataset: Path
+    result: str
+    show: int
+    stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class PaintRequest:
+    """One thing to be made. Requests that are equal are the same picture: answers are kept by request.
+
+    level: pixels of 2 ** level times the surface's; rows, cols: [first, end) on that level's lattice; step: pixels
+    from vertex to vertex; z0_um: the height that lies at 0 in the scene; datum: what heights are taken from, None the
+    stage's zero. skirts: whether a tile hangs down at its foot, top, left and right edge, to hide the crack to a
+    neighbour of another level; side: the one of these edges that ``walls`` is asked for, None all. like: what a place
+    is shown ``beside``, and which dies ``die`` is the usual of.
+    `k` is for ``frame``, `z_um` for ``slice``, `range_values` for ``scale``: the range to count in, None the
+    quantity's own; `box_um` for ``picture`` and ``statistics``: x low, y low, x high, y high; `side_px`: the longer
+    side of a picture, 0 the usual. clip: which points are drawn and counted. brush_um: the heights, over the datum, of
+    which ``statistics`` tells apart how many there are and where. refused: whether ``points`` draws and ``statistics``
+    counts the points that gates refused, too.
+    """
+
+    source: Source
+    what: Kind
+    level: int = 0
+    rows: tuple[int, int] = (0, 0)
+    cols: tuple[int, int] = (0, 0)
+    step: int = 1
+    look: Look = Look()
+    light: Light = Light()
+    z0_um: float = 0.0
+    dark: bool = False
+    k: int = 0
+    z_um: float = 0.0
+    range_values: tuple[float, float] | None = None
+    box_um: tuple[float, float, float, float] | None = None
+    side_px: int = 0
+    datum: Datum | None = None
+    skirts: Skirts = (False, False, False, False)
+    side: int | None = None
+    like: LikePlace | None = None
+    clip: Clip = Clip()
+    brush_um: Span | None = None
+    refused: bool = False
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """A surface as a whole, answer to ``facts``: its lattice, where on it anything is measured, heights, light.
+
+    has_overlaps: whether it is known how far fields are apart where several measured a pixel.
+    """
+
+    rows: int
+    cols: int
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    first_row: int
+    end_row: int
+    first_col: int
+    end_col: int
+    lowest_um: float
+    highest_um: float
+    low_um: float
+    high_um: float
+    gain: float
+    plane: tuple[float, float, float]
+    has_overlaps: bool = False
+    form: Form = ()
+
+    @property
+    def light(self) -> Light:
+        """The light for all its tiles."""
+        return Light(self.gain, max(self.high_um - self.low_um, 1e-3), self.plane, self.form)
+
+
+class Scale(msgspec.Struct, frozen=True):
+    """A quantity over the whole surface, answer to ``scale``: its range and how often each part of it occurs.
+
+    low, high: the range the colours span; own_low, own_high: 0.5 and 99.5 %; p1, p99: 1 and 99 %;
+    counts: in equal bins from low to high; origins: for the quantity ``origin``, the share of each code.
+    """
+
+    quantity: str
+    low: float
+    high: float
+    own_low: float
+    own_high: float
+    p1: float
+    p99: float
+    counts: tuple[float, ...]
+    origins: dict[int, float] = {}
+
+
+class Relief(msgspec.Struct, frozen=True):
+    """A coarse surface for picking and draping, answer to ``relief``.
+
+    z_um: float32 [row, col], gaps at their nearest neighbour's height; there: bool [row, col], False in gaps.
+    """
+
+    rows: int
+    cols: int
+    pixel_um: float
+    x0_um: float
+    y0_um: float
+    z_um: bytes
+    there: bytes
+
+
+class Brushed(msgspec.Struct, frozen=True):
+    """The points of some heights: how many, their mean and standard deviation, and the places where they lie together.
+
+    fraction: of the points that are counted. n_places: groups of points that touch; places: x low, y low, x high,
+    y high in um of the largest of them, the largest first.
+    """
+
+    n_points: int
+    fraction: float
+    mean_um: float | None
+    spread_um: float | None
+    n_places: int
+    places: tuple[tuple[float, float, float, float], ...] = ()
+
+
+class Refused(msgspec.Struct, frozen=True):
+    """The points that gates refused: how many there are, how many the clip leaves, the others by why it does not.
+
+    by_reason: those that the clip leaves, by code of `Origin`. n_fields: fields that the surface is made of;
+    n_fields_without: those of them that were reconstructed before refused heights were kept. span_um: the lowest and
+    the highest of all refused heights.
+    """
+
+    n_heights: int
+    n_points: int
+    left_out: dict[LeftOut, int]
+    by_reason: dict[int, int]
+    n_fields: int
+    n_fields_without: int
+    span_um: tuple[float, float] = (0.0, 0.0)
+
+
+class Statistics(msgspec.Struct, frozen=True):
+    """What is shown of a surface in numbers, answer to ``statistics``.
+
+    rows, cols: of the part that is counted, in points of `pixel_um`. n_heights: points with a height; n_points: those
+    that the clip leaves; left_out: the others, by reason. Fractions are of the points that fields cover.
+    lowest, highest, mean, spread (one standard deviation): of the points that the clip leaves, None without any.
+    ends_um, counts: histogram of all heights; the outermost bins hold what lies beyond. span_um: the lowest and the
+    highest of all heights. block_px: heights are means of blocks of so many points on a side, where all of them would
+    be too many to read. refused: the points that gates refused, where they were asked for; n_heights and n_points are
+    without them.
+    """
+
+    rows: int
+    cols: int
+    pixel_um: float
+    n_heights: int
+    n_points: int
+    measured_fraction: float
+    filled_fraction: float
+    unmeasured: tuple[tuple[str, float], ...]
+    lowest_um: float | None
+    highest_um: float | None
+    mean_um: float | None
+    spread_um: float | None
+    left_out: dict[LeftOut, int] = {}
+    ends_um: tuple[float, float] = (0.0, 0.0)
+    counts: tuple[int, ...] = ()
+    span_um: tuple[float, float] = (0.0, 0.0)
+    block_px: int = 1
+    brushed: Brushed | None = None
+    refused: Refused | None = None
+
+
+def pack_points(places_mm: NDArray[np.float16], colours: NDArray[np.uint8]) -> bytes:
+    """Answer to ``points``: a count, then float16 [n, 3] in mm from the window's middle, then uint8 rgb [n, 3]."""
+    return struct.pack("<I", len(places_mm)) + places_mm.astype("<f2").tobytes() + colours.tobytes()
+
+
+def unpack_points(data: bytes) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
+    """Places in mm from the window's middle, float16 [n, 3], and colours, uint8 [n, 3]."""
+    n = struct.unpack_from("<I", data)[0]
+    places = np.frombuffer(data, "<f2", 3 * n, 4).reshape(n, 3)
+    return places, np.frombuffer(data, np.uint8, 3 * n, 4 + 6 * n).reshape(n, 3)

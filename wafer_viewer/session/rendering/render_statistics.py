@@ -1,0 +1,225 @@
+"""Statistics of what is shown: of a whole surface or a part of it, of the points that are drawn, of a brushed range."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from wafer_viewer.draw.surface.clipping import CODES, DRAWN, clip_codes
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import Clip, Span
+from wafer_viewer.model.surface.height_map import HeightMap, Mosaic, Origin, pixel_window
+from wafer_viewer.session.core.surface_summary import unmeasured_reasons
+from wafer_viewer.session.rendering.render_refused import count_refused
+from wafer_viewer.session.rendering.render_request import Brushed, PaintRequest, Statistics
+from wafer_viewer.session.rendering.surface_source import Shelf, Window, at_level, levelled
+from wafer_viewer.store.mosaic.zarr_mosaic import ZarrMosaic
+
+MOST_POINTS = 8_000_000
+"""More points than these are read as means of blocks: the painter has tiles to make as well."""
+_STRIP_ROWS = 512
+_BINS = 96
+_END_PERCENT, _SPARE = 0.02, 0.03
+"""The histogram runs from this percentile to its counterpart, and a little further on both sides."""
+_SAMPLES = 400_000
+_CODES = 32
+MOST_PLACES = 200
+
+
+def statistics(shelf: Shelf, request: PaintRequest) -> bytes:
+    """`Statistics` as msgpack. Raises MeasureError where the part that is asked for lies outside of the surface."""
+    surface = shelf.surface(request.source)
+    rows, cols = _window(surface, request)
+    n_rows, n_cols = rows.stop - rows.start, cols.stop - cols.start
+    level = max(0, math.ceil(math.log2(max(1.0, n_rows * n_cols / MOST_POINTS)) / 2))
+    strips = [
+        levelled(at_level(surface, level, strip), request.datum) for strip in _strips(rows, cols, level, _STRIP_ROWS)
+    ]
+    sums = _Sums(_ends(strips), request.clip, request.brush_um)
+    for strip in strips:
+        sums.add(strip)
+    block = 2**level
+    told = Statistics(
+        rows=n_rows,
+        cols=n_cols,
+        pixel_um=surface.pixel_um,
+        n_heights=int(sums.by_code.sum()) * block**2,
+        n_points=int(sums.by_code[DRAWN]) * block**2,
+        left_out={why: int(sums.by_code[code]) * block**2 for why, code in CODES.items()},
+        lowest_um=sums.drawn.lowest_um,
+        highest_um=sums.drawn.highest_um,
+        mean_um=sums.drawn.mean_um,
+        spread_um=sums.drawn.spread_um,
+        ends_um=sums.ends_um,
+        counts=tuple(int(n) * block**2 for n in sums.counts),
+        span_um=(sums.low_um, sums.high_um) if sums.by_code.any() else (0.0, 0.0),
+        block_px=block,
+        brushed=None if request.brush_um is None else _brushed(strips, sums, block, request.brush_um, request.clip),
+        refused=count_refused(shelf.fields(request.source), request) if request.refused else None,
+        **_shares(sums.origins)._asdict(),
+    )
+    if request.box_um is None and isinstance(surface, ZarrMosaic):
+        told = _as_kept(told, surface, request)
+    return msgspec.msgpack.encode(told)
+
+
+def _as_kept(told: Statistics, surface: ZarrMosaic, request: PaintRequest) -> Statistics:
+    """The same with what is kept of the whole mosaic, by all of its points, where those are what is asked for."""
+    kept = surface.facts()
+    told = msgspec.structs.replace(told, **_shares(kept.counts)._asdict())
+    if request.datum is not None or not kept.has_heights:
+        return told
+    told = msgspec.structs.replace(told, span_um=(kept.lowest_um, kept.highest_um))
+    if request.clip.clips:
+        return told
+    return msgspec.structs.replace(told, lowest_um=kept.lowest_um, highest_um=kept.highest_um)
+
+
+def _window(surface: Mosaic, request: PaintRequest) -> Window:
+    """The rows and columns of level 0 that are counted."""
+    if request.box_um is None:
+        return slice(0, surface.shape[0]), slice(0, surface.shape[1])
+    return pixel_window(surface, Region.rectangle(*request.box_um))
+
+
+def _strips(rows: slice, cols: slice, level: int, height: int) -> Iterator[Window]:
+    """A window of level 0 as strips on a coarser level's lattice."""
+    first, end = rows.start >> level, max((rows.start >> level) + 1, -(-rows.stop >> level))
+    left, right = cols.start >> level, max((cols.start >> level) + 1, -(-cols.stop >> level))
+    for row in range(first, end, height):
+        yield slice(row, min(row + height, end)), slice(left, right)
+
+
+def _ends(strips: list[HeightMap]) -> Span:
+    """From where to where the histogram runs: nearly all heights."""
+    step = max(1, round(math.sqrt(sum(strip.z_um.size for strip in strips) / _SAMPLES)))
+    some = np.concatenate([strip.z_um[::step, ::step].ravel() for strip in strips])
+    some = some[np.isfinite(some)]
+    if some.size == 0:
+        return 0.0, 0.0
+    low, high = (float(v) for v in np.percentile(some, [_END_PERCENT, 100 - _END_PERCENT]))
+    spare = max(_SPARE * (high - low), 1e-3)
+    return low - spare, high + spare
+
+
+@dataclass(slots=True)
+class _Moments:
+    """Of some heights: how many, the sums of them and of their squares about `about_um`, and their ends."""
+
+    about_um: float
+    n: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+    low: float = math.inf
+    high: float = -math.inf
+
+    def add(self, z_um: NDArray[np.float32]) -> None:
+        """Take in more heights, none of them NaN."""
+        if z_um.size:
+            away = z_um.astype(np.float64) - self.about_um
+            self.n += z_um.size
+            self.total += float(away.sum())
+            self.squares += float(away @ away)
+            self.low, self.high = min(self.low, float(z_um.min())), max(self.high, float(z_um.max()))
+
+    @property
+    def lowest_um(self) -> float | None:
+        return self.low if self.n else None
+
+    @property
+    def highest_um(self) -> float | None:
+        return self.high if self.n else None
+
+    @property
+    def mean_um(self) -> float | None:
+        return self.about_um + self.total / self.n if self.n else None
+
+    @property
+    def spread_um(self) -> float | None:
+        return math.sqrt(max(0.0, self.squares - self.total**2 / self.n) / (self.n - 1)) if self.n > 1 else None
+
+
+@dataclass(slots=True)
+class _Sums:
+    """Sums over strips of a surface."""
+
+    ends_um: Span
+    clip: Clip
+    brush_um: Span | None
+    origins: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_CODES, np.int64))
+    by_code: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(CODES) + 1, np.int64))
+    counts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(_BINS, np.int64))
+    low_um: float = math.inf
+    high_um: float = -math.inf
+    drawn: _Moments = field(init=False)
+    brushed: _Moments = field(init=False)
+
+    def __post_init__(self) -> None:
+        middle = sum(self.ends_um) / 2
+        self.drawn, self.brushed = _Moments(middle), _Moments(middle)
+
+    def add(self, strip: HeightMap) -> None:
+        """Take in a strip."""
+        there = np.isfinite(strip.z_um)
+        codes = clip_codes(strip, self.clip)[there]
+        z = strip.z_um[there]
+        self.origins += np.bincount(strip.origin.ravel(), minlength=_CODES)[:_CODES]
+        self.by_code += np.bincount(codes, minlength=len(CODES) + 1)
+        if self.ends_um[1] > self.ends_um[0]:
+            self.counts += np.histogram(np.clip(z, *self.ends_um), _BINS, self.ends_um)[0]
+        if z.size:
+            self.low_um, self.high_um = min(self.low_um, float(z.min())), max(self.high_um, float(z.max()))
+        z = z[codes == DRAWN]
+        self.drawn.add(z)
+        if self.brush_um is not None:
+            self.brushed.add(z[(z >= self.brush_um[0]) & (z <= self.brush_um[1])])
+
+
+def _brushed(strips: list[HeightMap], sums: _Sums, block: int, brush_um: Span, clip: Clip) -> Brushed:
+    mask = np.concatenate([
+        (strip.z_um >= brush_um[0]) & (strip.z_um <= brush_um[1]) & (clip_codes(strip, clip) == DRAWN)
+        for strip in strips
+    ])  # fmt: skip
+    labels = np.empty(mask.shape, np.int32)
+    n_places = int(np.asarray(ndimage.label(mask, np.ones((3, 3), int), labels)))
+    sizes = np.bincount(labels.ravel(), minlength=n_places + 1)[1:]
+    boxes = ndimage.find_objects(labels)
+    largest = np.argsort(-sizes, kind="stable")[:MOST_PLACES]
+    lattice = strips[0]
+    return Brushed(
+        n_points=sums.brushed.n * block**2,
+        fraction=sums.brushed.n / max(1, sums.drawn.n),
+        mean_um=sums.brushed.mean_um,
+        spread_um=sums.brushed.spread_um,
+        n_places=n_places,
+        places=tuple(_box_um(lattice, *boxes[k]) for k in largest.tolist()),
+    )
+
+
+def _box_um(lattice: HeightMap, rows: slice, cols: slice) -> tuple[float, float, float, float]:
+    """The rectangle of the stage that some pixels cover, edge to edge."""
+    pixel, half = lattice.pixel_um, lattice.pixel_um / 2
+    x, y = lattice.x0_um, lattice.y0_um
+    low, high = y - (rows.stop - 1) * pixel - half, y - rows.start * pixel + half
+    return x + cols.start * pixel - half, low, x + (cols.stop - 1) * pixel + half, high
+
+
+class _Shares(NamedTuple):
+    """Shares of the points that fields cover, by what became of them."""
+
+    measured_fraction: float
+    filled_fraction: float
+    unmeasured: tuple[tuple[str, float], ...]
+
+
+def _shares(counts: NDArray[np.int64]) -> _Shares:
+    covered = max(1, int(counts.sum() - counts[Origin.NOT_COVERED]))
+    measured, filled = (float(counts[origin]) / covered for origin in (Origin.MEASURED, Origin.FILLED))
+    return _Shares(measured, filled, unmeasured_reasons(counts, covered))

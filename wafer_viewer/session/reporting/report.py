@@ -1,0 +1,262 @@
+"""The report of a dataset: gathered from what lies in its folder, so that the page and the command line make the same.
+
+No clock is read: the same dataset makes the same bytes. Whether lengths are calibrated is asked of the day of the scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from wafer_viewer._version import __version__
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.job.review_notes import keys_of_features, keys_under_review
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.report import PART_TITLES, Contents, Figure, Holds, Part, Report, ReportOrder, Section, Table
+from wafer_viewer.session.measurement.measurement_numbers import not_evaluated
+from wafer_viewer.session.reporting.defects_section import defects, defects_held
+from wafer_viewer.session.reporting.report_data import Material, gather
+from wafer_viewer.session.reporting.report_text import (
+    calibration_pairs,
+    plan_pairs,
+    recipe_pairs,
+    surface_pairs,
+    verdict_text,
+)
+from wafer_viewer.session.reporting.results_section import gauge, profiles, results, verdict
+
+OF_A_SCAN: tuple[Part, ...] = ("plan", "recipe")
+"""What a surface from a file has not."""
+SIGNED_BY = ("Measured by", "Checked by", "Approved by")
+
+
+def report_of(
+    folder: Path,
+    result: str,
+    order: ReportOrder,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Report:
+    """The report of a dataset, with the parts that were ordered.
+
+    Raises DatasetError when the folder is no dataset, ComputeError when the work is stopped.
+    """
+    material = gather(folder, result)
+    parts: list[Part] = [part for part in order.parts if _goes_in(part, material)]
+    sections: list[Section] = []
+    for part in parts:
+        if should_stop():
+            raise ComputeError("The report was stopped. Nothing was written.")
+        sections.append(_MADE[part](material))
+        progress(len(sections) / len(parts))
+    return Report(
+        title=order.title.strip() or material.dataset.path.stem,
+        below=_below(material, order),
+        simulated=material.dataset.simulated,
+        facts=_facts(material),
+        sections=tuple(sections),
+    )
+
+
+def _goes_in(part: Part, material: Material) -> bool:
+    """Parts of what this dataset has nothing to do with are left out, not told to be empty."""
+    held: dict[Part, bool] = {
+        "verdict": material.asks_for_a_verdict or material.verdict is not None,
+        "defects": material.inspection is not None,
+        "profiles": bool(material.lines),
+        "gauge": bool(material.gauge_checks),
+        "pictures": bool(material.pictures),
+        **dict.fromkeys(OF_A_SCAN, bool(material.dataset.fields)),
+    }
+    return held.get(part, True)
+
+
+def make_report(
+    folder: Path,
+    result: str,
+    order: ReportOrder,
+    out: Path,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the report of a dataset to a file, complete or not at all; returns its path.
+
+    Raises DatasetError when the folder is no dataset or `out` cannot be written, ComputeError when the work is stopped.
+    """
+    from wafer_viewer.store.records.report_file import write_report
+
+    write_report(report_of(folder, result, order, progress=progress, should_stop=should_stop), out)
+    return out
+
+
+def contents(folder: Path, result_name: str) -> Contents:
+    """What each part would hold; nothing is drawn for it. Raises DatasetError when the folder is no dataset."""
+    material = gather(folder, result_name)
+    info, plan, why = material.info, material.dataset.scan.plan, material.uncalibrated
+    pictures, warnings = len(material.pictures), len(_warnings(material).sentences)
+    taken = _count(pictures, "picture") if pictures else "no pictures yet: key P takes one"
+    points = f"{number(info.cols, 0)} × {number(info.rows, 0)} points" if info is not None else "not stitched yet"
+    settled = info is not None and info.settled is not None
+    return {
+        "verdict": _verdict_held(material),
+        "results": _results_held(material),
+        "defects": defects_held(material),
+        "profiles": _held(len(material.lines), "profile", "no result lies along a line"),
+        "gauge": _held(len(material.gauge_checks), "check", "no gauge-block check was kept"),
+        "pictures": Holds(taken, nothing=not pictures),
+        "surface": Holds(points, nothing=info is None),
+        "plan": Holds(f"{_count(len(plan.fields), 'field')} of {_count(plan.sweep.n_frames, 'frame')}"),
+        "recipe": Holds("the settings that were used" if settled else "the settings that were asked for"),
+        **({} if plan.fields else dict.fromkeys(OF_A_SCAN, Holds("a surface from a file has none", nothing=True))),
+        "calibration": Holds("lengths are calibrated" if why is None else f"uncalibrated: {why}"),
+        "warnings": Holds(_count(warnings, "warning") if warnings else "no warnings"),
+        "checksums": Holds("of data and results; versions of the program"),
+        "signatures": Holds(", ".join(SIGNED_BY).lower()),
+    }
+
+
+def _held(n: int, word: str, nothing: str) -> Holds:
+    return Holds(_count(n, word) if n else nothing, nothing=not n)
+
+
+def _verdict_held(material: Material) -> Holds:
+    """The word and the number of features, and how many of them people judged."""
+    if material.verdict is None:
+        why = "no verdict was kept" if material.asks_for_a_verdict else "the job has no feature with limits"
+        return Holds(why, nothing=True)
+    judged = material.notebook.judged(keys_of_features(material.verdict))
+    return Holds(f"{material.verdict.word.upper()}, {_count(len(material.features), 'feature')}, {judged} judged")
+
+
+def _results_held(material: Material) -> Holds:
+    """How many results there are, and how many of them people judged."""
+    if not material.findings:
+        return Holds("no results yet", nothing=True)
+    judged = material.notebook.judged(keys_under_review(None, material.findings))
+    return Holds(f"{_count(len(material.findings), 'result')}, {judged} judged")
+
+
+def _count(n: int, word: str) -> str:
+    return f"{number(n, 0)} {word}{'' if n == 1 else 's'}"
+
+
+def _below(material: Material, order: ReportOrder) -> str:
+    name = f"{material.dataset.path.stem} · " if order.title.strip() else ""
+    taken = material.dataset.scan.taken.replace("T", " ")[:16]
+    return f"{name}taken {taken} · result {material.result.name}"
+
+
+def _facts(material: Material) -> tuple[tuple[str, str], ...]:
+    scan, sample = material.dataset.scan, material.dataset.scan.job.sample
+    named = (
+        ("Sample", sample.name),
+        ("Lot", sample.lot),
+        ("Wafer", sample.wafer_id),
+        ("Product", sample.product or scan.job.product),
+        ("Operator", sample.operator),
+        ("Instrument", scan.rig or scan.imported_from),
+        ("Program", f"Wafer Viewer {scan.software_version}"),
+        ("Verdict", verdict_text(material.verdict) if material.verdict else ""),
+        ("Lengths", "calibrated" if material.uncalibrated is None else f"uncalibrated: {material.uncalibrated}"),
+    )
+    return tuple((name, value) for name, value in named if value)
+
+
+def _pictures(material: Material) -> Section:
+    from wafer_viewer.session.reporting.pictures import taken_picture
+
+    figures = tuple(Figure(taken_picture(picture), picture.stem) for picture in material.pictures)
+    return Section(PART_TITLES["pictures"], figures=figures, empty="No pictures were taken at print size.")
+
+
+def _surface(material: Material) -> Section:
+    from wafer_viewer.session.reporting.pictures import whole_picture
+
+    info, title = material.info, PART_TITLES["surface"]
+    if info is None:
+        return Section(title, empty="The fields are not stitched.")
+    url = whole_picture(material.result.mosaic(), info.low_um, info.high_um)
+    ends = f"{number(info.low_um, 2, signed=True)} to {number(info.high_um, 2, signed=True)}\u202fµm"
+    caption = f"Heights from above, dark to light {ends}, light from the north-west; plain grey: not measured."
+    return Section(title, pairs=surface_pairs(info), figures=(Figure(url, caption),))
+
+
+def _plan(material: Material) -> Section:
+    scan = material.dataset.scan
+    return Section(PART_TITLES["plan"], pairs=plan_pairs(scan.plan, scan.job))
+
+
+def _recipe(material: Material) -> Section:
+    settled = material.info.settled if material.info else None
+    pairs = recipe_pairs(settled or material.dataset.scan.job.recipe)
+    return Section(PART_TITLES["recipe"], pairs=pairs)
+
+
+def _calibration(material: Material) -> Section:
+    calibration = material.dataset.scan.calibration
+    why = (f"Lengths are uncalibrated: {material.uncalibrated}.",) if material.uncalibrated else ()
+    pairs = calibration_pairs(calibration) if calibration else ()
+    return Section(PART_TITLES["calibration"], pairs=pairs, sentences=why)
+
+
+def _warnings(material: Material) -> Section:
+    dataset, info = material.dataset, material.info
+    missing = len(dataset.missing())
+    said = [f"{number(missing, 0)} of {number(dataset.scan.plan.n_frames, 0)} frames are missing."] if missing else []
+    if info is not None:
+        said += [*info.recipe_notes, *(info.stitching.notes if info.stitching else ())]
+    said += [f"Result {f.number}, {f.name}: {note}" for f in material.findings for note in f.notes]
+    told = tuple(dict.fromkeys(sentence.replace(" um", "\u202fµm") for sentence in (*said, *_left_out(material))))
+    return Section(PART_TITLES["warnings"], sentences=told, empty="None.")
+
+
+def _left_out(material: Material) -> Iterator[str]:
+    """What is not evaluated in U, and of which results."""
+    of: dict[tuple[str, ...], list[str]] = {}
+    for finding in material.findings:
+        if missing := not_evaluated(finding):
+            of.setdefault(tuple(what.rstrip(".") for what in missing), []).append(f"{finding.number}")
+    for missing, numbers in of.items():
+        results = f"{'result' if len(numbers) == 1 else 'results'} {', '.join(numbers)}"
+        yield f"Not evaluated in U of {results}: {'; '.join(missing)}."
+
+
+def _checksums(material: Material) -> Section:
+    from wafer_viewer.store.dataset.digests import digests_of_result, digests_of_scan
+
+    digests = (*digests_of_scan(material.dataset.path), *digests_of_result(material.result))
+    made = material.result.mosaic().provenance.software_version if material.result.has_mosaic else ""
+    versions = (
+        ("Taken with", material.dataset.scan.software_version),
+        ("Surface made with", made),
+        ("Reported with", __version__),
+    )
+    return Section(
+        PART_TITLES["checksums"],
+        pairs=tuple((name, f"Wafer Viewer {version}") for name, version in versions if version),
+        table=Table(("What", "Of which files", "SHA-256"), tuple((d.what, d.of, d.sha256) for d in digests)),
+    )
+
+
+def _signatures(material: Material) -> Section:
+    return Section(PART_TITLES["signatures"], lines=SIGNED_BY)
+
+
+_MADE: dict[Part, Callable[[Material], Section]] = {
+    "verdict": verdict,
+    "results": results,
+    "defects": defects,
+    "profiles": profiles,
+    "gauge": gauge,
+    "pictures": _pictures,
+    "surface": _surface,
+    "plan": _plan,
+    "recipe": _recipe,
+    "calibration": _calibration,
+    "warnings": _warnings,
+    "checksums": _checksums,
+    "signatures": _signatures,
+}

@@ -1,0 +1,157 @@
+"""Findings, plans and recipes in the words of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, cast
+
+from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.measurement.feature import limits_text
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import Spec
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.session.measurement.measurement_numbers import UNITS, quantity_text, spaced, title_of
+from wafer_viewer.session.state.snapshot import SurfaceInfo
+
+VERDICTS = {"open": "", "accepted": "accepted", "rejected": "rejected"}
+Pairs = tuple[tuple[str, str], ...]
+
+
+def result_row(finding: AnyFinding, notebook: Notebook) -> tuple[str, ...]:
+    """Number, name, what it is, its value, where, and what was thought of it."""
+    said = thought(notebook.judgement(key_of_result(finding.number)))
+    return (f"{finding.number}", finding.name, kind_of(finding), quantity_text(finding.main), where(finding), said)
+
+
+def kind_of(finding: AnyFinding) -> str:
+    """What kind of result it is, on which heights, from which zero."""
+    return f"{spaced(type(finding).__name__)}{_terms(finding)}"
+
+
+def feature_row(n: int, judged: Judged, judgement: Judgement) -> tuple[str, ...]:
+    """Number and name of a feature of the job, its limits, its value, the instrument's word and people's."""
+    feature = judged.feature
+    limits = limits_text(feature).replace(f" {feature.unit}", f"\u202f{UNITS.get(feature.unit, feature.unit)}")
+    rule = f"{limits}, {feature.decision_rule.replace('_', ' ')}"
+    value = quantity_text(judged.measured) if judged.measured is not None else "not measured"
+    what = f", {title_of(feature.quantity)}" if feature.quantity else ""
+    return (f"F{n}", f"{judged.name}{what}", rule, value, judged.word.upper(), thought(judgement))
+
+
+def verdict_text(verdict: WaferVerdict) -> str:
+    """The word for the wafer, and of which job."""
+    return f"{verdict.word.upper()}{f', {verdict.job}' if verdict.job else ''}"
+
+
+def thought(judgement: Judgement) -> str:
+    """What people think of a thing, and their note."""
+    return " · ".join(part for part in (VERDICTS[judgement.verdict], judgement.note) if part)
+
+
+def regions(finding: AnyFinding) -> tuple[Region, ...]:
+    """The places a finding was measured at."""
+    held = (getattr(finding, name) for name in finding.__struct_fields__)
+    return tuple(region for value in held for region in _regions_of(value))
+
+
+def bounds_um(finding: AnyFinding) -> tuple[float, float, float, float] | None:
+    """The upright rectangle round all places of a finding; None of one without a place."""
+    boxes = [region.bounds_um for region in regions(finding)]
+    if not boxes:
+        return None
+    x0, y0, x1, y1 = zip(*boxes, strict=True)
+    return min(x0), min(y0), max(x1), max(y1)
+
+
+def where(finding: AnyFinding) -> str:
+    """The middle of its places, stage um."""
+    box = bounds_um(finding)
+    if box is None:
+        return ""
+    of = f"field {finding.show}, " if finding.show > 0 else ""
+    return f"{of}{number((box[0] + box[2]) / 2, 1)}, {number((box[1] + box[3]) / 2, 1)}"
+
+
+def surface_pairs(info: SurfaceInfo) -> Pairs:
+    """The numbers of the surface."""
+    rows = [
+        ("Points", f"{number(info.cols, 0)} × {number(info.rows, 0)}, {number(info.pixel_um, 4)}\u202fµm apart"),
+        ("Fields", f"{info.n_fields}"),
+        ("Highest", with_unit(info.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(info.lowest_um, 2, signed=True)),
+        ("Measured", share(info.measured_fraction)),
+        ("Filled", share(info.filled_fraction)),
+        *((f"Not measured: {words}", share(part)) for words, part in info.unmeasured if part > 0),
+    ]
+    if info.overlap_rms_um is not None:
+        rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    if (placed := info.stitching) is not None:
+        rows += [
+            ("Overlaps accepted", f"{placed.n_believed} of {placed.n_overlaps}"),
+            ("Places, U (k = 2)", with_unit(placed.position_u_um, 3)),
+            ("Heights of fields, U (k = 2)", with_unit(placed.height_u_um, 3)),
+        ]
+    return tuple(rows)
+
+
+def plan_pairs(plan: ScanPlan, job: Job) -> Pairs:
+    """What was taken, and how."""
+    grid = f", {job.grid.rows} rows × {job.grid.cols} columns" if job.grid else ""
+    return (
+        ("Fields", f"{len(plan.fields)}{grid}"),
+        ("Frames per field", f"{plan.sweep.n_frames}, {number(plan.sweep.z_step_um, 3)}\u202fµm apart"),
+        ("Exposures", ", ".join(f"{e:g}" for e in plan.exposures_us) + "\u202fµs"),
+        ("Strategy", plan.strategy.replace("_", " ")),
+        ("Predicted time", duration(plan.predicted_s)),
+        ("Frames", f"{number(plan.n_frames, 0)}, {size(plan.bytes_on_disk)}"),
+    )
+
+
+def recipe_pairs(spec: Spec, before: str = "") -> Pairs:
+    """Every setting with its value; groups of settings one below the other."""
+    pairs: list[tuple[str, str]] = []
+    for name in spec.__struct_fields__:
+        value = getattr(spec, name)
+        if isinstance(value, Spec):
+            pairs += recipe_pairs(value, f"{before}{spaced(name)}: ")
+        else:
+            pairs.append((f"{before}{spaced(name)}", _setting(value)))
+    return tuple(pairs)
+
+
+def _setting(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else f"{value}".replace("_", " ")
+
+
+def calibration_pairs(calibration: Calibration) -> Pairs:
+    """Pixel size and z scale with their uncertainty, of what, against what, until when."""
+    setup = calibration.setup
+    return (
+        ("Pixel", f"{calibration.pixel_um:.6g} ± {2 * calibration.u_pixel_um:.2g}\u202fµm (k = 2)"),
+        ("z scale", f"{calibration.z_scale:.7g} ± {2 * calibration.u_z_scale:.2g} (k = 2)"),
+        ("Objective", setup.objective or "–"),
+        ("Camera", setup.camera or "–"),
+        ("Against", calibration.against),
+        ("Made, due", f"{calibration.made}, {calibration.due}"),
+        *((("z scale set by gauge blocks", ", ".join(calibration.z_against)),) if calibration.z_against else ()),
+    )
+
+
+def _terms(finding: AnyFinding) -> str:
+    """On which heights, from which zero."""
+    levelled = "" if finding.levelling.by == "stage" else f", levelled by {finding.levelling.by}"
+    return f", {LAYER_TITLES[finding.surface]}{levelled}"
+
+
+def _regions_of(value: Any) -> Iterator[Region]:
+    if isinstance(value, Region):
+        yield value
+    elif isinstance(value, tuple):
+        yield from (item for item in cast(tuple[Any, ...], value) if isinstance(item, Region))

@@ -1,0 +1,197 @@
+"""The parts of a report that tell what was measured: verdict, results with their budgets, profiles, gauge checks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from wafer_viewer.draw.number_format import digits_of_u, number, share
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
+from wafer_viewer.model.job.verdict import GRAVEST, Judged, WaferVerdict
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.sections import SectionAsked
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import BudgetLine
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PART_TITLES, Figure, Section, Sheet, Table
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.session.measurement.measurement_numbers import (
+    UNITS,
+    budget_of,
+    main_field,
+    not_evaluated,
+    numbers_of,
+    quantity_text,
+    title_of,
+)
+from wafer_viewer.session.reporting.report_data import Material
+from wafer_viewer.session.reporting.report_text import bounds_um, feature_row, kind_of, result_row, thought, where
+
+MOST_SHEETS, MOST_PROFILES = 60, 24
+"""Results beyond that stand in the table alone: the report stays of a size to be sent."""
+RESULT_HEADS = ("No.", "Result", "What, on which heights", "Value, k = 2", "x, y of the stage, µm", "Judgement")
+FEATURE_HEADS = ("No.", "Feature", "Limits", "Value, k = 2", "Word", "Judgement")
+GAUGE_HEADS = ("No.", "Certificate", "Scans", "Mean", "Reference", "Error", "En", "Limit", "Word")
+
+
+def verdict(material: Material) -> Section:
+    """The word for the wafer, its dies, and every feature with its limits."""
+    title, judged = PART_TITLES["verdict"], material.verdict
+    if judged is None:
+        return Section(title, empty="No verdict was kept on this surface: wafer-viewer measure verdict gives one.")
+    keyed = enumerate(zip(keys_of_features(judged), judged.items, strict=True), 1)
+    rows = tuple(feature_row(n, item, material.notebook.judgement(key)) for n, (key, item) in keyed)
+    told = (f"{item.name}: {item.why}" for item in judged.items if item.word != "pass")
+    return Section(
+        title,
+        word=judged.word,
+        beside=" · ".join(part for part in (judged.job, judged.next) if part),
+        table=Table(FEATURE_HEADS, rows, "n  n"),
+        figures=_die_map(material, judged),
+        sentences=tuple(sentence.replace(" um", "\u202fµm") for sentence in told),
+        sheets=tuple(_of_feature(n, item) for n, item in _one_of_each(judged)),
+    )
+
+
+def _one_of_each(judged: WaferVerdict) -> Iterator[tuple[int, Judged]]:
+    """Of every feature the item with the gravest word, and its number: each die has much the same budget."""
+    numbered = list(enumerate(judged.items, 1))
+    for name in dict.fromkeys(item.feature.name for item in judged.items):
+        of_name = [(n, item) for n, item in numbered if item.feature.name == name]
+        yield min(of_name, key=lambda of: GRAVEST.index(of[1].word))
+
+
+def _of_feature(n: int, item: Judged) -> Sheet:
+    """The uncertainty of a feature."""
+    feature, measured = item.feature, item.measured
+    what = (TOOLS[feature.tool].title, title_of(feature.quantity) if feature.quantity else "")
+    return Sheet(
+        number=f"F{n}",
+        title=item.name,
+        below=", ".join(part for part in what if part),
+        value=quantity_text(measured) if measured is not None else "not measured",
+        budget=budget_table(measured.budget, UNITS.get(measured.unit, measured.unit)) if measured else None,
+        missing=item.not_evaluated,
+    )
+
+
+def _die_map(material: Material, judged: WaferVerdict) -> tuple[Figure, ...]:
+    from wafer_viewer.draw.charts.die_map import die_map_svg
+
+    if not judged.dies:
+        return ()
+    job = material.dataset.scan.job
+    counts = ", ".join(f"{n} {word}" for word, n in judged.die_counts.items())
+    across_um = (job.sample.width_um or 0.0) if job.marks is not None else 0.0
+    dies = "1 die" if len(judged.dies) == 1 else f"{len(judged.dies)} dies"
+    caption = f"{dies}: {counts}. The notch points down; seen from above."
+    return (Figure("", caption, svg=die_map_svg(judged.dies, across_um, width_px=260, most_height_px=260)),)
+
+
+def results(material: Material) -> Section:
+    """A table of all results, and a sheet of each."""
+    rows = tuple(result_row(finding, material.notebook) for finding in material.findings)
+    sheets = tuple(_sheet(material, finding) for finding in material.findings[:MOST_SHEETS])
+    title = PART_TITLES["results"]
+    return Section(title, table=Table(RESULT_HEADS, rows, "n"), sheets=sheets, empty="No results were kept.")
+
+
+def _sheet(material: Material, finding: AnyFinding) -> Sheet:
+    main = main_field(finding)
+    judgement = thought(material.notebook.judgement(key_of_result(finding.number)))
+    below = (kind_of(finding), title_of(main) if main else "", where(finding), judgement)
+    return Sheet(
+        number=f"{finding.number}",
+        title=finding.name,
+        below=" · ".join(part for part in below if part),
+        value=quantity_text(finding.main),
+        picture=_place(material, finding),
+        pairs=numbers_of(finding),
+        budget=budget_table(budget_of(finding), UNITS.get(finding.main.unit, finding.main.unit)),
+        missing=not_evaluated(finding),
+    )
+
+
+def budget_table(lines: tuple[BudgetLine, ...], unit: str) -> Table | None:
+    """Contributions with their share of the variance, the largest first; None without a budget."""
+    variance = sum(line.u**2 for line in lines)
+    if not variance:
+        return None
+    ordered = sorted(lines, key=lambda line: -line.u)
+    rows = [(line.name, _two_figures(line.u), share(line.u**2 / variance)) for line in ordered]
+    total = ("combined, k = 1", _two_figures(variance**0.5), "")
+    return Table(("Contribution", f"u, {unit}", "of u²"), (*rows, total), " nn")
+
+
+def _two_figures(u: float) -> str:
+    return number(u, min(digits_of_u(u), 6)) if u else "0"
+
+
+def _place(material: Material, finding: AnyFinding) -> str:
+    """The surface round the place of a result, where it was measured on the stitched one."""
+    from wafer_viewer.session.reporting.pictures import place_picture
+
+    box, info = bounds_um(finding), material.info
+    if box is None or info is None or finding.show != 0:
+        return ""
+    return place_picture(material.result.mosaic(), box, info.low_um, info.high_um)
+
+
+def profiles(material: Material) -> Section:
+    """The curve of every result along a line."""
+    figures = (_curve(material, finding, line) for finding, line in material.lines[:MOST_PROFILES])
+    told = tuple(figure for figure in figures if figure is not None)
+    return Section(PART_TITLES["profiles"], figures=told, empty="No result lies along a line.")
+
+
+def _curve(material: Material, finding: AnyFinding, line: Region) -> Figure | None:
+    """Cut again where and how it was cut; None where the surface is not there any more."""
+    from wafer_viewer.draw.charts.profile_svg import profile_svg
+    from wafer_viewer.measure.base.levelled_surface import levelled
+    from wafer_viewer.measure.tools.profile import profile
+    from wafer_viewer.model.measurement.sections import Section as Cut
+
+    surface = _surface(material, finding.show)
+    if surface is None:
+        return None
+    try:
+        found, curve = profile(levelled(surface, finding.levelling), line, layer=finding.surface)
+    except MeasureError:
+        return None
+    cut = Cut(SectionAsked(place=0, line=line, show=finding.show, levelling=finding.levelling), found, curve, "")
+    width = f", mean over {number(line.width_um, 1)}\u202fµm" if line.width_um else ""
+    caption = f"{finding.number} · {finding.name}: {quantity_text(finding.main)}; {kind_of(finding)}{width}"
+    return Figure("", caption, svg=profile_svg(cut))
+
+
+def _surface(material: Material, show: int) -> Mosaic | None:
+    if show == 0:
+        return material.result.mosaic() if material.result.has_mosaic else None
+    field = material.dataset.field(show)
+    done = material.result.surfaces_done([field])
+    return material.result.surface(field) if done else None
+
+
+def gauge(material: Material) -> Section:
+    """The checks against gauge blocks among the results."""
+    checks = material.gauge_checks
+    table = Table(GAUGE_HEADS, tuple(_gauge_row(check) for check in checks), "n nnnnnn")
+    told = tuple(_of_check(check).replace(" um", "\u202fµm") for check in checks)
+    return Section(PART_TITLES["gauge"], table=table, sentences=told, empty="No gauge-block check was kept.")
+
+
+def _gauge_row(check: GaugeCheck) -> tuple[str, ...]:
+    limit_um = check.terms.limit_um
+    heights = (quantity_text(length.quantity) for length in (check.height, check.reference, check.deviation))
+    limit = f"±{number(limit_um, 3)}\u202fµm" if limit_um is not None else "none"
+    word = check.verdict.upper()
+    return (f"{check.number}", check.certificate.number, f"{check.n}", *heights, number(check.en, 2), limit, word)
+
+
+def _of_check(check: GaugeCheck) -> str:
+    """What stands behind a row: the certificate, who signed, why the word is what it is."""
+    paper = check.certificate
+    blocks = f"Certificate {paper.number} of {paper.laboratory}, blocks {', '.join(paper.serials)}, to {paper.expires}"
+    signed = f"; signed by {check.signed_by}, {check.at[:16].replace('T', ' ')}" if check.signed_by else ""
+    return f"{check.number}: {check.why} {blocks}{signed}."

@@ -1,0 +1,169 @@
+"""What is open is open again after a restart: the dataset, its result, and the plan, finished or not.
+
+It is kept in ``.wafer-viewer/session.json`` of the data folder. A file that is damaged or of another version costs
+the memory, never the start. It belongs to one program at a time, held as a dataset is (store/lock.py): a second one on
+the same folder begins with nothing open and leaves the first one's memory alone.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.spec import decode, encode
+from wafer_viewer.session.state.snapshot import Snapshot, Typed
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.lock import Holder, Lock
+
+KEPT_IN, NAME = ".wafer-viewer", "session.json"
+VERSION = 1
+REST_S = 0.5
+"""Written when nothing has changed for so long."""
+LARGEST_BYTES = 20_000_000
+log = logging.getLogger(__name__)
+
+
+class Kept(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What was open: the dataset's path and which result of it, the plan, what was typed of one that is none yet."""
+
+    version: int
+    dataset: str | None = None
+    result: str | None = None
+    job: Any = None
+    typed: Typed | None = None
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was open."""
+        return self.dataset is None and self.job is None and self.typed is None
+
+    def plan(self) -> Job | None:
+        """The job. Raises PlanError when it is none of this version."""
+        return None if self.job is None else decode(msgspec.json.encode(self.job), Job, "The plan", "json")
+
+
+def kept_of(snapshot: Snapshot, result: str) -> Kept:
+    """What is to be open again of a snapshot; `result` is the name of the result being looked at."""
+    draft, data = snapshot.draft, snapshot.dataset
+    return Kept(
+        version=VERSION,
+        dataset=None if data is None else str(data.path),
+        result=None if data is None else result,
+        job=None if draft.job is None else msgspec.json.decode(encode(draft.job, "json")),
+        typed=draft.typed,
+    )
+
+
+class Reopening:
+    """The file: read once at the start, written whenever what is open has changed and then rested.
+
+    It is told of changes on one thread, and writes on others. What was not claimed is not written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / KEPT_IN / NAME
+        self._seen: tuple[object, ...] = ()
+        self._waiting: Kept | None = None
+        self._timer: threading.Timer | None = None
+        self._writing = threading.Lock()
+        self._held: Lock | None = None
+
+    def claim(self) -> str | None:
+        """Hold the file until the end; returns why not, as a sentence to show, where another program holds it.
+
+        A folder that cannot be written to is no reason: what is open is not remembered then, as the log says.
+        """
+        from wafer_viewer.store.dataset.lock import Lock, holder_of
+        from wafer_viewer.store.io.atomic_files import writing
+
+        folder = self._path.parent
+        try:
+            with writing(folder):
+                folder.mkdir(exist_ok=True)
+            self._held = Lock.take(folder)
+        except DatasetError as fault:
+            if (holder := holder_of(folder)) is not None:
+                return _taken(folder, holder)
+            log.warning("What is open will not be remembered: %s", fault)
+        return None
+
+    def read(self) -> Kept:
+        """What was open when the program ended last; empty at the first start.
+
+        Raises DatasetError, with the sentence to show, where the file is none that this program can read.
+        """
+        try:
+            kept = msgspec.json.decode(_small(self._path), type=Kept)
+            if kept.version != VERSION:
+                raise DatasetError(f"it is of version {kept.version}, this program writes {VERSION}")
+            kept.plan()
+        except FileNotFoundError:
+            return Kept(version=VERSION)
+        except (OSError, msgspec.DecodeError, UnicodeDecodeError, WaferViewerError) as fault:
+            raise DatasetError(
+                f"{self._path} cannot be read ({str(fault).rstrip('.')}): the program starts with nothing open. "
+                "Datasets and results are as they were. Nothing to do."
+            ) from fault
+        return kept
+
+    def keep(self, snapshot: Snapshot, result: str) -> None:
+        """Write soon what is open, if that is anything new."""
+        if self._held is None:
+            return
+        draft, data = snapshot.draft, snapshot.dataset
+        seen = (draft.job, draft.typed, data.path if data is not None else None, result)
+        if seen == self._seen:
+            return
+        self._seen, self._waiting = seen, kept_of(snapshot, result)
+        if self._timer is not None:
+            self._timer.cancel()
+        self._timer = threading.Timer(REST_S, self.write)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def write(self) -> None:
+        """Write now what waits to be written."""
+        from wafer_viewer.store.io.atomic_files import write_text
+
+        with self._writing:
+            kept, self._waiting = self._waiting, None
+            if kept is None:
+                return
+            try:
+                write_text(self._path, msgspec.json.encode(kept).decode())
+            except DatasetError as fault:
+                log.warning("What is open is not remembered: %s", fault)
+
+    def close(self, snapshot: Snapshot, result: str) -> None:
+        """Write how it is at the end, and let another program have the file."""
+        if not snapshot.reopening:
+            self.keep(snapshot, result)
+        if self._timer is not None:
+            self._timer.cancel()
+        self.write()
+        if self._held is not None:
+            self._held.release()
+            self._held = None
+
+
+def _taken(folder: Path, holder: Holder) -> str:
+    """Why the memory of a data folder is another program's; a lock of another machine may be one of a dead program."""
+    dead = "" if holder.host == socket.gethostname() else f" If that one is gone, delete {folder / 'lock'}."
+    return (
+        f"Another Wafer Viewer ({holder}) works in {folder.parent} and remembers there what it has open. "
+        f"This one began with nothing open, and will do so again as long as the other one runs.{dead} Nothing to do."
+    )
+
+
+def _small(path: Path) -> bytes:
+    if path.stat().st_size > LARGEST_BYTES:
+        raise DatasetError(f"it has more than {LARGEST_BYTES // 1_000_000} MB")
+    return path.read_bytes()

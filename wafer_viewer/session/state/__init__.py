@@ -1,0 +1,1 @@
+"""The frozen state that the page reads."""

@@ -1,0 +1,1 @@
+"""Reconstruction, stitching and comparison jobs."""

@@ -1,0 +1,179 @@
+"""Comparisons of the open dataset: those that lie with it, new ones made by a worker, and what can be looked at."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from concurrent.futures import Future
+from functools import lru_cache
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.surface.comparison import Align, Comparison, Face, SurfaceName, comparison_of
+from wafer_viewer.session.state.comparison_state import Compared
+
+if TYPE_CHECKING:
+    from wafer_viewer.compute.compute_client import Compute
+    from wafer_viewer.model.surface.height_map import Mosaic
+    from wafer_viewer.session.core.command_queue import Desk
+    from wafer_viewer.session.core.dataset_library import Library
+    from wafer_viewer.session.core.notifications import Notices
+    from wafer_viewer.session.state.snapshot import Snapshot
+
+Pair = tuple[SurfaceName, SurfaceName]
+Do = Callable[..., Future[Any]]
+
+
+class ComparingKeeper:
+    """The comparisons of the snapshot; on the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
+        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+        self._stamps = count(1)
+        self._work, self._of = "", Path()
+
+    def open(self) -> None:
+        """Show the comparisons of what is open now; one of another dataset that is still being made is given up."""
+        now = self._desk.now.dataset
+        if self._work and (now is None or now.path != self._of):
+            self._notices.cancel(self._work)
+        self._show()
+
+    def begin(self, first: SurfaceName, second: SurfaceName, align: Align, keep_z: bool) -> Future[int]:
+        """Subtract two surfaces; done with the number of the comparison."""
+        from wafer_viewer.session.surface.comparison_job import subtract
+
+        shown = self._library.shown
+        if shown.read_only is not None:
+            raise DatasetError(f"Nothing can be compared: {shown.read_only}")
+        if self._work:
+            raise DatasetError("Two surfaces are being compared already: wait for them, or cancel it in the job list.")
+        dataset, name = self._library.dataset, free_result(self._library.dataset.differences(), second)
+        work = self._notices.begin(f"Compare with {second.words}", lambda: self._compute.cancel(work))
+        self._work, self._of = work, dataset.path
+        done = self._compute.run(work, subtract, dataset.path, name, first, second, align, keep_z)
+        done.add_done_callback(lambda _: self._desk.note(self._over, work))
+        return self._desk.then(done, lambda comparison: comparison.number)
+
+    def remove(self, number: int) -> None:
+        """Throw a comparison away. Raises DatasetError when there is none of that number, or it cannot be removed."""
+        found = next((c for c in self._desk.now.comparisons if c.number == number), None)
+        if found is None:
+            raise DatasetError(f"There is no comparison {number}: choose one of the list.")
+        if (why := self._library.shown.read_only) is not None:
+            raise DatasetError(f"The comparison was not removed: {why}")
+        path = self._library.dataset.result(found.name).path
+        try:
+            shutil.rmtree(path)
+        except OSError as fault:
+            raise DatasetError(f"{path} cannot be removed: {fault.strerror}.") from fault
+        self._show()
+
+    def _over(self, work: str) -> None:
+        self._notices.end(work)
+        self._work = ""
+        self._show()
+
+    def _show(self) -> None:
+        """What lies on the disk now, with the stamps it had."""
+        known = {(c.name, c.comparison): c.stamp for c in self._desk.now.comparisons}
+        self._desk.change(comparisons=tuple(self._found(known)) if self._desk.now.dataset is not None else ())
+
+    def _found(self, known: dict[tuple[str, Comparison], int]) -> list[Compared]:
+        from wafer_viewer.session.surface.comparison_job import comparisons_of
+
+        dataset, found = self._library.dataset, list[Compared]()
+        for name, comparison in comparisons_of(dataset).items():
+            stamp = known.get((name, comparison)) or next(self._stamps)
+            outdated = _outdated(dataset.result(name).path, comparison)
+            found.append(Compared(comparison.number, name, comparison, stamp, outdated))
+        return found
+
+
+class ComparingVerbs:
+    """What a session offers of comparisons; `choices` answers on any thread."""
+
+    def __init__(self, do: Do, keeper: ComparingKeeper, library: Library, snapshot: Callable[[], Snapshot]) -> None:
+        self._do, self._keeper, self._library, self._snapshot = do, keeper, library, snapshot
+
+    def choices(self, show: int = 0) -> tuple[Pair, ...]:
+        """The pairs that can be compared with what is on show: the stitched surface, or a field. It reads the disk."""
+        now = self._snapshot()
+        if now.dataset is None:
+            return ()
+        field = max(show, 0)
+        first = SurfaceName(path=str(now.dataset.path), result=self._library.result_name, field=field)
+        raw, cleaned = (_of(first, heights) for heights in ("raw", "cleaned"))
+        others = [
+            name for entry in now.datasets for name in _surfaces_of(entry.path, field, entry.path == now.dataset.path)
+        ]
+        return (*((first, other) for other in others if other != first), (raw, cleaned))
+
+    def begin(
+        self, first: SurfaceName, second: SurfaceName, align: Align = "auto", keep_z: bool = False
+    ) -> Future[int]:
+        """Subtract two surfaces; done with the number of the comparison, of which `show_of` makes what is shown."""
+        return self._do(self._keeper.begin, first, second, align, keep_z)
+
+    def remove(self, number: int) -> Future[None]:
+        """Throw a comparison away."""
+        return self._do(self._keeper.remove, number)
+
+
+def surface_of(now: Snapshot, show: int) -> Mosaic:
+    """What of a comparison is on show; from any thread. Raises DatasetError when there is no such comparison."""
+    asked = comparison_of(show)
+    found = next((c for c in now.comparisons if asked is not None and c.number == asked[0]), None)
+    if asked is None or found is None or now.dataset is None:
+        raise DatasetError("This comparison was deleted: choose another surface to look at.")
+    return _surface(now.dataset.path, found.name, asked[1], found.stamp)
+
+
+@lru_cache(maxsize=4)
+def _surface(dataset: Path, name: str, face: Face, stamp: int) -> Mosaic:
+    from wafer_viewer.session.surface.comparison_job import face_of
+
+    return face_of(dataset, name, face)
+
+
+def free_result(taken: tuple[str, ...], second: SurfaceName) -> str:
+    """A name for the difference from a surface that no other result has."""
+    from wafer_viewer.session.surface.comparison_job import PREFIX
+
+    words = re.sub(r"[^\w+-]+", "-", second.words).strip("-")
+    names = (f"{PREFIX}{words}" if n == 1 else f"{PREFIX}{words}-{n}" for n in count(1))
+    return next(name for name in names if name not in taken)
+
+
+def _of(name: SurfaceName, heights: Any) -> SurfaceName:
+    return SurfaceName(path=name.path, result=name.result, field=name.field, heights=heights)
+
+
+def _surfaces_of(path: Path, field: int, same: bool) -> list[SurfaceName]:
+    """The surfaces of a dataset that can be compared: stitched ones; of the same dataset, the same field of others."""
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    try:
+        dataset = Dataset.open(path)
+    except WaferViewerError:
+        return []
+    if same and field:
+        there = [
+            name for name in dataset.results() if field in dataset.result(name).surfaces_done([dataset.field(field)])
+        ]
+        return [SurfaceName(path=str(path), result=name, field=field) for name in there]
+    return [SurfaceName(path=str(path), result=name) for name in dataset.results() if dataset.result(name).has_mosaic]
+
+
+def _outdated(folder: Path, comparison: Comparison) -> bool:
+    from wafer_viewer.session.surface.comparison_job import made_at
+    from wafer_viewer.store.dataset.result import COMPARISON
+
+    made = (folder / COMPARISON).stat().st_mtime
+    try:
+        return max(made_at(comparison.first), made_at(comparison.second)) > made
+    except WaferViewerError:
+        return True

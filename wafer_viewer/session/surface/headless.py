@@ -1,0 +1,221 @@
+"""What the command line does without a session: surfaces made and read in its own process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from wafer_viewer.compute.dask_worker import attempt
+from wafer_viewer.compute.task_runner import Crew, Here, crew_for, n_local_workers, require_tls
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
+from wafer_viewer.model.file_formats import Reading
+from wafer_viewer.model.progress import Progress
+from wafer_viewer.model.surface.focus_curve import FocusCurve
+from wafer_viewer.model.surface.height_map import Mosaic
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.core.dataset_library import ENDING, today
+from wafer_viewer.session.core.surface_summary import summarise
+from wafer_viewer.session.state.snapshot import SurfaceInfo
+from wafer_viewer.session.surface.focus_evidence import focus_curve
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.lock import Lock
+from wafer_viewer.store.dataset.stack_import import open_stack
+from wafer_viewer.store.formats.readers import is_surface_file, read_surface
+from wafer_viewer.store.mosaic.poses_file import write_poses_csv
+
+Warn = Callable[[str], None]
+READ_SHARE = 0.3
+"""Of a reconstruction of image files, how much of the progress bar reading them takes."""
+STITCH_SHARE = 0.1
+"""Of heights and stitching, how much of the progress bar the stitching takes."""
+CLUSTER_PAYS_BYTES = 4e9
+"""Of frames: from there on workers of one's own are sooner done, though they take a while to start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hire:
+    """Who is to work: the cluster at `scheduler`, or `workers` processes of this machine; None: as many as pay."""
+
+    scheduler: str | None = None
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        require_tls(self.scheduler)
+        if self.workers is not None and self.workers < 1:
+            raise PlanError(f"--workers is {self.workers}: it must be at least 1, which is this process alone.")
+        if self.scheduler is not None and self.workers is not None:
+            raise PlanError("--workers is for this machine and --scheduler for a cluster: give one of them.")
+
+    def crew(self, work_bytes: float) -> AbstractContextManager[Crew]:
+        """The crew for so many bytes of frames."""
+        return crew_for(self.scheduler, self.workers or (1 if work_bytes < CLUSTER_PAYS_BYTES else n_local_workers()))
+
+
+def surface_of(
+    src: Sequence[Path],
+    recipe: Recipe,
+    z_step_um: float | None,
+    pixel_um: float | None,
+    result: str,
+    tell: Progress,
+    warn: Warn,
+    hire: Hire,
+    *,
+    numerical_aperture: float | None = None,
+    wavelength_um: float | None = None,
+) -> tuple[Mosaic, SurfaceInfo]:
+    """The surface of images or of a dataset, made now, and its numbers. Raises DatasetError for unreadable images."""
+    if len(src) == 1 and is_dataset(src[0]):
+        info = make_surface(src[0], recipe, result, again=False, tell=tell, warn=warn, hire=hire)
+        return Dataset.open(src[0]).result(result).mosaic(), info
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
+
+    files = src[0] if len(src) == 1 else tuple(src)
+    stack = open_stack(
+        files,
+        z_step_um,
+        pixel_um,
+        progress=lambda share: tell(READ_SHARE * share),
+        numerical_aperture=numerical_aperture,
+        wavelength_um=wavelength_um,
+    )
+    surface = reconstruct(stack, recipe, lambda share: tell(READ_SHARE + (1 - READ_SHARE) * share))
+    return surface, summarise(surface, 1, result, recipe)
+
+
+def make_surface(
+    path: Path, recipe: Recipe, result: str, *, again: bool, tell: Progress, warn: Warn, hire: Hire = Hire()
+) -> SurfaceInfo:
+    """Heights of all fields that have none by this recipe yet, then the mosaic; the dataset is held meanwhile.
+
+    warn: hears of each field that has no heights and is left out. Raises ComputeError when that is all of them.
+    """
+    data = Dataset.open(path.absolute())
+    lock = Lock.take(data.path)
+    try:
+        todo = _fields_to_do(data, recipe, result, again)
+        with hire.crew(len(todo) * data.scan.plan.bytes_on_disk / len(data.fields)) as crew:
+            crew.require_sight(data.path)
+            share = 0 if not todo else 1 - STITCH_SHARE
+            _reconstruct(data, result, recipe, todo, crew, partial(_part, tell, 0, share), warn)
+            drawn = partial(_part, tell, share, 1 - share)
+            return bring_up_to_date(data.path, result, recipe, crew=crew, progress=drawn)
+    finally:
+        lock.release()
+
+
+def write_poses_of(path: Path, result: str, out: Path) -> None:
+    """Write where the fields of a stitched surface lie, as CSV. Raises DatasetError when they were not stitched."""
+    if (poses := Dataset.open(path).result(result).poses()) is None:
+        raise DatasetError(f"{path.name} has no stitched surface {result!r}: stitch it first.")
+    write_poses_csv(poses, out)
+
+
+def measured_surface(src: Path, field_number: int, result: str) -> tuple[Mosaic, bool]:
+    """The surface of a dataset (0: the mosaic) or of a file, and whether its calibration holds today."""
+    if not is_dataset(src):
+        surface = read_surface(src)
+        calibration = surface.provenance.calibration
+        return surface, calibration is not None and calibration.problem(calibration.setup, today()) is None
+    data = Dataset.open(src)
+    kept = data.result(result)
+    surface = kept.surface(data.field(field_number)) if field_number else kept.mosaic()
+    return surface, data.calibration_problem(today()) is None
+
+
+def job_of(src: Path) -> Job | None:
+    """The job that a dataset was scanned by; None for a file."""
+    return Dataset.open(src).scan.job if is_dataset(src) else None
+
+
+def file_or_mosaic(src: Path, result: str, says: Reading, tell: Progress) -> Mosaic:
+    """The surface of a file, or the stitched one of a dataset, which says everything itself."""
+    if is_dataset(src):
+        if says != Reading():
+            raise DatasetError(f"{src.name} gives its own units: leave --z-unit, --pixel-um and --invert-z out.")
+        return Dataset.open(src).result(result).mosaic()
+    return read_surface(src, says.z_unit, says.pixel_um, says.invert_z, tell)
+
+
+def evidence_of(
+    src: Sequence[Path],
+    at_um: tuple[float, float],
+    field_number: int,
+    result: str,
+    recipe: Recipe,
+    z_step_um: float | None,
+    pixel_um: float | None,
+    tell: Progress,
+) -> FocusCurve:
+    """Why a pixel of images or of a dataset has its height. The default recipe gives way to that of a surface.
+
+    Raises DatasetError for what cannot be read, and for a surface without its frames.
+    """
+    if len(src) == 1 and is_dataset(src[0]):
+        return focus_curve(src[0], result, field_number, *at_um, None if recipe == Recipe() else recipe)
+    if is_surface_file(src[0]):
+        raise DatasetError(f"{src[0].name} is a surface without its frames: give the dataset or images it was made of.")
+    from wafer_viewer.reconstruct import focus_evidence
+
+    stack = open_stack(src[0] if len(src) == 1 else tuple(src), z_step_um, pixel_um, progress=tell)
+    return focus_evidence.focus_curve(stack, *at_um, recipe)
+
+
+def is_dataset(path: Path) -> bool:
+    """Whether a path names a dataset, there or not."""
+    return path.suffix == ENDING
+
+
+def _fields_to_do(data: Dataset, recipe: Recipe, result: str, again: bool) -> list[int]:
+    kept, complete = data.result(result), sorted(data.complete_fields())
+    if not data.fields:
+        raise DatasetError(f"{data.path.name} is a surface without frames: there is nothing to reconstruct.")
+    if not complete:
+        raise DatasetError(f"{data.path.name} has no field with all its frames yet: continue its scan.")
+    same = kept.exists and kept.surfaces_done(data.fields) and kept.has_heights_of(recipe)
+    kept.save_recipe(recipe)
+    done = kept.surfaces_done(data.fields) if same and not again else set[int]()
+    return [number for number in complete if number not in done]
+
+
+def _reconstruct(
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress, warn: Warn
+) -> None:
+    """Heights of fields; those that get none are named. Raises ComputeError where no field has any."""
+    faults: list[str] = []
+    for n_done, (number, fault) in enumerate(_outcomes(data, result, recipe, todo, crew, tell), 1):
+        tell(n_done / len(todo))
+        if fault is not None:
+            faults.append(f"Field {number} has no heights and is left out. {fault}")
+            warn(faults[-1])
+    if faults and not data.result(result).surfaces_done(data.fields):
+        raise ComputeError(f"No field of {data.path.name} has heights. {faults[0]}")
+
+
+def _outcomes(
+    data: Dataset, result: str, recipe: Recipe, todo: Sequence[int], crew: Crew, tell: Progress
+) -> Iterator[tuple[int, WaferViewerError | None]]:
+    """Fields in order of completion, and the fault of those that have no heights.
+
+    Until one settles what `auto` means for all they go one by one, so that heights do not depend on who makes them.
+    """
+    kept, n = data.result(result), 0
+    while n < len(todo) and (isinstance(crew, Here) or (recipe.heights_have_auto and kept.settled() is None)):
+        task = partial(reconstruct_field, progress=partial(_part, tell, n / len(todo), 1 / len(todo)))
+        _, fault = attempt(task, (data.path, todo[n], result, recipe, None))
+        n += 1
+        yield todo[n - 1], fault
+    items = [(data.path, number, result, recipe, crew.threads_each) for number in todo[n:]]
+    with closing(crew.each(reconstruct_field, items)) as outcomes:
+        for done in outcomes:
+            yield todo[n + done.index], done.fault
+
+
+def _part(tell: Progress, begin: float, length: float, share: float) -> None:
+    tell(begin + length * share)

@@ -1,0 +1,255 @@
+"""From taken fields to the stitched surface: which field goes to a worker when, and what follows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from wafer_viewer.compute.child_process import ChildGone
+from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.messages import ComputeAbsent, ComputeUp, ComputeWarm, Progressed
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.state.snapshot import FieldState, SurfaceInfo
+from wafer_viewer.session.surface.reconstruction_run import Run
+from wafer_viewer.session.surface.stitching_job import bring_up_to_date, describe_mosaic
+from wafer_viewer.session.surface.worker_tasks import reconstruct_field, reconstruct_live, warm_up
+
+GROWING_PAUSES = 3.0
+"""A mosaic that grows rests three times as long as it took to add to it: the fields themselves come first."""
+RESTARTS = 3
+"""How often the compute host is started anew after it died, in the life of a session."""
+
+
+class Reconstruction:
+    """On the session's thread only. While a scan runs one worker stays free for the rig."""
+
+    def __init__(self, desk: Desk, notices: Notices, library: Library, scheduler: str | None) -> None:
+        self._desk, self._notices, self._library = desk, notices, library
+        self.compute = Compute(scheduler, warm_up, self._heard, self._gone)
+        self._n_workers, self._warm, self._restarts = 1, False, 0
+        self._told_why = False
+        self._run: Run | None = None
+        self._on = {
+            ComputeUp: self._up,
+            ComputeWarm: self._warmed,
+            ComputeAbsent: self._absent,
+            Progressed: lambda event: self._notices.progress(event.work, event.fraction),
+        }
+
+    def begin(
+        self,
+        recipe: Recipe,
+        result: str,
+        fields: Iterable[int],
+        answer: Future[None] | None = None,
+        *,
+        restitch: bool = False,
+    ) -> None:
+        """Reconstruct fields of the open dataset into a result, then stitch; what ran before is given up.
+
+        restitch: also when no field has new heights.
+        """
+        self.abandon()
+        store = self._library.dataset.result(result)
+        store.save_recipe(recipe)
+        work = self._notices.begin("Heights of the fields", self._cancelled, waits_for="a field with all its frames")
+        self._run = Run(self._library.dataset.path, result, recipe, work, answer=answer, restitch=restitch)
+        self.add(fields)
+
+    def add(self, fields: Iterable[int]) -> None:
+        """More fields are taken."""
+        if (run := self._run) is None:
+            return
+        fields = list(fields)
+        run.complete.update(fields)
+        for number in run.made_live.intersection(fields):
+            self._library.set_state(number, FieldState.MEASURED)
+        new = [n for n in fields if n not in run.waiting and n not in run.busy | run.made_live]
+        run.waiting.extend(new)
+        run.total += len(new)
+        self.go_on()
+
+    def coming(self, number: int) -> None:
+        """A field is being taken: where a worker is free it measures the frames as they come."""
+        run = self._run
+        if run is None or not self._warm or run.settling or run.waiting or number in run.live | run.complete:
+            return
+        if len(run.busy) >= self._room or not self._library.dataset.scan.plan.field_by_field:
+            return
+        run.live.add(number)
+        run.busy.add(number)
+        run.total += 1
+        done = self.compute.run(run.live_work(number), reconstruct_live, run.path, number, run.result)
+        done.add_done_callback(partial(self._later, self._live_done, run, number))
+
+    def no_more_frames(self) -> None:
+        """The scan is over: nobody need wait for frames."""
+        if (run := self._run) is not None:
+            for number in run.live & run.busy - run.complete:
+                self.compute.cancel(run.live_work(number))
+
+    def go_on(self) -> None:
+        """Give fields to free workers; when none is left and no scan runs, stitch."""
+        run = self._run
+        if run is None or not self._warm:
+            return
+        while run.waiting and len(run.busy) < (1 if run.settling else self._room):
+            self._start(run, run.waiting.popleft())
+        if run.stitching:
+            return
+        if run.idle and not self._desk.now.scanning:
+            self._finish(run)
+        elif run.restitch and time.monotonic() >= run.grows_again_at:
+            self._stitch(run, run.growing_work, final=False)
+
+    def abandon(self) -> None:
+        """Forget what is waiting; what workers have in hand is not shown any more."""
+        if (run := self._run) is not None:
+            self._end(run, ComputeError("The reconstruction was given up for another one."))
+
+    def describe(self) -> None:
+        """Find the numbers of a mosaic that was stitched elsewhere."""
+        run = (self._library.dataset.path, self._library.result_name)
+        done = self.compute.run("describe", describe_mosaic, *run)
+        done.add_done_callback(lambda info: self._desk.note(self._described, run, info))
+
+    @property
+    def _room(self) -> int:
+        return max(1, self._n_workers - 1) if self._desk.now.scanning else self._n_workers
+
+    def _start(self, run: Run, number: int) -> None:
+        run.busy.add(number)
+        self._library.set_state(number, FieldState.RECONSTRUCTING)
+        done = self.compute.run(
+            f"{run.work}-field-{number}", reconstruct_field, run.path, number, run.result, run.recipe
+        )
+        done.add_done_callback(partial(self._later, self._field_done, run, number))
+
+    def _live_done(self, run: Run, number: int, done: Future[bool]) -> None:
+        """Without heights the field goes the usual way, as soon as it has all its frames."""
+        if done.exception() is None and done.result():
+            run.made_live.add(number)
+            self._field_done(run, number, done)
+            return
+        run.busy.discard(number)
+        run.total -= 1
+        if run is self._run:
+            self.add(run.complete & {number})
+
+    def _field_done(self, run: Run, number: int, done: Future[Any]) -> None:
+        run.busy.discard(number)
+        run.answered = True
+        if run is not self._run:
+            return
+        fault = done.exception()
+        if isinstance(fault, ChildGone):
+            run.waiting.append(number)
+        elif fault is not None:
+            self._library.set_state(number, FieldState.FAILED)
+            self._notices.fault(f"Field {number} has no heights", str(fault), "surface", where=f"field {number}")
+        else:
+            self._library.set_state(number, FieldState.MEASURED)
+            run.restitch = True
+        self._notices.progress(run.work, (run.total - len(run.waiting) - len(run.busy)) / max(1, run.total))
+        self.go_on()
+
+    def _finish(self, run: Run) -> None:
+        """All fields are done: stitch what there is."""
+        if not (run.restitch or run.grown):
+            self._end(run, None)
+            return
+        self._notices.end(run.work)
+        run.work = self._notices.begin("Stitching the fields", self._cancelled)
+        self._stitch(run, run.work, final=True)
+
+    def _stitch(self, run: Run, work: str, *, final: bool) -> None:
+        run.restitch, run.stitching = False, True
+        done = self.compute.lead(work, bring_up_to_date, run.path, run.result, run.recipe, final)
+        done.add_done_callback(partial(self._later, self._stitched, run, final, time.monotonic()))
+
+    def _stitched(self, run: Run, final: bool, begun_at: float, done: Future[SurfaceInfo]) -> None:
+        """A mosaic that only grew is finished later; what stopped it from growing will be told then."""
+        run.stitching = False
+        if run is not self._run:
+            return
+        fault = done.exception()
+        if fault is None:
+            self._library.show_surface(done.result())
+        if final and not isinstance(fault, ChildGone):
+            if fault is not None:
+                self._notices.fault("The fields were not stitched", str(fault), "surface")
+            self._end(run, fault)
+            return
+        run.grown = True
+        run.restitch |= fault is not None
+        run.grows_again_at = time.monotonic() + GROWING_PAUSES * (time.monotonic() - begun_at)
+        self.go_on()
+
+    def _described(self, run: tuple[Path, str], done: Future[SurfaceInfo]) -> None:
+        shown = self._desk.now.dataset
+        if shown is None or (shown.path, self._library.result_name) != run:
+            return
+        if (fault := done.exception()) is not None:
+            self._notices.fault("The stitched surface cannot be read", str(fault), "open")
+        else:
+            self._library.show_surface(done.result())
+
+    def _cancelled(self) -> None:
+        """A person stops the work."""
+        run = self._run
+        if run is None:
+            return
+        self._library.reread_states()
+        self._end(run, ComputeError("The reconstruction was stopped; the fields that were done are kept."))
+
+    def _end(self, run: Run, fault: BaseException | None) -> None:
+        self._notices.end(run.work)
+        self._run = None
+        if run.stitching:
+            self.compute.cancel(run.work)
+            self.compute.cancel(run.growing_work)
+        if run.answer is not None:
+            run.answer.set_result(None) if fault is None else run.answer.set_exception(fault)
+
+    def _heard(self, event: Any) -> None:
+        self._desk.note(self._on[type(event)], event)
+
+    def _later(self, then: Callable[..., None], *args: Any) -> None:
+        self._desk.note(then, *args)
+
+    def _up(self, event: ComputeUp) -> None:
+        self._n_workers = event.n_workers
+
+    def _warmed(self, _: ComputeWarm) -> None:
+        self._warm = True
+        self._desk.change(compute_ready=True)
+        self.go_on()
+
+    def _absent(self, event: ComputeAbsent) -> None:
+        self._told_why = True
+        self._notices.fault("Nothing can be reconstructed", event.why, "surface")
+
+    def _gone(self, exit_code: int | None) -> None:
+        self._desk.note(self._died, exit_code)
+
+    def _died(self, exit_code: int | None) -> None:
+        """The host is gone without having been asked to: a new one takes over, a few times."""
+        if self._told_why:
+            return
+        self._warm = False
+        self._desk.change(compute_ready=False)
+        self._restarts += 1
+        mended = self._restarts <= RESTARTS
+        text = f"The process that hosts the workers ended (exit code {exit_code})."
+        mend = "A new one takes over. Nothing to do." if mended else "Restart the viewer."
+        self._notices.fault("Compute was interrupted", f"{text} {mend}", "surface", needs_person=not mended)
+        if mended:
+            self.compute.start()

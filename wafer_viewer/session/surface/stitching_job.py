@@ -1,0 +1,265 @@
+"""A result's mosaic brought up to date: new fields placed, and what is new or moved drawn again.
+
+From nothing, while a scan goes on, after a repair and at the end it is the same job: whoever died in the midst of it
+begins anew, and comes to the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.compute.task_runner import Crew, Here
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.surface.recipe import Recipe, Stitching
+from wafer_viewer.session.state.snapshot import Box, SurfaceInfo
+
+if TYPE_CHECKING:
+    from wafer_viewer.model.surface.field_poses import Poses, Seams, Shifts
+    from wafer_viewer.reconstruct.blending.stitched_mosaic import StitchedMosaic
+    from wafer_viewer.reconstruct.pose_graph.incremental import Known
+    from wafer_viewer.session.surface.stitching_inputs import Sheets, Window
+    from wafer_viewer.store.mosaic.zarr_mosaic import Patch
+
+LOOK_SHARE = 0.4
+"""Of the whole job, how much of the progress bar the overlaps take."""
+PAIRS_A_TASK = 8
+
+
+def bring_up_to_date(
+    dataset: Path,
+    result: str,
+    recipe: Recipe,
+    final: bool = True,
+    *,
+    crew: Crew | None = None,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> SurfaceInfo:
+    """Stitch the surfaces that a result has, as far as its mosaic does not show them yet, and say how it looks.
+
+    final: solve for the poses of all fields; otherwise place those that are new against the others as they lie. Fields
+    whose surface cannot be read are left out and named. Raises DatasetError when no field has a surface, ComputeError
+    when the work is stopped: what a mosaic half drawn had is made anew next time.
+    """
+    from wafer_viewer.reconstruct.pose_graph.incremental import held_still
+    from wafer_viewer.session.surface.stitching_inputs import Sheets
+
+    sheets = Sheets.open(dataset.absolute(), result, recipe.stitching)
+    hands = _Hands(sheets, crew or Here(), progress, should_stop)
+    hands.crew.require_sight(sheets.data.path)
+    known = sheets.known()
+    outline = sheets.outlines[0]
+    found = _find_poses(sheets, recipe, known, final, hands)
+    poses, moved = held_still(found, known, outline.pixel_um, outline.corner_um)
+    windows = None if known.poses is None else sheets.windows(known, poses, moved)
+    if final and windows is not None and not windows and not sheets.mosaic_is_good():
+        windows = None
+    try:
+        _draw(sheets, poses, recipe, windows, hands)
+    except DatasetError:
+        if windows is None:
+            raise
+        windows = None  # what is to be drawn over is damaged
+        _draw(sheets, poses, recipe, windows, hands)
+    return _summary(sheets, poses, recipe, windows)
+
+
+@dataclass(frozen=True, slots=True)
+class _Hands:
+    """Who works on which surfaces, who hears how far it is, and who may stop it."""
+
+    sheets: Sheets
+    crew: Crew
+    progress: Progress
+    should_stop: ShouldStop
+
+    def each(self, task: Callable[..., Any], items: Sequence[tuple[Any, ...]], begin: float, end: float) -> list[Any]:
+        """What a task returns for all items, in their order; the first fault is raised."""
+        values: list[Any] = [None] * len(items)
+        for n, done in enumerate(self.crew.each(task, items, should_stop=self.should_stop), 1):
+            if done.fault is not None:
+                raise done.fault
+            values[done.index] = done.value
+            self.progress(begin + (end - begin) * n / len(items))
+        return values
+
+
+# ------------------------------------------------------------------------------------------------ looking at overlaps
+
+
+def _find_poses(sheets: Sheets, recipe: Recipe, known: Known, final: bool, hands: _Hands) -> Poses:
+    from wafer_viewer.reconstruct.stitching import Eyes, find_poses
+
+    eyes = Eyes(partial(_register, hands, recipe.stitching), partial(_compare, hands), sheets.surfaces.__getitem__)
+    return find_poses(sheets.outlines, sheets.numbers, sheets.marks, recipe.stitching, eyes, known, final=final)
+
+
+def _register(hands: _Hands, stitching: Stitching, pairs: NDArray[np.int32]) -> Shifts:
+    from wafer_viewer.model.surface.field_poses import joined, no_shifts
+
+    reach_um = None if stitching.search_um == "auto" else stitching.search_um
+    items = [(*_names(hands, part), reach_um) for part in _batches(pairs)]
+    found = hands.each(register_pairs, items, 0.0, 0.7 * LOOK_SHARE)
+    return _of_fields(joined(found), pairs) if found else no_shifts()
+
+
+def _compare(hands: _Hands, pairs: NDArray[np.int32], x_um: NDArray[np.float64], y_um: NDArray[np.float64]) -> Seams:
+    from wafer_viewer.model.surface.field_poses import joined, no_seams
+
+    items = [(*_names(hands, part), x_um[np.unique(part)], y_um[np.unique(part)]) for part in _batches(pairs)]
+    found = hands.each(compare_pairs, items, 0.7 * LOOK_SHARE, LOOK_SHARE)
+    return _of_fields(joined(found), pairs) if found else no_seams()
+
+
+def _batches(pairs: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    return [pairs[i : i + PAIRS_A_TASK] for i in range(0, len(pairs), PAIRS_A_TASK)]
+
+
+def _names(hands: _Hands, pairs: NDArray[np.int32]) -> tuple[Path, str, list[int], NDArray[np.int32]]:
+    """Pairs as a worker gets them: the numbers of the fields in them, and pairs of places in that list."""
+    places, local = np.unique(pairs, return_inverse=True)
+    numbers = [hands.sheets.numbers[place] for place in places]
+    return hands.sheets.data.path, hands.sheets.kept.name, numbers, local.reshape(pairs.shape).astype(np.int32)
+
+
+def _of_fields(table: Any, pairs: NDArray[np.int32]) -> Any:
+    """A table of pairs in the order they were asked for, naming fields by their place in the whole list again."""
+    return replace(table, first=pairs[:, 0].copy(), second=pairs[:, 1].copy())
+
+
+def register_pairs(
+    dataset: Path, result: str, numbers: list[int], pairs: NDArray[np.int32], reach_um: float | None
+) -> Shifts:
+    """A worker's task: what the overlaps of some fields say about x and y."""
+    from wafer_viewer.reconstruct.registration.pair_registration import register
+    from wafer_viewer.session.surface.stitching_inputs import surfaces_of
+
+    return register(surfaces_of(dataset, result, numbers), pairs, reach_um, threads=1)
+
+
+def compare_pairs(
+    dataset: Path,
+    result: str,
+    numbers: list[int],
+    pairs: NDArray[np.int32],
+    x_um: NDArray[np.float64],
+    y_um: NDArray[np.float64],
+) -> Seams:
+    """A worker's task: what the overlaps of some fields, centred there, say about z."""
+    from wafer_viewer.reconstruct.registration.height_seams import compare
+    from wafer_viewer.session.surface.stitching_inputs import surfaces_of
+
+    return compare(surfaces_of(dataset, result, numbers), pairs, x_um, y_um, threads=1)
+
+
+# ------------------------------------------------------------------------------------------------ drawing
+
+
+def _draw(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None, hands: _Hands) -> None:
+    """Windows of the mosaic, or all of it beside the one that is there; each task writes shards of its own."""
+    from wafer_viewer.store.mosaic.zarr_mosaic import patches
+
+    drawing = sheets.kept.begin_drawing(poses)
+    with _canvas(sheets, poses, recipe, fresh=windows is None) as canvas:
+        work = patches(sheets.lattice.shape, windows)
+        n_done = 0
+        for _, level in groupby(work, lambda patch: patch.level):
+            items = [(sheets.data.path, sheets.kept.name, recipe, drawing, canvas, patch) for patch in level]
+            begin, end = (LOOK_SHARE + (1 - LOOK_SHARE) * n / len(work) for n in (n_done, n_done + len(items)))
+            hands.each(draw_patch, items, begin, end)
+            n_done += len(items)
+    sheets.kept.end_drawing()
+
+
+@contextmanager
+def _canvas(sheets: Sheets, poses: Poses, recipe: Recipe, *, fresh: bool) -> Generator[Path]:
+    """The mosaic to draw on; a fresh one lies beside the other until it is whole."""
+    from wafer_viewer.store.io.atomic_files import replacing
+    from wafer_viewer.store.mosaic.zarr_mosaic import lay_out, rewrite_header
+
+    source = sheets.source(poses, sheets.provenance(poses, recipe))
+    if not fresh:
+        yield sheets.kept.mosaic_path
+        rewrite_header(sheets.kept.mosaic_path, source)
+        return
+    with replacing(sheets.kept.mosaic_path) as beside:
+        lay_out(beside, source)
+        yield beside
+
+
+def draw_patch(dataset: Path, result: str, recipe: Recipe, drawing: Path, canvas: Path, patch: Patch) -> None:
+    """A worker's task: blend and write one patch of the mosaic."""
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_patch
+
+    write_patch(canvas, _source(dataset, result, recipe, drawing, drawing.stat().st_mtime_ns), patch)
+
+
+@lru_cache(maxsize=2)
+def _source(dataset: Path, result: str, recipe: Recipe, drawing: Path, mark: int) -> StitchedMosaic:
+    """The mosaic to be drawn, kept from patch to patch; `mark` tells one drawing from the next."""
+    from wafer_viewer.model.surface.height_map import Provenance
+    from wafer_viewer.session.surface.stitching_inputs import Sheets
+    from wafer_viewer.store.mosaic.poses_file import read_poses
+
+    poses = read_poses(drawing)
+    return Sheets.drawn(dataset, result, recipe.stitching, poses).source(poses, Provenance(recipe=recipe))
+
+
+# ------------------------------------------------------------------------------------------------ saying how it looks
+
+
+def describe_mosaic(
+    dataset: Path, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> SurfaceInfo:
+    """A worker's task: say how a mosaic looks that was stitched elsewhere."""
+    from wafer_viewer.session.core.surface_summary import save_summary, summarise
+    from wafer_viewer.session.surface.stitching_inputs import Sheets
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    mosaic, recipe = kept.mosaic(), kept.recipe()
+    if not data.fields:  # a surface of a file
+        info = summarise(mosaic, 0, result, recipe)
+        save_summary(kept, info)
+        return info
+    sheets = Sheets.open(dataset, result, recipe.stitching)
+    return _described(sheets, sheets.kept.poses(), recipe)
+
+
+def _summary(sheets: Sheets, poses: Poses, recipe: Recipe, windows: Sequence[Window] | None) -> SurfaceInfo:
+    info = _described(sheets, poses, recipe)
+    return info if windows is None else replace(info, changed=tuple((0, box) for box in _hull_um(sheets, windows)))
+
+
+def _described(sheets: Sheets, poses: Poses | None, recipe: Recipe) -> SurfaceInfo:
+    """The numbers of the mosaic, which are kept beside it."""
+    from wafer_viewer.session.core.surface_summary import save_summary, summarise
+    from wafer_viewer.session.surface.placement_summary import stitching_info
+
+    info = summarise(sheets.kept.mosaic(), len(sheets.fields), sheets.kept.name, recipe)
+    info = replace(info, stitching=None if poses is None else stitching_info(poses))
+    save_summary(sheets.kept, info)
+    return info
+
+
+def _hull_um(sheets: Sheets, windows: Sequence[Window]) -> list[Box]:
+    """The box round all windows, none round none."""
+    if not windows:
+        return []
+    lattice, pixel_um = sheets.lattice, sheets.lattice.pixel_um
+    rows, cols = zip(*windows, strict=True)
+    top, bottom = min(r.start for r in rows), max(r.stop for r in rows)
+    left, right = min(c.start for c in cols), max(c.stop for c in cols)
+    x0_um, y0_um = lattice.x0_um, lattice.y0_um
+    return [(x0_um + left * pixel_um, y0_um - bottom * pixel_um, x0_um + right * pixel_um, y0_um - top * pixel_um)]

@@ -1,0 +1,167 @@
+"""What workers do: each task names a dataset, opens it itself, writes its own file and can be done twice.
+
+Pixels travel through the dataset, never through the scheduler. The command line calls the same functions directly.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from wafer_viewer.model.acquisition.focus_stack import FieldStack
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field
+from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.recipe import Recipe
+
+if TYPE_CHECKING:
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+LIVE_BITS = 8
+LIVE_LOOK_EVERY_S = 0.02
+LIVE_PATIENCE_S = 20.0
+"""Frames of a field that is being taken come many times a second."""
+
+
+def reconstruct_field(
+    dataset: Path,
+    field_number: int,
+    result: str,
+    recipe: Recipe,
+    threads: int | None = 1,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> None:
+    """Make the surface of one field and keep it in a result.
+
+    What `auto` chooses in the first field that has much to see is kept for the others: a scan is judged alike.
+    """
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct, speaks_for_scan
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    recipe = kept.settled() or recipe
+    surface = reconstruct(data.stack(field_number), recipe, progress=progress, threads=threads)
+    kept.save_surface(data.field(field_number), surface)
+    if recipe.heights_have_auto and speaks_for_scan(surface):
+        kept.save_settled(surface.provenance.recipe)
+
+
+def reconstruct_live(
+    dataset: Path, field_number: int, result: str, *, progress: Progress = silent, should_stop: ShouldStop = never
+) -> bool:
+    """Make the surface of a field while its frames are taken, by the recipe that earlier fields settled.
+
+    False, and no surface, where there is none yet, the frames are of a kind that must wait, or not all of them came.
+    """
+    from wafer_viewer.reconstruct.live_field import LiveField
+    from wafer_viewer.store.dataset.dataset import Dataset
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    recipe = kept.settled()
+    if recipe is None or data.n_exposures > 1 or data.scan.pages.bits > LIVE_BITS:
+        return False
+    live: LiveField | None = None
+    for stack in _growing(data, field_number, should_stop):
+        live = live or LiveField(stack.images, stack.z_step_um, recipe)
+        live.take_new(stack.present)
+        if field_number in data.complete_fields():
+            kept.save_surface(data.field(field_number), live.surface(stack))
+            return True
+    return False
+
+
+def _growing(data: Dataset, field_number: int, should_stop: ShouldStop) -> Iterator[FieldStack]:
+    """The stack of a field each time that frames came, until all count, one was missed, or nothing comes any more."""
+    complete, before, came_at = False, 0, time.monotonic()
+    while not complete and time.monotonic() - came_at < LIVE_PATIENCE_S and not should_stop():
+        data.refresh()
+        now = sum(shot.field == field_number for shot in data.arrived())
+        if any(shot.field == field_number for shot in data.ever_missed()):
+            return
+        complete = field_number in data.complete_fields()
+        if complete or (now > before and now >= MIN_FRAMES):
+            before, came_at = now, time.monotonic()
+            yield data.stack(field_number, verify=False)  # frames that came just now, at every one of them
+        else:
+            time.sleep(LIVE_LOOK_EVERY_S)
+
+
+def import_images(
+    srcs: Sequence[Path],
+    out: Path,
+    options: dict[str, Any],
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Make a dataset of images taken elsewhere; `options` are those of `import_dataset`."""
+    from wafer_viewer.store.dataset.stack_import import import_dataset
+
+    import_dataset(tuple(srcs), out, progress=progress, should_stop=should_stop, **options)
+    return out
+
+
+def export_surface(
+    dataset: Path,
+    result: str,
+    field_number: int | None,
+    out: Path,
+    every: int | None = None,
+    part: Region | None = None,
+    *,
+    progress: Progress = silent,
+    should_stop: ShouldStop = never,
+) -> Path:
+    """Write the mosaic, the surface of one field, or a face of a comparison (below 0), as the ending of `out` says.
+
+    part: only what lies in the upright rectangle round this region.
+    """
+    from wafer_viewer.model.surface.comparison import Face
+    from wafer_viewer.model.surface.height_map import Mosaic, PartOfMosaic
+    from wafer_viewer.session.surface.comparison_job import face_of
+    from wafer_viewer.store.dataset.dataset import Dataset
+    from wafer_viewer.store.formats.exporters import export
+
+    data = Dataset.open(dataset)
+    kept = data.result(result)
+    surface: Mosaic
+    if field_number is not None and field_number < 0:
+        surface = face_of(dataset, result, Face(-field_number))
+    else:
+        surface = kept.mosaic() if field_number is None else kept.surface(data.field(field_number))
+    return export(surface if part is None else PartOfMosaic(surface, part), out, every, progress, should_stop)
+
+
+def warm_up() -> None:
+    """Compile or load every kernel, by making and stitching a surface of a few pixels."""
+    from wafer_viewer.reconstruct.field_pipeline import reconstruct
+    from wafer_viewer.reconstruct.field_pipeline import warm_up as compile_kernels
+    from wafer_viewer.reconstruct.stitching import stitch
+    from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+
+    compile_kernels()
+    heights = [reconstruct(_tiny_stack(x_um), threads=1) for x_um in (0.0, 40.0)]
+    with TemporaryDirectory() as folder:
+        write_mosaic(Path(folder) / "mosaic.zarr", stitch(heights))
+
+
+def _tiny_stack(x_um: float) -> FieldStack:
+    """A few frames of noise, sharpest in the middle."""
+    import numpy as np
+
+    noise = np.random.default_rng(1)
+    images = np.stack([noise.normal(128, 5 + 40 * np.exp(-((k - 3) ** 2)), (64, 64)).clip(0, 255) for k in range(8)])
+    return FieldStack(
+        field=Field(number=1, row=0, col=0, x_um=x_um, y_um=0.0, z_start_um=0.0),
+        images=images.astype(np.uint8),
+        z_um=np.arange(8.0),
+        present=np.ones(8, bool),
+        pixel_um=1.0,
+    )
