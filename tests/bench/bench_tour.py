@@ -24,10 +24,10 @@ from pathlib import Path
 import msgspec
 
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.first_places import FIRST
-from wafer_viewer.gui.lie_of_land import Land
-from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scenes.surface_scene import source_of
+from wafer_viewer.gui.tools.initial_regions import FIRST
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Relief, Scale

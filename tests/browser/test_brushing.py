@@ -12,7 +12,7 @@ from tests.browser.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, go_to, press, title_is
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.points_section import amount
+from wafer_viewer.gui.surface.points_section import amount
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 LOW = 0.8

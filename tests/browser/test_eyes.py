@@ -15,7 +15,7 @@ from tests.browser.reviewed_session import reviewed_session
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
 from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.print_picture import PRINT_WIDTH_PX
+from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.region import Region
 

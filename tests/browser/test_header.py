@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 
 from tests.browser import fake_session as fake
 from tests.browser.steps import title_is
-from wafer_viewer.gui.header import STEPS, TITLES
+from wafer_viewer.gui.page.header import STEPS, TITLES
 
 pytestmark = [
     pytest.mark.browser,

@@ -9,7 +9,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.steps import go_to, press, title_is, type_into
-from wafer_viewer.gui.tool_icons import ON_TOOLBAR, TOOL_KEYS
+from wafer_viewer.gui.tools.tool_palette import ON_TOOLBAR, TOOL_KEYS
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region

@@ -25,8 +25,8 @@ from tests.browser.steps import (
     title_is,
 )
 from wafer_viewer.draw.number_format import number, share
-from wafer_viewer.gui.points_section import amount
-from wafer_viewer.gui.surface_scene import source_of
+from wafer_viewer.gui.scenes.surface_scene import source_of
+from wafer_viewer.gui.surface.points_section import amount
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, HeightMap, Origin
 from wafer_viewer.session.rendering.render_request import Facts, PaintRequest
 from wafer_viewer.session.session import Session

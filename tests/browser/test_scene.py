@@ -14,9 +14,9 @@ from playwright.sync_api import Browser
 from tests.gui.stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.gui.test_scene import until
 from wafer_viewer.draw.colormaps import table
-from wafer_viewer.gui.access import open_server
-from wafer_viewer.gui.scene import SceneView
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.security.access_guard import open_server
+from wafer_viewer.gui.state.view_state import View
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 

@@ -14,9 +14,9 @@ from tests.browser.fake_session import FakeSession
 from tests.browser.slow_line import SlowLine
 from tests.browser.steps import click_the_surface, eventually, go_to
 from tests.gui.stand_in import grid, height_map, job_and_plan, snapshot_of
-from wafer_viewer.gui import tiles
 from wafer_viewer.gui.app import start
-from wafer_viewer.gui.gate import MOST_BYTES
+from wafer_viewer.gui.scene.lod import surface_tiles
+from wafer_viewer.gui.scene.send_window import MOST_BYTES
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import Mosaic, Origin
 from wafer_viewer.session.core.surface_summary import load_summary
@@ -78,13 +78,13 @@ class Sent:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.n_bytes, self.n_tiles = 0, 0
-        add = tiles.add_glb
+        add = surface_tiles.add_glb
 
         def counted(scene, name, data):
             self.n_bytes, self.n_tiles = self.n_bytes + len(data), self.n_tiles + 1
             return add(scene, name, data)
 
-        monkeypatch.setattr(tiles, "add_glb", counted)
+        monkeypatch.setattr(surface_tiles, "add_glb", counted)
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_a_hidden_page_is_sent_no_more_until_it_is_seen_again(
     address: str, sent: Sent, look_at: Callable[[str], Page], monkeypatch: pytest.MonkeyPatch
 ):
     for limit in ("FIRST_BYTES", "MOST_BYTES"):
-        monkeypatch.setattr(f"wafer_viewer.gui.gate.{limit}", HELD_BYTES)
+        monkeypatch.setattr(f"wafer_viewer.gui.scene.send_window.{limit}", HELD_BYTES)
     page = look_at(address)
     go_to(page, "Surface")
     at_rest(page, sent)

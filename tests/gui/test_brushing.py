@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.camera import Pose, pixel_ray
-from wafer_viewer.gui.heights_section import around, brushed_rows
-from wafer_viewer.gui.histogram_pointer import histogram_area, told
-from wafer_viewer.gui.line_tools import nearest_share
-from wafer_viewer.gui.memory import changed, read, write
-from wafer_viewer.gui.points_section import amount, counted
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.scene.camera.camera_presets import Pose, pixel_ray
+from wafer_viewer.gui.state.browser_storage import changed, read, write
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.surface.heights_section import around, brushed_rows
+from wafer_viewer.gui.surface.histogram_pointer import histogram_area, told
+from wafer_viewer.gui.surface.points_section import amount, counted
+from wafer_viewer.gui.tools.profile_lines import nearest_share
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Clip
 from wafer_viewer.session.rendering.render_request import Brushed, Statistics

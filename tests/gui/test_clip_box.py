@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.clip_box import Faces, along_axis, ball_mm, corners_mm, pulled
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.points_section import counted, refused_legend
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.surface.points_section import counted, refused_legend
+from wafer_viewer.gui.tools.clip_box import Faces, along_axis, ball_mm, corners_mm, pulled
 from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
 from wafer_viewer.session.rendering.render_request import Facts, Refused, Scale, Source, Statistics
 

@@ -7,10 +7,10 @@ import dataclasses
 import pytest
 
 from tests.browser import fake_session as fake
-from wafer_viewer.gui.browser import Told, is_cramped
-from wafer_viewer.gui.contact import kept_over_restart, meanwhile, out_of_reach, state
-from wafer_viewer.gui.header import STEPS, why_not
-from wafer_viewer.gui.memory import Layout
+from wafer_viewer.gui.page.browser_info import Told, is_cramped
+from wafer_viewer.gui.page.header import STEPS, why_not
+from wafer_viewer.gui.shell.lost_connection import kept_over_restart, meanwhile, out_of_reach, state
+from wafer_viewer.gui.state.browser_storage import Layout
 from wafer_viewer.session.state.snapshot import RigStatus
 
 

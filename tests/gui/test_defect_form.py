@@ -9,7 +9,9 @@ import pytest
 
 from tests.browser.fake_defect_files import a_shelf
 from tests.browser.inspected_session import GRID, PLANTED, found
-from wafer_viewer.gui.defect_form_values import (
+from wafer_viewer.gui.defects.inspection_form_text import expectation, golden_table, more, unreadable, which_recipe
+from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of, verdict
+from wafer_viewer.gui.presenters.review.inspection_form_values import (
     FORM,
     FOUND,
     GIVEN,
@@ -20,8 +22,6 @@ from wafer_viewer.gui.defect_form_values import (
     form_of,
     recipe_of,
 )
-from wafer_viewer.gui.defect_form_words import expectation, golden_table, more, unreadable, which_recipe
-from wafer_viewer.gui.defect_limits_text import limits_of, text_of, verdict
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.class_rules import ClassRules
 from wafer_viewer.model.inspection.defect import DefectRecipe

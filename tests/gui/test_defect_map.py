@@ -14,11 +14,11 @@ from tests.browser.inspected_session import GRID, PLANTED, found
 from tests.browser.inspected_states import wafer_of
 from wafer_viewer.draw.charts.defect_map import die_frame
 from wafer_viewer.draw.charts.defect_symbols import KINDS
-from wafer_viewer.gui.defect_listing import DefectListing, next_die, next_kind
-from wafer_viewer.gui.defect_map import DefectMap, die_at
-from wafer_viewer.gui.defect_map_html import MOST_SIGNS, counts_of, fills_by_class, map_html
-from wafer_viewer.gui.defect_pareto import chart_of, pareto_html
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.defects.die_map import DefectMap, die_at
+from wafer_viewer.gui.presenters.review.defect_map import MOST_SIGNS, counts_of, fills_by_class, map_html
+from wafer_viewer.gui.presenters.review.defect_pareto import chart_of, pareto_html
+from wafer_viewer.gui.state.defect_list_state import DefectListing, next_die, next_kind
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 
@@ -139,7 +139,7 @@ def test_the_defect_under_review_stays_where_it_is_listed_still():
 
 def test_the_map_is_drawn_again_only_when_something_of_it_changed(monkeypatch):
     drawn = []
-    monkeypatch.setattr("wafer_viewer.gui.defect_map.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
+    monkeypatch.setattr("wafer_viewer.gui.defects.die_map.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
     page = Reviewer()
     page.show()
     page.change(review="defect 3")

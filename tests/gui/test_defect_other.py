@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.browser.fake_defect_files import other_file
 from tests.browser.inspected_session import PLANTED, found
-from wafer_viewer.gui.defect_other import other_marks, told
+from wafer_viewer.gui.defects.klarf_overlay import other_marks, told
 from wafer_viewer.session.inspection.klarf_overlay import laid_over
 
 INSPECTION = found(PLANTED)

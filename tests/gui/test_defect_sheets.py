@@ -6,10 +6,10 @@ import pytest
 
 from tests.browser.inspected_session import PLANTED, found, repeating_session
 from wafer_viewer.draw.charts.die_stack import MOST_MARKS, die_stack_svg, shown
-from wafer_viewer.gui import defect_beside_html as beside
-from wafer_viewer.gui import defect_stack_html as stacked
-from wafer_viewer.gui.over_scene import Room
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.defects import die_stack_html as stacked
+from wafer_viewer.gui.defects import reference_view_html as beside
+from wafer_viewer.gui.overlays.scene_sheet import Room
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.measure.defects.repeaters import repeated_places
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.rendering.comparison_views import DiePicture, Seen, SideBySide

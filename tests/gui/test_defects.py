@@ -9,16 +9,16 @@ import pytest
 from tests.browser import fake_session as fake
 from tests.browser.inspected_session import PLANTED, found
 from wafer_viewer.draw.charts.defect_symbols import KINDS
-from wafer_viewer.gui.defect_items import chosen_defect, number_of
-from wafer_viewer.gui.defect_lines import cut_through
-from wafer_viewer.gui.defect_listing import SORTS, DefectListing, listed
-from wafer_viewer.gui.defect_rows import MOST_ROWS, rows, rows_of
-from wafer_viewer.gui.defect_words import classes, facts, nothing_found, per_mm2, summary
-from wafer_viewer.gui.header import all_judged, possible
-from wafer_viewer.gui.judging import can_undo
-from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
-from wafer_viewer.gui.review_words import numbers
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.header import all_judged, possible
+from wafer_viewer.gui.page.judgement import can_undo
+from wafer_viewer.gui.presenters.review.defect_items import chosen_defect, number_of
+from wafer_viewer.gui.presenters.review.defect_sections import cut_through
+from wafer_viewer.gui.presenters.review.defect_table import MOST_ROWS, rows, rows_of
+from wafer_viewer.gui.presenters.review.defects import classes, facts, nothing_found, per_mm2, summary
+from wafer_viewer.gui.presenters.review.review import numbers
+from wafer_viewer.gui.presenters.review.review_items import chosen_item, neighbour, review_items
+from wafer_viewer.gui.state.defect_list_state import SORTS, DefectListing, listed
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.inspection_state import InspectionState
 from wafer_viewer.session.state.snapshot import Snapshot

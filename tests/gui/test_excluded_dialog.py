@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from tests.browser.inspected_session import PLANTED, found
 from wafer_viewer.draw.charts.die_stack import die_stack_svg
-from wafer_viewer.gui.defect_form_values import DefectForm, form_of, recipe_of
-from wafer_viewer.gui.defect_form_words import areas, left_out, more
-from wafer_viewer.gui.excluded_dialog import area_table, place_of
+from wafer_viewer.gui.defects.exclusion_dialog import area_table, place_of
+from wafer_viewer.gui.defects.inspection_form_text import areas, left_out, more
+from wafer_viewer.gui.presenters.review.inspection_form_values import DefectForm, form_of, recipe_of
 from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

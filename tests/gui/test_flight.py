@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.gui.test_scene import until
-from wafer_viewer.gui.browser import Told, may_fly
-from wafer_viewer.gui.camera import Pose, direction_of
-from wafer_viewer.gui.flight import FLIGHT_S, LATE_S, STEP_S, Flight, Pilot, between
+from wafer_viewer.gui.page.browser_info import Told, may_fly
+from wafer_viewer.gui.scene.camera.camera_flight import FLIGHT_S, LATE_S, STEP_S, Flight, Pilot, between
+from wafer_viewer.gui.scene.camera.camera_presets import Pose, direction_of
 
 AT = np.array([1.0, 2.0, 0.1])
 TOP, ISO = (Pose(AT + direction_of(preset) * 4, AT) for preset in ("top", "iso"))

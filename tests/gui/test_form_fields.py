@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from wafer_viewer.gui import kit
-from wafer_viewer.gui.kit import QUIET_S, Field
+from wafer_viewer.gui.widgets import controls
+from wafer_viewer.gui.widgets.controls import QUIET_S, Field
 
 
 @dataclass
@@ -50,7 +50,7 @@ class Page:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     now = SimpleNamespace(s=100.0)
-    monkeypatch.setattr(kit.time, "monotonic", lambda: now.s)
+    monkeypatch.setattr(controls.time, "monotonic", lambda: now.s)
     return now
 
 

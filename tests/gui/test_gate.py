@@ -10,8 +10,8 @@ from concurrent.futures import Future
 import pytest
 
 from tests.gui.stage_props import RecordingScene
-from wafer_viewer.gui.gate import FIRST_BYTES, Gate
-from wafer_viewer.gui.stage import Cover, Item, Stage
+from wafer_viewer.gui.scene.reconciler import Cover, Item, Stage
+from wafer_viewer.gui.scene.send_window import FIRST_BYTES, Gate
 from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 SOURCE = Source(None, "", 0, 1)  # type: ignore[arg-type]
@@ -77,7 +77,7 @@ def tile(name: str, rows: tuple[int, int], cols: tuple[int, int], k: int) -> Ite
 
 @pytest.fixture
 def stage(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, Future[bytes]]], Stage]:
-    monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
+    monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
     return lambda made: Stage(RecordingScene(), lambda r: made.setdefault(r.k, Future()), lambda: None)  # type: ignore
 
 

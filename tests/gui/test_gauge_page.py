@@ -13,15 +13,15 @@ from tests.browser.gauge_session import TERMS, a_study, checked, worked_out
 from tests.browser.measuring_session import MeasuringSession
 from wafer_viewer.draw.charts.run_chart import MOST_POINTS, run_chart_html
 from wafer_viewer.draw.charts.site_map import site_map_svg
-from wafer_viewer.gui import gauge_uncertainty as unsure
-from wafer_viewer.gui import gauge_words as words
-from wafer_viewer.gui.gauge_dock import below
-from wafer_viewer.gui.gauge_left import earlier
-from wafer_viewer.gui.gauge_places import by_hand, in_scene
-from wafer_viewer.gui.gauge_points import next_point, points, procedure
-from wafer_viewer.gui.site_words import sites
-from wafer_viewer.gui.study_words import study
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.gauge.gauge_dock import below
+from wafer_viewer.gui.gauge.gauge_list import earlier
+from wafer_viewer.gui.presenters import gauge as words
+from wafer_viewer.gui.presenters import gauge_uncertainty as unsure
+from wafer_viewer.gui.presenters.gauge_procedure import next_point, points, procedure
+from wafer_viewer.gui.presenters.gauge_rr import study
+from wafer_viewer.gui.presenters.site_range import sites
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.gauge_regions import by_hand, in_scene
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.run_chart import RunChart
 from wafer_viewer.model.measurement.tool_options import SiteRangeOptions, ToolOptions

@@ -11,10 +11,10 @@ import pytest
 from tests.browser.stitched_session import GrowingSession, StitchedSession
 from tests.gui.stage_props import Browser
 from tests.gui.test_scene import settled, until
-from wafer_viewer.gui.quadtree import Node
-from wafer_viewer.gui.scene import SceneView
-from wafer_viewer.gui.tiles import MOST_TILES
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.scene.lod.quadtree import Node
+from wafer_viewer.gui.scene.lod.surface_tiles import MOST_TILES
+from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
 
 VIEW = View(step="surface")
@@ -23,8 +23,8 @@ VIEW = View(step="surface")
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """No grace, and small tiles of a small surface, as many as are wanted."""
-    monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
-    monkeypatch.setattr("wafer_viewer.gui.quadtree.TILE_PX", 64)
+    monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
+    monkeypatch.setattr("wafer_viewer.gui.scene.lod.quadtree.TILE_PX", 64)
     monkeypatch.setitem(MOST_TILES, "surface", 200)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import wafer_viewer.gui
-from wafer_viewer.gui.commands import Command
-from wafer_viewer.gui.hints import BUTTONS, FIELDS, titles_of
+from wafer_viewer.gui.page.tooltips import BUTTONS, FIELDS, titles_of
+from wafer_viewer.gui.widgets.command import Command
 from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.spec import limit_of
@@ -21,7 +21,7 @@ BY_SCRIPT = {"picks", "tells", "plot"}
 
 
 def test_every_input_says_what_it_is():
-    made = [found for path in sorted(FOLDER.glob("*.py")) for found in INPUT.findall(path.read_text())]
+    made = [found for path in sorted(FOLDER.rglob("*.py")) for found in INPUT.findall(path.read_text())]
     assert len(made) > 30
     unsaid = {label for label, rest in made if label not in FIELDS and "hint=" not in rest} - BY_SCRIPT
     assert unsaid == set()

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from tests.browser import fake_session as fake
-from wafer_viewer.gui.acquire_scene import acquire_contents
-from wafer_viewer.gui.field_map import FieldMap
-from wafer_viewer.gui.header import _state as header_state
-from wafer_viewer.gui.map_clicks import MapClicks
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.header import _state as header_state
+from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
+from wafer_viewer.gui.shell.field_map import FieldMap
+from wafer_viewer.gui.shell.map_clicks import MapClicks
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.state.snapshot import Snapshot
 
 DIES = (((-1000.0, -1000.0), (0.0, -1000.0), (0.0, 0.0), (-1000.0, 0.0)),)

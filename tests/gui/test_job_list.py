@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 
 from tests.browser import fake_session as fake
-from wafer_viewer.gui.job_list import job_list, state_of
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.background_tasks import job_list, state_of
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.session.core.command_queue import Desk
 from wafer_viewer.session.core.notifications import Notices, seconds_left
 from wafer_viewer.session.state.snapshot import Snapshot, Work

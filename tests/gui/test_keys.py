@@ -10,21 +10,21 @@ from unittest.mock import MagicMock
 import pytest
 
 from tests.browser import fake_session as fake
-from wafer_viewer.gui.commands import Command, looking, spoken
-from wafer_viewer.gui.compare_section import CompareSection
-from wafer_viewer.gui.defect_beside import DefectBeside
-from wafer_viewer.gui.defect_map import DefectMap
-from wafer_viewer.gui.defect_section import DefectSection
-from wafer_viewer.gui.defect_stack import DefectStack
-from wafer_viewer.gui.keys import Parts, commands_of
-from wafer_viewer.gui.keys_sheet import sheet_html
-from wafer_viewer.gui.palette import Palette
-from wafer_viewer.gui.print_picture import PrintPicture
-from wafer_viewer.gui.report_panel import ReportPanel
-from wafer_viewer.gui.review_panel import ReviewPanel
-from wafer_viewer.gui.saved_views import SavedViews
-from wafer_viewer.gui.view import View
-from wafer_viewer.gui.welcome import Welcome
+from wafer_viewer.gui.defects.defect_section import DefectSection
+from wafer_viewer.gui.defects.die_map import DefectMap
+from wafer_viewer.gui.defects.die_stack_view import DefectStack
+from wafer_viewer.gui.defects.reference_view import DefectBeside
+from wafer_viewer.gui.overlays.screenshot import PrintPicture
+from wafer_viewer.gui.report.report_panel import ReportPanel
+from wafer_viewer.gui.review.review_panel import ReviewPanel
+from wafer_viewer.gui.shell.command_palette import Palette
+from wafer_viewer.gui.shell.saved_views import SavedViews
+from wafer_viewer.gui.shell.shortcut_sheet import sheet_html
+from wafer_viewer.gui.shell.shortcuts import Parts, commands_of
+from wafer_viewer.gui.shell.welcome import Welcome
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.surface.compare_section import CompareSection
+from wafer_viewer.gui.widgets.command import Command, looking, spoken
 from wafer_viewer.model.job.review_notes import Notebook, SavedView
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region

@@ -15,10 +15,10 @@ from tests.gui.stage_props import Browser
 from tests.gui.stand_in import MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from tests.gui.test_scene import settled, until
 from wafer_viewer.draw.surface.display_style import Look
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.overlays import ReadOutBox
-from wafer_viewer.gui.scene import SceneView
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.overlays.hud import ReadOutBox
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.measurement.dataset_queries import ReadOut
@@ -57,7 +57,7 @@ def browser() -> Browser:
 
 @pytest.fixture
 def scene(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> Iterator[SceneView]:
-    monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
+    monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
     session, faults = Levelled(MemoryShelf({0: tilted()})), list[Exception]()
     made = SceneView(browser, session, faults.append)  # pyright: ignore[reportArgumentType]
     yield made

@@ -6,10 +6,10 @@ import pytest
 
 from tests.browser.measuring_session import MeasuringSession
 from tests.browser.shaped_session import ShapedSession
-from wafer_viewer.gui import measure_words as words
-from wafer_viewer.gui.kept_places import bounds_of, drawn_of, places_of, tool_of
-from wafer_viewer.gui.measure_source import ZERO, source
-from wafer_viewer.gui.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
+from wafer_viewer.gui.presenters import measurement as words
+from wafer_viewer.gui.presenters.provenance import ZERO, source
+from wafer_viewer.gui.presenters.result_regions import bounds_of, drawn_of, places_of, tool_of
+from wafer_viewer.gui.scenes.thumbnails import HEIGHT_PX, WIDTH_PX, framed, outlines
 from wafer_viewer.model.measurement.levelling import PLACES, Levelling
 from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
@@ -91,7 +91,7 @@ def test_every_result_says_where_it_comes_from_and_from_which_zero(tool, found):
 
 
 def stage_zero() -> str:
-    from wafer_viewer.gui import html
+    from wafer_viewer.gui.widgets import html
 
     return html.safe(f"Heights are read from {ZERO['stage']}.")
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tests.gui.stand_in import MemoryShelf, height_map
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.lie_of_land import Land
-from wafer_viewer.gui.near_land import land_nearby
+from wafer_viewer.gui.scene.fine_picking import land_nearby
+from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.scene_contents import OnShow
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum
 from wafer_viewer.session.rendering.render_dispatch import paint

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.gui.number_field import number_of, pair_of, pair_text, text_of
+from wafer_viewer.gui.widgets.number_field import number_of, pair_of, pair_text, text_of
 from wafer_viewer.model.errors import WaferViewerError
 
 GUI = Path(__file__).parents[2] / "wafer_viewer" / "gui"
@@ -74,7 +74,7 @@ def test_what_is_no_pair_is_refused_by_name(typed: str):
 def test_no_hint_says_that_zero_stands_for_nothing():
     told = [
         line.strip()
-        for path in GUI.glob("*.py")
+        for path in GUI.rglob("*.py")
         for line in path.read_text().splitlines()
         if any(word in line for word in ("0: not", "0: no ", "0: none", "0: a ", "0: four"))
     ]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.browser import operator_session as day
-from wafer_viewer.gui.corner_picture import clicked, corner_picture, expected_um, square_round
-from wafer_viewer.gui.job_dialogs import suggested_marks
-from wafer_viewer.gui.preflight_words import section
-from wafer_viewer.gui.verdict_words import card, features
+from wafer_viewer.gui.plan.alignment_picture import clicked, corner_picture, expected_um, square_round
+from wafer_viewer.gui.plan.job_dialogs import suggested_marks
+from wafer_viewer.gui.presenters.preflight import section
+from wafer_viewer.gui.presenters.verdict import card, features
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.preflight import look_round

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wafer_viewer.gui.stage import NotYet, Orders
+from wafer_viewer.gui.scene.reconciler import NotYet, Orders
 from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 REQUEST = PaintRequest(Source(Path("x"), "default", 5, 1), "points")

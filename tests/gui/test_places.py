@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.gui.stand_in import MemoryShelf, height_map
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.echoes import Echoes
-from wafer_viewer.gui.first_places import FIRST, first_levelling
-from wafer_viewer.gui.lie_of_land import Land
-from wafer_viewer.gui.place_shapes import SHAPES, WHOLE, outline_of
-from wafer_viewer.gui.place_tools import fits
+from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.tools.initial_regions import FIRST, first_levelling
+from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE, outline_of
+from wafer_viewer.gui.tools.region_tools import fits
+from wafer_viewer.gui.widgets.echo_filter import Echoes
 from wafer_viewer.model.measurement.levelling import PLACES
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.region import Region

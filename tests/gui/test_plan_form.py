@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.gui.plan_form import FIRST_FRAMES, PlanForm, form_of, job_of, with_typed_range
+from wafer_viewer.gui.plan.plan_form import FIRST_FRAMES, PlanForm, form_of, job_of, with_typed_range
 from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.gui.made_up_poses import made_up_poses
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui.drape import Drape
-from wafer_viewer.gui.pose_lines import Fields, in_dashes, round_below, sides
+from wafer_viewer.gui.scene.draped_lines import Drape
+from wafer_viewer.gui.scenes.pose_geometry import Fields, in_dashes, round_below, sides
 from wafer_viewer.model.surface.field_poses import Doubt
 from wafer_viewer.session.rendering.render_request import Relief
 

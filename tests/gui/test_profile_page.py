@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import pytest
 
 from tests.draw.made_up_sections import hill, section_of
-from wafer_viewer.gui.curves import Curves
-from wafer_viewer.gui.line_verbs import LineVerbs
-from wafer_viewer.gui.memory import changed
-from wafer_viewer.gui.plot_pointer import CursorMove, told_cursor, told_shares
-from wafer_viewer.gui.plot_view import PlotView, with_cursor
-from wafer_viewer.gui.profile_words import head
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.plot_interaction import CursorMove, told_cursor, told_shares
+from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
+from wafer_viewer.gui.presenters.profile import head
+from wafer_viewer.gui.state.browser_storage import changed
+from wafer_viewer.gui.state.plot_state import PlotView, with_cursor
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.measurement.section_lines import Gap, column_line, row_line
 from wafer_viewer.model.measurement.sections import OtherSurface, Section

@@ -8,13 +8,13 @@ import numpy as np
 
 from tests.browser import fake_session as fake
 from tests.browser import operator_session as operator
-from wafer_viewer.gui.camera import Pose
-from wafer_viewer.gui.field_map import field_at
-from wafer_viewer.gui.header import done
-from wafer_viewer.gui.review_items import chosen_item, neighbour, review_items
-from wafer_viewer.gui.review_words import numbers, review_list
-from wafer_viewer.gui.saved_views import LOOKED, choices, saved
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.header import done
+from wafer_viewer.gui.presenters.review.review import numbers, review_list
+from wafer_viewer.gui.presenters.review.review_items import chosen_item, neighbour, review_items
+from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.shell.field_map import field_at
+from wafer_viewer.gui.shell.saved_views import LOOKED, choices, saved
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, keys_of_features
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.operator_state import Operating

@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from tests.gui.stage_props import Browser, RecordingScene
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.draw.surface.display_style import Look
-from wafer_viewer.gui.camera import Clear, direction_of, fit
-from wafer_viewer.gui.contents import OnShow
-from wafer_viewer.gui.ground import block_items
-from wafer_viewer.gui.scene import SceneView
-from wafer_viewer.gui.stage import Item, Stage
-from wafer_viewer.gui.tiles import VERTICES, cut, look_of
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.scene.camera.camera_presets import Clear, direction_of, fit
+from wafer_viewer.gui.scene.lod.surface_tiles import VERTICES, cut, look_of
+from wafer_viewer.gui.scene.plinth import block_items
+from wafer_viewer.gui.scene.reconciler import Item, Stage
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
 from wafer_viewer.model.measurement.measurements import PointHeight
@@ -72,7 +72,7 @@ def session() -> Iterator[StandIn]:
 @pytest.fixture(autouse=True)
 def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     """No browser has to unpack anything here: what is replaced may leave at once."""
-    monkeypatch.setattr("wafer_viewer.gui.stage._GRACE_S", 0.0)
+    monkeypatch.setattr("wafer_viewer.gui.scene.reconciler._GRACE_S", 0.0)
 
 
 @pytest.fixture

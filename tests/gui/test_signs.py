@@ -9,10 +9,10 @@ import viser.transforms as vtf
 from tests.gui.stage_props import RecordingScene
 from tests.gui.test_places import SIDE_PX, land_of, noise, xy
 from wafer_viewer.draw.raster_text import tag
-from wafer_viewer.gui.camera import FOV_RAD, Pose, direction_of
-from wafer_viewer.gui.gaze import Gaze
-from wafer_viewer.gui.lie_of_land import Land
-from wafer_viewer.gui.signs import Sign, corner_on_screen
+from wafer_viewer.gui.scene.billboards import Sign, corner_on_screen
+from wafer_viewer.gui.scene.camera.camera_presets import FOV_RAD, Pose, direction_of
+from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.view_axes import Gaze
 from wafer_viewer.model.region import Region
 
 HEIGHT_PX, WIDTH_PX, HIGH_PX = 850, 900, 26

@@ -10,9 +10,9 @@ import pytest
 from tests.browser import fake_session as fake
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import grid
-from wafer_viewer.gui.hands import HANDS_ON
-from wafer_viewer.gui.status_strip import calibration, due, job_shown, motion, placement, sample, surface
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.control_handover import HANDS_ON
+from wafer_viewer.gui.page.status_bar import calibration, due, job_shown, motion, placement, sample, surface
+from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.acquisition.calibration import Calibration
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.spec import replace

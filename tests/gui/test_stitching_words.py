@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.gui.made_up_poses import made_up_poses, stitching_of
 from tests.gui.stand_in import COLS, PIXEL_UM, ROWS, grid
-from wafer_viewer.gui import stitching_words as words
+from wafer_viewer.gui.presenters import stitching as words
 from wafer_viewer.model.surface.field_poses import Doubt
 
 FIELDS = grid(3, 3).fields(0.0)

@@ -12,8 +12,8 @@ import pytest
 from tests.browser import fake_session as fake
 from tests.store.inspections import defect, inspection
 from wafer_viewer.draw.number_format import size
-from wafer_viewer.gui.tour_guide import N_STEPS, end_card, note_of, present_step, report_of
-from wafer_viewer.gui.view import Tour, View
+from wafer_viewer.gui.shell.tour_guide import N_STEPS, end_card, note_of, present_step, report_of
+from wafer_viewer.gui.state.view_state import Tour, View
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.guided_tour import TOUR_LOT, is_tour
 from wafer_viewer.session.state.inspection_state import InspectionState

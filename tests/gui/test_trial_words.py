@@ -9,11 +9,11 @@ import pytest
 from tests.gui.test_operator_words import words
 from tests.session.conftest import small_job
 from wafer_viewer.draw.charts.die_map import die_map_svg
-from wafer_viewer.gui.dies_dialog import lattice_of, on_the_die_it_is_on, within_fields
-from wafer_viewer.gui.job_dialogs import trial_is_old
-from wafer_viewer.gui.kept_features import kept_features
-from wafer_viewer.gui.trial_words import MOST_CHANGES, before_release, trial
-from wafer_viewer.gui.verdict_words import dies, features
+from wafer_viewer.gui.plan.dies_dialog import lattice_of, on_the_die_it_is_on, within_fields
+from wafer_viewer.gui.plan.job_dialogs import trial_is_old
+from wafer_viewer.gui.presenters.result_features import kept_features
+from wafer_viewer.gui.presenters.revision_trial import MOST_CHANGES, before_release, trial
+from wafer_viewer.gui.presenters.verdict import dies, features
 from wafer_viewer.model.acquisition.plan import FieldGrid
 from wafer_viewer.model.errors import PlanError
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange

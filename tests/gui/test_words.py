@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from tests.browser import fake_session as fake
 from tests.browser import seen_session as seen
-from wafer_viewer.gui import html, measure_words, why_words
-from wafer_viewer.gui.bottom import room_px
-from wafer_viewer.gui.dialogs import when
-from wafer_viewer.gui.guard import guarded
-from wafer_viewer.gui.header import STEPS, done, possible
-from wafer_viewer.gui.style import DARK, LIGHT, sheet
-from wafer_viewer.gui.view import View
+from wafer_viewer.gui.page.bottom_panel import room_px
+from wafer_viewer.gui.page.dialogs import when
+from wafer_viewer.gui.page.header import STEPS, done, possible
+from wafer_viewer.gui.presenters import focus_evidence, measurement
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.style import DARK, LIGHT, sheet
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
 from wafer_viewer.model.measurement.measurements import Length
@@ -69,13 +70,13 @@ def test_times_read_as_people_say_them(taken, said):
     ],
 )
 def test_an_answer_never_stands_without_its_uncertainty_or_the_reason(length, words):
-    card = measure_words.answer("Step", length.quantity)
+    card = measurement.answer("Step", length.quantity)
     assert all(word in card for word in words)
 
 
 def test_the_budget_ends_with_the_combined_and_the_expanded_uncertainty():
     step = fake.a_step(Region.rectangle(0, 0, 1, 1), Region.rectangle(0, 2, 1, 3))
-    words = measure_words.budget(step.main)
+    words = measurement.budget(step.main)
     assert "Flatness of the regions" in words
     assert "0.155 · 0.310" in words
 
@@ -161,52 +162,52 @@ def test_the_guard_tells_what_nobody_foresaw(caplog):
 
 def test_every_verdict_says_in_words_what_its_sign_says():
     curve = seen.a_focus_curve(0.0, 0.0, measured=False)
-    said = why_words.verdicts(curve)
+    said = focus_evidence.verdicts(curve)
     for words in ("passed", "not passed", "gate is off", "Is there texture to focus on?"):
         assert words in said
     assert said.count("<tr") == 1 + len(curve.verdicts)
-    assert "Not measured" in why_words.answer(curve)
-    assert "Ambiguous peak" in why_words.answer(curve)
+    assert "Not measured" in focus_evidence.answer(curve)
+    assert "Ambiguous peak" in focus_evidence.answer(curve)
 
 
 def test_scores_and_limits_read_in_one_unit_that_needs_no_logarithm():
     curve = seen.a_focus_curve(0.0, 0.0)
-    said = why_words.verdicts(curve)
+    said = focus_evidence.verdicts(curve)
     for words in ("× 2.89", 'over</span> × 1.56"', "× 21.1", "up to</span> 30.0\u202f%", "0.31\u202fµm"):
         assert words.replace('"', "") in said
     assert "powers" not in said
     assert "1 at an end" not in said
-    assert {v.unit for v in curve.verdicts} <= set(why_words.FIGURES)
+    assert {v.unit for v in curve.verdicts} <= set(focus_evidence.FIGURES)
 
 
 def test_the_units_of_gates_are_known():
-    assert POWERS in why_words.FIGURES
+    assert POWERS in focus_evidence.FIGURES
     odd = replace(seen.a_focus_curve(0.0, 0.0).verdicts[0], unit="furlongs", score=1.0, limit=2.0)
-    said = why_words.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
+    said = focus_evidence.verdicts(replace(seen.a_focus_curve(0.0, 0.0), verdicts=(odd,)))
     assert "in furlongs" in said
     assert "1.00" in said
 
 
 def test_what_is_off_says_so_once():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert why_words.verdicts(curve).count("gate is off") == 1
+    assert focus_evidence.verdicts(curve).count("gate is off") == 1
     told = replace(curve.verdicts[-1], note="Fewer than 12 frames.")
-    assert "gate is off · Fewer than 12 frames." in why_words.verdicts(replace(curve, verdicts=(told,)))
+    assert "gate is off · Fewer than 12 frames." in focus_evidence.verdicts(replace(curve, verdicts=(told,)))
 
 
 @given(st.text())
 def test_what_a_gate_says_does_not_become_markup(text):
     curve = seen.a_focus_curve(0.0, 0.0)
     odd = replace(curve, origin=text, verdicts=(replace(curve.verdicts[0], question=text, note=text, unit=text),))
-    said = why_words.verdicts(odd) + why_words.answer(odd)
+    said = focus_evidence.verdicts(odd) + focus_evidence.answer(odd)
     assert stdlib_html.escape(text, quote=True) in said
 
 
 def test_a_simulated_curve_says_so():
     curve = seen.a_focus_curve(0.0, 0.0)
-    assert why_words.source(curve).startswith("SIMULATED · Tenengrad")
-    assert "SIMULATED" not in why_words.source(replace(curve, simulated=False))
-    assert why_words.source(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
+    assert focus_evidence.source(curve).startswith("SIMULATED · Tenengrad")
+    assert "SIMULATED" not in focus_evidence.source(replace(curve, simulated=False))
+    assert focus_evidence.source(replace(curve, focus_measure="of_old", simulated=False)).startswith("Of old,")
 
 
 @pytest.mark.parametrize(

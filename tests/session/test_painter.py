@@ -63,6 +63,7 @@ def test_after_its_death_it_is_started_anew(painter: Painter) -> None:
 
 def test_the_page_draws_without_loading_what_is_heavy() -> None:
     heavy = "{'scipy', 'numba', 'zarr', 'open3d', 'distributed'}"
-    code = f"import sys, wafer_viewer.gui.scene, wafer_viewer.session.rendering.render_process; print(sorted({heavy} & set(sys.modules)))"
+    modules = "wafer_viewer.gui.scenes.scene_view, wafer_viewer.session.rendering.render_process"
+    code = f"import sys, {modules}; print(sorted({heavy} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wafer_viewer.gui.defect_form_values import DefectForm, against_of, dies_of, form_of, recipe_of
+from wafer_viewer.gui.presenters.review.inspection_form_values import (
+    DefectForm,
+    against_of,
+    dies_of,
+    form_of,
+    recipe_of,
+)
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.region import Region
 from wafer_viewer.rigs.virtual.scenes.tour_wafer import (

@@ -1,0 +1,1 @@
+"""Sections, docks and dialogs of defect inspection."""

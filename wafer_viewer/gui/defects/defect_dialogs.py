@@ -1,0 +1,267 @@
+"""Questions about defects: as what file they go out, which file is laid over them, what recipes are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.model.errors import DatasetError, MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.inspection.defect_export import Handover
+from wafer_viewer.session.inspection.klarf_overlay import KlarfUnit
+from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM
+
+NEAR = "Places closer than this count as the same defect"
+WAIT_S = 20.0
+"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+FORMATS: dict[str, tuple[Handover, str]] = {
+    "KLARF 1.2, for yield systems": ("klarf", "-defects.klarf"),
+    "CSV, a table": ("csv", "-defects.csv"),
+    "Training set, a folder": ("training", "-training"),
+}
+LOSES: dict[Handover, str] = {
+    "klarf": "It cannot hold U, reasons, notes, unmeasured areas or who judged. Heights are in a column of our own "
+    "that other readers ignore; dies not scanned whole are left out of its test plan.",
+    "csv": "It has every number with U and all text, but no pictures and no outlines.",
+    "training": "Heights and picture round each defect, its features, your class and that of the rules. "
+    "Unmeasured areas are left out. It takes a new folder.",
+}
+UNITS: dict[str, KlarfUnit | None] = {"As the file says": None, "µm": "um", "nm": "nm", "mm": "mm"}
+
+
+def export_defects_dialog(page: Page) -> None:
+    """Write the defects to a file, and say before what the format cannot hold."""
+    required_inspection(page)
+    snapshot = page.session.snapshot
+    stem = snapshot.dataset.path.stem if snapshot.dataset is not None else "wafer"
+    dialog = Dialog(page, "Export the defects", "As judged now; nuisances are included and marked as such.")
+    first = next(iter(FORMATS))
+    with dialog.modal:
+        name = f"{stem}{FORMATS[first][1]}"
+        files = FileList(dialog, "any", rows=7, saving=name, ending=Path(name).suffix)
+        kind = page.gui.add_dropdown("Format", tuple(FORMATS))
+        said = Cell(page.gui, _lab(LOSES[FORMATS[first][0]]))
+
+    @kind.on_update
+    def _(_: Any) -> None:
+        what, ending = FORMATS[kind.value]
+        files.save_as(f"{stem}{ending}", Path(ending).suffix)
+        said.show(_lab(LOSES[what]))
+
+    def write() -> None:
+        what, target = FORMATS[kind.value][0], files.target()
+        if what == "training" and target.exists():
+            raise DatasetError(f"{target} exists already: give the name of a new folder.")
+        files.write_to(target, lambda: begin(what, target))
+
+    def begin(what: Handover, target: Path) -> None:
+        done = page.session.defects.files.write(what, target)
+        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
+
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
+
+
+def klarf_dialog(page: Page) -> None:
+    """Lay what another tool found over the surface."""
+    below = "Compares the places in a KLARF file with those found here: what both found, and what only one did."
+    dialog, gui = Dialog(page, "Overlay a KLARF file", below), page.gui
+    with dialog.modal:
+        files = FileList(dialog, "klarf", rows=6)
+        files.add_upload()
+        unit = gui.add_dropdown("Unit", tuple(UNITS), hint="Of its lengths; KLARF is in µm where it does not say")
+        within = gui.add_number("Same within, µm", SAME_PLACE_UM, min=0.0, step=5.0, hint=NEAR)
+
+    def lay() -> None:
+        source = files.path()
+        _wait(page.session.defects.files.lay_over(source, UNITS[unit.value], float(within.value)))
+        page.redraw()
+
+    dialog.answers("Overlay", viser.Icon.STACK_2, lay, "The KLARF file was not overlaid")
+
+
+def golden_dialog(page: Page) -> None:
+    """Keep the typical die of this wafer under a name, the next version of it."""
+    inspection, shelf = required_inspection(page), page.session.snapshot.shelf
+    if inspection.grid is None:
+        raise MeasureError("A golden die is made from dies and this inspection has none: inspect die to die first.")
+    product = inspection.product
+    below = (
+        f"The median of the dies of this wafer{f' of {product}' if product else ''}, with its spread from die to die. "
+        "Under an existing name it becomes the next version; earlier versions are kept."
+    )
+    dialog = Dialog(page, "Keep as golden die", below)
+    named = next((header.name for header in shelf.golden if product and header.product == product), product)
+    with dialog.modal:
+        name = page.gui.add_text("Name", named)
+        said = Cell(page.gui, _lab(_next_version(page, named)))
+
+    @name.on_update
+    def _(_: Any) -> None:
+        said.show(_lab(_next_version(page, name.value.strip())))
+
+    def keep() -> None:
+        if not name.value.strip():
+            raise DatasetError("The golden die has no name: type one, such as that of the product.")
+        done = page.session.defects.files.keep_golden(name.value.strip())
+        page.ask("No golden die was kept", done, lambda out: page.say("Golden die kept", str(out)))
+
+    dialog.answers("Keep", viser.Icon.CHECK, keep, "No golden die was kept")
+
+
+def golden_file_dialog(page: Page, then: Callable[[GoldenHeader], None]) -> None:
+    """Take a golden die from a file, kept on another machine say, and go on with it."""
+    below = "A file NAME.3.golden.npz. It is copied into the data folder, as the next version of its name."
+    dialog = Dialog(page, "Choose a golden die", below)
+    with dialog.modal:
+        files = FileList(dialog, "golden", rows=7)
+        files.add_upload()
+
+    def take() -> None:
+        then(page.session.defects.files.add_golden(files.path()).result(WAIT_S))
+        page.redraw()
+
+    dialog.answers("Use this golden die", viser.Icon.DIAMOND, take, "No golden die was chosen")
+
+
+def save_recipe_dialog(page: Page, recipe: DefectRecipe, then: Callable[[DefectRecipe], None]) -> None:
+    """Keep a recipe under its product and a name, and go on with it; one that is there is replaced after a question."""
+    product = recipe.product or "its product"
+    below = f"Kept beside the datasets. It is applied automatically when a dataset of {product} opens."
+    dialog = Dialog(page, "Save the recipe", below)
+    with dialog.modal:
+        product = page.gui.add_text("Product", recipe.product)
+        name = page.gui.add_text("Name", recipe.name)
+
+    def save() -> None:
+        named = replace(recipe, product=product.value.strip(), name=name.value.strip())
+        kept = page.session.snapshot.shelf.recipes_of(named.product)
+        if any(known.name == named.name and known != named for known in kept):
+            _ask_to_replace(page, named, keep)
+        else:
+            keep(named)
+
+    def keep(named: DefectRecipe) -> None:
+        _wait(page.session.defects.files.save_recipe(named))
+        then(named)
+        page.redraw()
+
+    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, "The recipe was not saved")
+
+
+def recipes_dialog(page: Page) -> None:
+    """The recipes that are kept: rename one, or delete it."""
+    shelf = page.session.snapshot.shelf
+    dialog = Dialog(
+        page,
+        "Recipes for defects",
+        "The one saved last is applied automatically when a dataset of its product is opened.",
+    )
+    with dialog.modal:
+        Cell(page.gui, recipe_table(shelf.recipes) + _lab("") + "".join(map(_lab, shelf.problems)))
+
+    def choose(ask: Callable[[Page, DefectRecipe], None], key: str) -> None:
+        dialog.close()
+        ask(page, shelf.recipes[int(key)])
+
+    page.on_pick("defect-recipe-name", lambda key: choose(_rename_dialog, key))
+    page.on_pick("defect-recipe-away", lambda key: choose(_delete_dialog, key))
+    dialog.way_out("Close")
+
+
+def recipe_table(recipes: tuple[DefectRecipe, ...]) -> str:
+    """The recipes, saved last first, each with what can be done to it."""
+    if not recipes:
+        return html.empty("No recipe is saved yet.")
+    return html.table(
+        ["Recipe", "Product", "Sensitivity", ""], [_recipe_row(*each) for each in enumerate(recipes)], "  n"
+    )
+
+
+def _recipe_row(place: int, recipe: DefectRecipe) -> str:
+    verbs = " · ".join(
+        f'<span class="wv-link" title="{html.safe(f"{verb} {recipe.name}")}" {html.pick(what, place)}>{verb}</span>'
+        for verb, what in (("Rename…", "defect-recipe-name"), ("Delete…", "defect-recipe-away"))
+    )
+    return html.row([html.safe(recipe.name), html.safe(recipe.product), f"{recipe.sensitivity:g}", verbs], "  n")
+
+
+def required_inspection(page: Page) -> Inspection:
+    """What was found. Raises MeasureError before anything was looked for."""
+    if (inspection := page.session.snapshot.inspection.inspection) is None:
+        raise MeasureError("The surface has not been inspected yet: inspect it for defects first.")
+    return inspection
+
+
+def _rename_dialog(page: Page, recipe: DefectRecipe) -> None:
+    dialog = Dialog(page, f"Rename recipe {recipe.name}", f"It stays a recipe of {recipe.product}.")
+    with dialog.modal:
+        name = page.gui.add_text("Name", recipe.name)
+
+    def rename() -> None:
+        _wait(page.session.defects.files.rename_recipe(recipe, name.value.strip()))
+        page.redraw()
+
+    dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
+
+
+def _delete_dialog(page: Page, recipe: DefectRecipe) -> None:
+    below = f"A recipe of {recipe.product}. Its file is deleted; this cannot be undone."
+    dialog = Dialog(page, f"Delete recipe {recipe.name}?", below)
+
+    def delete() -> None:
+        _wait(page.session.defects.files.delete_recipe(recipe))
+        page.redraw()
+
+    dialog.answers(f"Delete {recipe.name}", viser.Icon.TRASH, delete, "The recipe was not changed")
+
+
+def _ask_to_replace(page: Page, recipe: DefectRecipe, keep: Callable[[DefectRecipe], None]) -> None:
+    below = f"It is a recipe of {recipe.product} already; its present settings are lost."
+    dialog = Dialog(page, f"Replace recipe {recipe.name}?", below)
+    dialog.answers(f"Replace {recipe.name}", viser.Icon.REPLACE, lambda: keep(recipe), "Nothing was replaced")
+
+
+def _next_version(page: Page, name: str) -> str:
+    known = [header.version for header in page.session.snapshot.shelf.golden if header.name == name]
+    return f"It will be version {max(known, default=0) + 1}." if name else ""
+
+
+def _wait(verb: Future[Any]) -> None:
+    verb.result(WAIT_S)
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(text))}</div>'
+
+
+@dataclass(frozen=True, slots=True)
+class Errand:
+    """Something to do with defects as a whole: its name, a short one, what failed, and the dialog that asks for it."""
+
+    name: str
+    short: str
+    failed: str
+    icon: Any
+    ask: Callable[[Page], None]
+
+
+ERRANDS: dict[str, Errand] = {
+    "export": Errand("Export the defects…", "Export…", "Export failed", viser.Icon.DOWNLOAD, export_defects_dialog),
+    "golden": Errand("Keep as golden die…", "Golden die…", "No golden die was kept", viser.Icon.DIAMOND, golden_dialog),
+    "klarf": Errand(
+        "Overlay a KLARF file…", "Overlay KLARF…", "The KLARF file was not overlaid", viser.Icon.STACK_2, klarf_dialog
+    ),
+}
+"""What the list of defects offers over it, and the palette too."""

@@ -1,0 +1,196 @@
+"""The left panel's part for defects: how they are searched for, what was found, and the list with its thumbnails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.gui.defects.defect_dialogs import ERRANDS, recipes_dialog
+from wafer_viewer.gui.defects.exclusion_dialog import STAYS, ExcludedDialog, place_of
+from wafer_viewer.gui.defects.inspection_form import InspectionForm
+from wafer_viewer.gui.defects.klarf_overlay import OtherSection
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.preconditions import no_defects
+from wafer_viewer.gui.presenters.result_regions import Box
+from wafer_viewer.gui.presenters.review import defects as words
+from wafer_viewer.gui.presenters.review.defect_items import chosen_defect
+from wafer_viewer.gui.presenters.review.defect_limits import verdict
+from wafer_viewer.gui.presenters.review.defect_pareto import chart_of
+from wafer_viewer.gui.presenters.review.defect_table import rows, rows_of, sorting
+from wafer_viewer.gui.presenters.review.review import filters
+from wafer_viewer.gui.presenters.review.review_item import ReviewItem
+from wafer_viewer.gui.presenters.review.review_items import chosen_item, review_items
+from wafer_viewer.gui.scenes.surface_scene import source_of
+from wafer_viewer.gui.scenes.thumbnails import Thumbnails, framed, thumbnail
+from wafer_viewer.gui.state.defect_list_state import SORTS
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.controls import Cell, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.state.snapshot import Snapshot
+
+LAYERS = (Look(), Look(colour_by="grey"))
+"""Of the thumbnails: heights, and the all-in-focus picture."""
+LEAST_PX = 48
+"""A thumbnail shows at least so many pixels of the surface."""
+
+
+class DefectSection:
+    """In sight in the step Review; the form is unfolded where nothing was inspected yet."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._unfolded = False
+        self._fly: Callable[[Box], object] = lambda box: None
+        self._thumbnails = Thumbnails(page)
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._head = Cell(page.gui)
+            self.form = InspectionForm(page)
+            self._errands = Cell(page.gui)
+            self._other = OtherSection(page, lambda box: self._fly(box))
+            self._list = Cell(page.gui)
+        page.on_pick("defect-form", lambda _: self.unfold())
+        page.on_pick("defect-errand", self._run)
+        page.on_pick("defect-excluded", lambda key: self._leave_out(here=key == "here"))
+        page.on_pick("defect-sort", lambda sort: self._list_by(sort=sort))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the section up to date."""
+        there = view.step == "review" and snapshot.surface is not None
+        set_prop(self._folder, "visible", there)
+        if not there:
+            return
+        state = snapshot.inspection
+        if state.work:
+            self._unfolded = False
+        found = state.inspection
+        self._head.show(self._top(snapshot) + words.summary(state) + (verdict(found) if found is not None else ""))
+        self.form.show(snapshot, (self._unfolded or found is None) and not state.work, _why_not(snapshot))
+        self._errands.show(_errands() if found is not None else "")
+        self._other.show(snapshot)
+        self._list.show(self._listed(snapshot, view))
+
+    def on_chosen(self, fly: Callable[[Box], object]) -> None:
+        """Call back with the part of the surface to be shown when a place of another tool is chosen."""
+        self._fly = fly
+
+    def commands(self) -> list[Command]:
+        """Searching, sorting, and what is done with all of them, from the palette."""
+        icon = viser.Icon
+        return unless(
+            no_defects,
+            Command("Search for defects…", None, self.unfold, icon.SEARCH, group="Review"),
+            Command("Save the recipe for defects…", None, self.form.save, icon.DEVICE_FLOPPY, group="Review"),
+            Command("Areas left out of the search…", None, self._leave_out, icon.CROP, group="Review"),
+            Command("Leave this place out…", None, lambda: self._leave_out(here=True), icon.CROP, group="Review"),
+            Command("Recipes for defects…", None, lambda: recipes_dialog(self._page), icon.LIST, group="Review"),
+            *(
+                Command(errand.name, None, lambda k=key: self._run(k), errand.icon, group="Review")
+                for key, errand in ERRANDS.items()
+            ),
+            *(
+                Command(
+                    f"Defects by {name.lower()}", None, lambda s=sort: self._list_by(sort=s), icon.SORT_DESCENDING,
+                    group="Review",
+                )
+                for sort, (name, _) in SORTS.items()
+            ),
+        )  # fmt: skip
+
+    def unfold(self) -> None:
+        """Show the form, or fold it away again."""
+        self._unfolded = not self._unfolded
+        self._page.change(step="review")
+        self._page.redraw()
+
+    # --- what a person does
+
+    def _run(self, errand: str) -> None:
+        """Ask for one of the errands in its dialog."""
+        asked = ERRANDS[errand]
+        guarded(self._page, asked.failed)(asked.ask)(self._page)
+
+    def _leave_out(self, *, here: bool = False) -> None:
+        """Ask for areas of every die to be left out, `here`: that of the defect under review too; the form shows them,
+        with the button that inspects again."""
+        page = self._page
+        proposed = place_of(chosen_defect(page.session.snapshot, page.view.review)) if here else ()
+
+        def keep(areas: tuple[Region, ...]) -> None:
+            self._unfolded = True
+            self.form.exclude(areas)
+
+        guarded(page, STAYS)(ExcludedDialog)(page, self.form.excluded, keep, proposed)
+
+    def _list_by(self, **changes: Any) -> None:
+        self._page.change(defects=replace(self._page.view.defects, **changes))
+
+    # --- showing
+
+    def _top(self, snapshot: Snapshot) -> str:
+        state = snapshot.inspection
+        if state.work:
+            return html.head("Defects", "being searched for")
+        if state.inspection is None:
+            first = html.empty("Nothing was inspected yet:", "set the dial and press Inspect.")
+            return html.head("Defects") + ("" if state.problem else first)
+        fold = "Less" if self._unfolded else "Inspect again…"
+        link = f'<span class="wv-link" {html.pick("defect-form")}>{fold}</span>'
+        told = words.judged(state.inspection)
+        return f'<div class="wv-h">Defects<span class="wv-mid">{told}</span><span>{link}</span></div>'
+
+    def _listed(self, snapshot: Snapshot, view: View) -> str:
+        inspection = snapshot.inspection.inspection
+        if inspection is None:
+            return ""
+        if not inspection.defects:
+            return words.nothing_found(inspection) + words.facts(inspection)
+        items = [i for i in review_items(snapshot, view.review_filter, view.defects) if i.defect is not None]
+        now = chosen_item(snapshot, view.review, view.defects)
+        chart = chart_of(snapshot.inspection, view.defects, view.review_filter)
+        shown = rows_of(items, now)
+        there = rows(items, shown, now, [self._thumbs(item, snapshot) for item in shown])
+        choices = filters(view) + sorting(view.defects, inspection)
+        return chart + choices + there + words.facts(inspection)
+
+    def _thumbs(self, item: ReviewItem, snapshot: Snapshot) -> str:
+        """Heights and picture of a defect."""
+        source = source_of(snapshot, item.show)
+        if source is None or item.box_um is None:
+            return ""
+        box = framed(_at_least(item.box_um, LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
+        requests = (PaintRequest(source, "picture", box_um=box, look=look) for look in LAYERS)
+        return "".join(thumbnail(self._thumbnails.painted(request)) for request in requests)
+
+
+def _errands() -> str:
+    """What is done with the defects as a whole."""
+    links = (f'<span class="wv-link" {html.pick("defect-errand", key)}>{e.short}</span>' for key, e in ERRANDS.items())
+    areas = f'<span class="wv-link" {html.pick("defect-excluded", "here")}>Leave out…</span>'
+    return f'<div class="wv-legend" style="margin:2px 0 6px">{"".join(links)}{areas}</div>'
+
+
+def _why_not(snapshot: Snapshot) -> str:
+    """Why nothing can be inspected now; empty where it can."""
+    data = snapshot.dataset
+    if data is None or snapshot.inspection.work:
+        return ""
+    if data.read_only is not None:
+        return f"Not possible: {data.read_only}"
+    return "Not yet: the surface still grows." if snapshot.scanning else ""
+
+
+def _at_least(box: Box, side_um: float) -> Box:
+    """A box round the same middle, no smaller than so."""
+    x0, y0, x1, y1 = box
+    half_x, half_y = max(x1 - x0, side_um) / 2, max(y1 - y0, side_um) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - half_x, y - half_y, x + half_x, y + half_y

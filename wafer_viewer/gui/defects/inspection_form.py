@@ -1,0 +1,287 @@
+"""The form of an inspection: recipe, sensitivity, what is compared with what, where the dies lie, limits."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.defects import inspection_form_text as words
+from wafer_viewer.gui.defects.defect_dialogs import golden_file_dialog, recipes_dialog, save_recipe_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of
+from wafer_viewer.gui.presenters.review.inspection_form_values import (
+    AGAINST,
+    DIES,
+    EVIDENCE,
+    GIVEN,
+    GOLDEN,
+    DefectForm,
+    against_of,
+    dies_of,
+    form_of,
+    recipe_of,
+)
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
+from wafer_viewer.gui.widgets.number_field import PLACE, OptionalPair
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.inspection.golden_die import GoldenHeader
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.session.state.inspection_resources import product_of
+from wafer_viewer.session.state.snapshot import Snapshot
+
+NOT_KEPT = "not kept"
+DIAL = "0 finds only clear defects, 1 everything that may be one"
+FAILED = "Inspection failed"
+
+
+class InspectionForm:
+    """It stands as the surface was inspected, else as the recipe kept for its product."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._recipe = DefectRecipe()
+        """What the form keeps of it is what it does not show."""
+        self._of: object = None
+        self._limits = DefectLimits()
+        self._shows_more = False
+        self._form = DefectForm()
+        gui = page.gui
+        self._folder = gui.add_folder(None, visible=False)
+        with self._folder:
+            self._said = Cell(gui)
+            self._build_search(gui)
+            self._more = Cell(gui)
+            self._rest = gui.add_folder(None, visible=False)
+            with self._rest:
+                self._build_evidence(gui)
+                self._build_dies(gui)
+                self._build_limits(gui)
+            self._why = Cell(gui)
+            begin = guarded(page, FAILED)(lambda _: self.inspect())
+            self._begin = button(gui, "Inspect", viser.Icon.SEARCH, begin)
+            in_a_row(gui, [self._begin], 34)
+            self._build_recipe(gui)
+        page.on_pick("defect-golden", self._choose_golden)
+        page.on_pick("defect-golden-file", lambda _: self._ask_golden())
+        page.on_pick("defect-more", lambda _: self._show_more())
+
+    def show(self, snapshot: Snapshot, unfolded: bool, why_not: str) -> None:
+        """Bring the form up to date; `why_not`: why nothing can be inspected now."""
+        set_prop(self._folder, "visible", unfolded)
+        self._take_up(snapshot)
+        if not unfolded:
+            return
+        form = self._typed()
+        self._show_recipe(snapshot, form)
+        self._expected.show(_lab(words.expectation(form.sensitivity, snapshot.inspection.inspection)))
+        golden = form.compare == GOLDEN
+        self._golden.show(words.golden_table(snapshot.shelf, form.product.strip(), form.golden) if golden else "")
+        self._more.show(words.more(form, self._shows_more))
+        self._excluded.show(words.left_out(form))
+        set_prop(self._rest, "visible", self._shows_more)
+        set_prop(self._given, "visible", form.dies == GIVEN and against_of(form) == "dies")
+        set_prop(self._begin, "disabled", bool(why_not))
+        self._why.show(_lab(why_not) if why_not else "")
+
+    @property
+    def recipe(self) -> DefectRecipe:
+        """What the form asks for. Raises MeasureError where it asks for nothing."""
+        return recipe_of(self._typed(), self._recipe)
+
+    def inspect(self) -> None:
+        """Search by what stands on the form."""
+        form, page = self._typed(), self._page
+        asked = recipe_of(form, self._recipe)
+        verb = page.session.defects.inspect(asked, dies_of(form), against_of(form))
+        verb.add_done_callback(self._tell_refusal)
+        page.redraw()
+
+    def _tell_refusal(self, done: Future[Any]) -> None:
+        """Tell why a search was not begun; why one that was begun found nothing stands over the list already."""
+        fault = None if done.cancelled() else done.exception()
+        if fault is not None and str(fault) != self._page.session.snapshot.inspection.problem:
+            tell_failure(self._page, FAILED, fault)
+
+    # --- building
+
+    def _build_recipe(self, gui: Any) -> None:
+        page = self._page
+        Cell(gui, html.head("Recipe"))
+        listed = gui.add_dropdown(
+            "Kept as", (NOT_KEPT,), hint="Saved by product; the one saved last is applied automatically"
+        )
+        self._recipes: Field[str] = Field(listed, self._choose_recipe, page, "The recipe was not changed")
+        self._product = gui.add_text("Product", "", hint="A golden die of another product is refused")
+        self._product.on_update(self._redrawing())
+        save = button(gui, "Save recipe…", viser.Icon.DEVICE_FLOPPY, self._on("It was not saved", self.save))
+        kept = button(
+            gui, "Recipes…", viser.Icon.LIST, self._on("The recipes were not changed", lambda: recipes_dialog(page))
+        )
+        in_a_row(gui, [save, kept], 30)
+
+    def _build_search(self, gui: Any) -> None:
+        self._dial = gui.add_slider("Sensitivity", 0.0, 1.0, 0.05, DefectRecipe().sensitivity, hint=DIAL)
+        self._expected = Cell(gui)
+        self._against = gui.add_dropdown(
+            "Compare", AGAINST, hint="A surface with one die has no others to compare with"
+        )
+        self._golden = Cell(gui)
+        for widget in (self._dial, self._against):
+            widget.on_update(self._redrawing())
+
+    def _build_evidence(self, gui: Any) -> None:
+        self._evidence = gui.add_dropdown("Look at", tuple(EVIDENCE), hint="Where a defect may show")
+        self._scales = gui.add_text("Scales, px", "", hint="Filters at which is looked; 0 is unfiltered, at most 40")
+        self._excluded = Cell(gui)
+        for widget in (self._evidence, self._scales):
+            widget.on_update(self._redrawing())
+
+    def _build_dies(self, gui: Any) -> None:
+        self._dies = gui.add_dropdown(
+            "Dies", DIES, hint="From the job where it names dies, else found, or entered here"
+        )
+        self._dies.on_update(self._redrawing())
+        self._given = gui.add_folder(None, visible=False)
+        with self._given:
+            self._pitch = OptionalPair(gui, "Pitch, µm", over=0, hint="From die to die, x × y")
+            self._corner = OptionalPair(gui, "Corner, µm", between=PLACE, hint="Lower left one of die 0,0, stage x, y")
+            self._size = OptionalPair(gui, "Die, µm", over=0, hint="Width × height; empty: as the pitch")
+            self._angle = gui.add_number("Angle, °", 0.0, step=0.01, hint="Anticlockwise")
+
+    def _build_limits(self, gui: Any) -> None:
+        page, failed = self._page, "The limits were not changed"
+        self._edits = Edits(self._limit, guarded(page, failed))
+        per_die = gui.add_text("Max. per die", "", hint="Defects allowed on a die; empty for no limit")
+        per_mm2 = gui.add_text("Max. per mm²", "", hint="Defects allowed in 1 mm²; empty for no limit")
+        self._per_die: Field[str] = Field(per_die, lambda _: self._edits.made(), page, failed)
+        self._per_mm2: Field[str] = Field(per_mm2, lambda _: self._edits.made(), page, failed)
+
+    # --- what a person does
+
+    @property
+    def excluded(self) -> tuple[Region, ...]:
+        """The areas that are left out, as the form stands."""
+        return self._form.excluded
+
+    def save(self) -> None:
+        """Ask for a name and keep what stands on the form as the recipe of its product."""
+        save_recipe_dialog(self._page, self.recipe, lambda kept: self._put(kept, form_of(kept, None, self._typed())))
+
+    def exclude(self, areas: tuple[Region, ...]) -> None:
+        """Leave these areas of every die out when the surface is inspected next."""
+        self._form = replace(self._form, excluded=areas)
+        self._page.redraw()
+
+    def _choose_recipe(self, event: Any) -> None:
+        product, shelf = self._product.value.strip(), self._page.session.snapshot.shelf
+        chosen = next((r for r in shelf.recipes_of(product) if r.name == event.target.value), None)
+        if chosen is not None:
+            self._put(chosen, form_of(chosen, None, self._typed()))
+        self._page.redraw()
+
+    def _choose_golden(self, name: str) -> None:
+        self._form = replace(self._form, golden=name)
+        self._page.redraw()
+
+    def _ask_golden(self) -> None:
+        """Choose a golden die from a file; the list names a version only where a newer one follows it."""
+
+        def take(header: GoldenHeader) -> None:
+            known = self._page.session.snapshot.shelf.golden
+            newest = max((h.version for h in known if h.name == header.name), default=header.version)
+            self._choose_golden(header.name if header.version == newest else f"{header.name}.{header.version}")
+
+        golden_file_dialog(self._page, take)
+
+    def _show_more(self) -> None:
+        self._shows_more = not self._shows_more
+        self._page.redraw()
+
+    def _limit(self) -> Future[None] | None:
+        """Limits hold for what was found already: the verdict follows at once, no search is needed."""
+        page, limits = self._page, limits_of(self._per_die.value, self._per_mm2.value)
+        page.redraw()
+        if page.session.snapshot.inspection.inspection is None:
+            return None
+        answer = page.session.defects.limit(limits)
+        page.ask("The limits were not changed", answer)
+        return answer
+
+    # --- showing
+
+    def _take_up(self, snapshot: Snapshot) -> None:
+        """Let the form stand as the surface was inspected, else as its product's recipe says; once for each."""
+        inspection, data = snapshot.inspection.inspection, snapshot.dataset
+        product = product_of(data.job) if data is not None else ""
+        own = snapshot.shelf.recipe_of(product) or DefectRecipe(product=product)
+        recipe = inspection.recipe if inspection is not None else own
+        of = (data.path if data is not None else None, changed(recipe, limits=DefectLimits()))
+        if inspection is not None and recipe.limits != self._limits and not self._edits.under_way:
+            self._limits = recipe.limits
+            self._per_die.handle.value, self._per_mm2.handle.value = text_of(recipe.limits)
+        if of != self._of:
+            self._of = of
+            self._put(recipe, form_of(recipe, inspection, self._typed()))
+
+    def _show_recipe(self, snapshot: Snapshot, form: DefectForm) -> None:
+        """Which recipe the form stands for, or why it makes none."""
+        shelf, inspected = snapshot.shelf, snapshot.inspection.inspection is not None
+        names = (NOT_KEPT, *(recipe.name for recipe in shelf.recipes_of(form.product.strip())))
+        if tuple(self._recipes.handle.options) != names:
+            self._recipes.handle.options = names
+        try:
+            now = recipe_of(form, self._recipe)
+        except MeasureError as fault:
+            self._recipes.show(NOT_KEPT)
+            self._said.show(_lab(str(fault)))
+            return
+        self._recipes.show(now.name if now in shelf.recipes else NOT_KEPT)
+        told = words.which_recipe(self._recipe, now, shelf, inspected)
+        self._said.show(_lab(f"{told} {words.unreadable(shelf)}".rstrip()))
+
+    def _put(self, recipe: DefectRecipe, form: DefectForm) -> None:
+        """Fill the form in."""
+        self._recipe, self._form = recipe, form
+        self._dial.value, self._against.value, self._evidence.value = form.sensitivity, form.compare, form.evidence
+        self._product.value, self._scales.value, self._dies.value = form.product, form.scales_px, form.dies
+        self._pitch.handle.value, self._corner.handle.value = form.pitch_um, form.corner_um
+        self._size.handle.value, self._angle.value = form.size_um, form.angle_deg
+        self._per_die.handle.value, self._per_mm2.handle.value = form.max_per_die, form.max_per_mm2
+
+    def _typed(self) -> DefectForm:
+        """What stands on the form now."""
+        return DefectForm(
+            sensitivity=float(self._dial.value),
+            compare=self._against.value,
+            evidence=self._evidence.value,
+            golden=self._form.golden,
+            excluded=self._form.excluded,
+            dies=self._dies.value,
+            pitch_um=self._pitch.handle.value,
+            corner_um=self._corner.handle.value,
+            size_um=self._size.handle.value,
+            angle_deg=float(self._angle.value),
+            product=self._product.value,
+            scales_px=self._scales.value,
+            max_per_die=self._per_die.value,
+            max_per_mm2=self._per_mm2.value,
+        )
+
+    def _redrawing(self) -> Any:
+        return guarded(self._page, "The form was not changed")(lambda _: self._page.redraw())
+
+    def _on(self, failed: str, act: Any) -> Any:
+        return guarded(self._page, failed)(lambda _: act())
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.micro(text))}</div>'

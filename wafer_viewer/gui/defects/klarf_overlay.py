@@ -1,0 +1,112 @@
+"""What another tool found, laid over the surface: how much of it was found here too, and the places of the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.draw.charts.map_marks import Mark
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.result_regions import Box
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.model.inspection.defect import Defect
+from wafer_viewer.model.inspection.klarf import KlarfDefect
+from wafer_viewer.session.state.inspection_resources import OtherTool
+from wafer_viewer.session.state.snapshot import Snapshot
+
+MOST_ROWS, MOST_MARKS = 6, 400
+INK = "var(--ink)"
+ROUND, LEAST_PX = 3.0, 120
+"""So much more than a place is shown, and at least so many pixels of the surface."""
+
+
+class OtherSection:
+    """In sight while a file is laid over."""
+
+    def __init__(self, page: Page, fly: Callable[[Box], object]) -> None:
+        self._page, self._fly = page, fly
+        self._of: tuple[object, object] = None, None
+        self._cell = Cell(page.gui)
+        page.on_pick("defect-other", self._go_to)
+        page.on_pick("defect-other-away", lambda _: self._take_away())
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Bring the section up to date."""
+        other, defects = snapshot.shelf.other, snapshot.inspection.defects
+        if self._of[0] is not other or self._of[1] is not defects:  # thousands of places take a tenth of a second
+            self._of = other, defects
+            self._cell.show(told(other, defects) if other is not None else "")
+
+    def _go_to(self, number_there: str) -> None:
+        now = self._page.session.snapshot
+        other = now.shelf.other
+        if other is None or now.surface is None:
+            return
+        pairs = zip(other.klarf.defects, other.places, strict=True)
+        place = next((place for defect, place in pairs if defect.number == int(number_there)), None)
+        if place is not None:
+            self._fly(_round(place.bounds_um, LEAST_PX * now.surface.pixel_um))
+
+    def _take_away(self) -> None:
+        self._page.ask("The overlay was not removed", self._page.session.defects.files.take_away())
+
+
+def other_marks(other: OtherTool | None) -> list[Mark]:
+    """The places of the other tool on the map: open rings, so that what was found here shows within."""
+    if other is None:
+        return []
+    pairs = list(zip(other.klarf.defects, other.places, strict=True))[:MOST_MARKS]
+    return [
+        Mark(
+            place.points[0].x_um,
+            place.points[0].y_um,
+            INK,
+            f"{other.name} {defect.number}{f', {defect.class_name}' if defect.class_name else ''}",
+            attributes=html.pick("defect-other", str(defect.number)),
+            shape="ring",
+        )
+        for defect, place in pairs
+    ]
+
+
+def told(other: OtherTool, defects: tuple[Defect, ...]) -> str:
+    """Counts on both sides, and what was not found here, a click away."""
+    found = tuple(defect for defect in defects if defect.kind != "unmeasured")
+    rest = other.unmatched(found)
+    both, n = len(other.klarf.defects) - len(rest), len(other.klarf.defects)
+    away = f'<span class="wv-link" {html.pick("defect-other-away")}>Remove overlay</span>'
+    head = f'<div class="wv-h">{html.safe(other.name)}<span>{away}</span></div>'
+    said = (
+        f"{_counted(n, 'place')} of another tool: {both} found here too, {len(rest)} not. "
+        f"{len(found) - both} found here {'is' if len(found) - both == 1 else 'are'} not in the file. "
+        f"The same within {number(other.within_um, 0)} µm; {other.by}."
+    )
+    notes = "".join(_lab(note) for note in other.klarf.notes)
+    more = _lab(f"{len(rest) - MOST_ROWS} more on the map.") if len(rest) > MOST_ROWS else ""
+    rows = [_row(defect) for defect, _ in rest[:MOST_ROWS]]
+    table = html.table(["Not found here", "Die", "Size, µm"], rows, " nn") if rows else ""
+    return f'{head}{_lab(said)}{notes}{table}{more}<div style="height:8px"></div>'
+
+
+def _row(defect: KlarfDefect) -> str:
+    name = f"{defect.number} {defect.class_name}".strip()
+    size = number(defect.size_um, 1) if defect.size_um else "–"
+    return html.row(
+        [html.safe(name), f"{defect.col},{defect.row}", size], " nn", html.pick("defect-other", str(defect.number))
+    )
+
+
+def _round(bounds: Box, least_um: float) -> Box:
+    x0, y0, x1, y1 = bounds
+    half = max(ROUND * max(x1 - x0, y1 - y0), least_um) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - half, y - half, x + half, y + half
+
+
+def _counted(n: int, what: str) -> str:
+    return f"1 {what}" if n == 1 else f"{number(n, 0)} {what}s"
+
+
+def _lab(text: str) -> str:
+    return f'<div class="wv-lab" style="margin-bottom:5px">{html.safe(html.micro(text))}</div>'

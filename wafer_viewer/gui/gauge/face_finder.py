@@ -1,0 +1,77 @@
+"""Finds the two faces of the gauge blocks when their surface first comes on show, on a thread of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.gauge_regions import by_hand
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.session.state.snapshot import Snapshot
+
+Surface = tuple[Path, int, int]
+"""Dataset, what of it is on show, and its stamp."""
+
+
+class FaceFinder:
+    """Looks by itself where there are no faces yet, or those of another dataset; and when asked.
+
+    problem: why nothing was found, or empty; looking: whether it is at work.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = Latest("faces")
+        self._looked_at: Surface | None = None
+        self.problem = ""
+        self.looking = False
+        page.on_close(self._worker.close)
+
+    def follow(self, snapshot: Snapshot, view: View) -> None:
+        """Look where a surface came that has no faces yet."""
+        surface = _surface(snapshot, view)
+        if surface is None or surface == self._looked_at:
+            return
+        of_others = self._looked_at is not None and self._looked_at[0] != surface[0]
+        if of_others or not view.faces:
+            self._look(surface)
+        self._looked_at = surface
+
+    def again(self) -> None:
+        """Look again, in place of where the regions lie now."""
+        surface = _surface(self._page.session.snapshot, self._page.view)
+        if surface is not None:
+            self._look(surface)
+
+    def lay_by_hand(self) -> None:
+        """Lay the regions anywhere, to be dragged."""
+        info = self._page.session.snapshot.surface
+        if info is not None:
+            self.problem = ""
+            self._page.change(faces=by_hand(info))
+
+    def _look(self, surface: Surface) -> None:
+        self._looked_at, self.looking, self.problem = surface, True, ""
+        self._worker.ask(lambda: guarded(self._page, "The faces were not found")(self._find)(self._page.view.show))
+        self._page.redraw()
+
+    def _find(self, show: int) -> None:
+        try:
+            faces = self._page.session.gauge.find_faces(max(0, show))
+            self._page.change(faces=faces)
+        except WaferViewerError as fault:
+            self.problem = str(fault)
+        finally:
+            self.looking = False
+            self._page.redraw()
+
+
+def _surface(snapshot: Snapshot, view: View) -> Surface | None:
+    """What changes whenever there is another surface to look at; None without one."""
+    data = snapshot.dataset
+    if data is None or snapshot.surface is None or snapshot.scanning:
+        return None
+    return data.path, max(0, view.show), snapshot.surface.stamp

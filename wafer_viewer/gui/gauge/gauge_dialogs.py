@@ -1,0 +1,156 @@
+"""Questions of Gauge check: which certificate, who signs, whether the z scale is really to be corrected."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from dataclasses import dataclass
+from datetime import date
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.number_format import number, with_unit
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.verdict import LOOKS
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, duo
+from wafer_viewer.gui.widgets.number_field import OptionalNumber
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, ScaleCorrection
+
+WAIT_S = 20.0
+"""A verb of the session is waited for, so that what it says can be mended in the dialog."""
+NOT_TAKEN = "The certificate was not loaded"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """The fields of a certificate that is typed in."""
+
+    serials: Any
+    step: Any
+    expanded: Any
+    nominal: Any
+    laboratory: Any
+    number: Any
+    issued: Any
+    expires: Any
+
+
+def certificate_dialog(page: Page) -> None:
+    """Take a certificate from a file, or type it in."""
+    dialog = Dialog(page, "Certificate of the gauge blocks", "A TOML file such as assets/gauge/step.toml.")
+    with dialog.modal:
+        files = FileList(dialog, "certificate", rows=3)
+        files.add_upload()
+        Cell(page.gui, html.head("Or type it in"))
+        form = _form(page, page.session.snapshot.gauge.certificate)
+
+    def take() -> None:
+        if not files.is_empty:
+            _wait(page.session.gauge.load_certificate(files.path()))
+        else:
+            _wait(page.session.gauge.put_certificate(_typed(form)))
+
+    dialog.answers("Use certificate", viser.Icon.CERTIFICATE, take, NOT_TAKEN)
+
+
+def sign_dialog(page: Page, check: GaugeCheck) -> None:
+    """Sign a check: the word and the error once more, and who vouches for them."""
+    word, _, tone = LOOKS[check.verdict]
+    dialog = Dialog(
+        page, "Sign this check?", "It is saved with the dataset and in the log of checks and cannot be changed."
+    )
+    error = with_unit(check.deviation.value_um, 3, signed=True)
+    told = f'<b style="color:var(--{tone})">{word}</b> · error {error} · {check.n} scan{"" if check.n == 1 else "s"}'
+    with dialog.modal:
+        Cell(page.gui, f'<div style="padding:2px 0 8px">{told}</div>')
+        name = page.gui.add_text("Signed by", page.browser.name or _operator(page))
+
+    def sign() -> None:
+        if not name.value.strip():
+            raise MeasureError("The signature is missing: type your name.")
+        _wait(page.session.gauge.sign(name.value.strip()))
+        page.change(check=None)
+
+    dialog.answers("Sign and save", viser.Icon.SIGNATURE, sign, "The check was not signed")
+
+
+def correct_dialog(page: Page, offered: ScaleCorrection) -> None:
+    """Correct the z scale: what changes by it, who does it and why."""
+    below = "Scans from now on are taken with the new scale. Datasets and signed checks stay as they are."
+    dialog = Dialog(page, "Correct the z scale?", below)
+    now = page.session.snapshot.rig.calibration
+    pairs = [
+        ("z scale now", number(now.z_scale, 6) if now is not None else "none"),
+        ("z scale then", number(offered.calibration.z_scale, 6)),
+        ("The checked step changes by", with_unit(offered.changes_um, 3, signed=True)),
+        ("Set against then", offered.calibration.against),
+    ]
+    with dialog.modal:
+        Cell(page.gui, html.pairs(pairs) + _warned(offered))
+        name = page.gui.add_text("Done by", page.browser.name or _operator(page))
+        why = page.gui.add_text("Reason", "")
+
+    def correct() -> None:
+        if not name.value.strip():
+            raise MeasureError("The name for the correction is missing: type your name.")
+        _wait(page.session.gauge.correct_scale(name.value.strip(), why.value.strip()))
+
+    dialog.answers("Correct the z scale", viser.Icon.ARROWS_VERTICAL, correct, "The z scale was not changed")
+
+
+def _warned(offered: ScaleCorrection) -> str:
+    same = "These blocks can no longer check this scale, because it was set with them. Use others."
+    return html.note("attention", same, offered.advice)
+
+
+def _form(page: Page, known: Certificate | None) -> _Form:
+    gui, height = page.gui, known.step if known is not None else None
+    certified_um, u_um = (height.value_um, height.expanded_um) if height is not None else (None, None)
+    nominal_um = known.step_nominal_um if known is not None else None
+    duo(gui)
+    serials = gui.add_text("Blocks", " / ".join(known.serials) if known is not None else "")
+    number = gui.add_text("Number", known.number if known is not None else "")
+    duo(gui)
+    step = OptionalNumber(gui, "Step, µm", certified_um, over=0, hint="The certified step")
+    expanded = OptionalNumber(gui, "U (k = 2), µm", u_um, over=0)
+    nominal = OptionalNumber(gui, "Nominal, µm", nominal_um, over=0, hint="What the step is called")
+    laboratory = gui.add_text("Laboratory", known.laboratory if known is not None else "")
+    duo(gui)
+    issued = gui.add_text("Issued", known.issued.isoformat() if known is not None else "")
+    expires = gui.add_text("Valid until", known.expires.isoformat() if known is not None else "")
+    return _Form(serials, step, expanded, nominal, laboratory, number, issued, expires)
+
+
+def _typed(form: _Form) -> Certificate:
+    """The certificate that was typed in. Raises MeasureError for what is missing or is no day."""
+    return Certificate(
+        number=form.number.value.strip() or "typed in",
+        laboratory=form.laboratory.value.strip() or "not named",
+        issued=_day("issue", form.issued.value),
+        expires=_day("expiry", form.expires.value),
+        nominal_um=form.nominal.value or form.step.value,
+        value_um=form.step.value,
+        expanded_um=form.expanded.value,
+        serial_numbers=tuple(part.strip() for part in form.serials.value.split("/") if part.strip()),
+    )
+
+
+def _day(of: str, text: str) -> date:
+    try:
+        return date.fromisoformat(text.strip())
+    except ValueError as fault:
+        raise MeasureError(f"The day of {of} {text.strip()!r} is not a date: write it as 2027-03-14.") from fault
+
+
+def _operator(page: Page) -> str:
+    data = page.session.snapshot.dataset
+    sample = data.job.sample if data is not None else None
+    return sample.operator if sample is not None else ""
+
+
+def _wait(verb: Future[Any]) -> None:
+    verb.result(WAIT_S)

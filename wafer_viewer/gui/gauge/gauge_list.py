@@ -1,0 +1,56 @@
+"""The left panel of Gauge check: the points of the procedure, and the checks that were signed before."""
+
+from __future__ import annotations
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.gauge import day_and_time
+from wafer_viewer.gui.presenters.gauge_procedure import procedure
+from wafer_viewer.gui.presenters.verdict import LOOKS
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeRecord
+from wafer_viewer.session.state.snapshot import Snapshot
+
+MOST_ROWS = 30
+
+
+class GaugeList:
+    """In sight in Gauge check; a click on an earlier check shows it, a second one lets go of it."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._cell = Cell(page.gui)
+        page.on_pick("gauge-record", self._choose)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the list up to date."""
+        there = view.step == "gauge"
+        self._cell.show(procedure(snapshot) + earlier(snapshot.gauge.records, view.check) if there else "")
+
+    def _choose(self, key: str) -> None:
+        self._page.change(check=None if self._page.view.check == key else key)
+
+
+def looked_at(snapshot: Snapshot, view: View) -> GaugeCheck | None:
+    """The earlier check that a view looks at, if it is one of these blocks."""
+    return next((record.check for record in snapshot.gauge.records if record.check.at == view.check), None)
+
+
+def earlier(records: tuple[GaugeRecord, ...], chosen: str | None) -> str:
+    """The newest first: when, its error, its verdict."""
+    head = html.head("Earlier checks", str(len(records) or ""))
+    if not records:
+        return head + html.empty("Signed checks of these blocks", "are listed here.")
+    rows = [_row(record.check, record.check.at == chosen) for record in reversed(records[-MOST_ROWS:])]
+    return head + html.table(["Check", "Error, µm", "Verdict"], rows, " n") + '<div style="height:8px"></div>'
+
+
+def _row(check: GaugeCheck, chosen: bool) -> str:
+    word, sign, tone = LOOKS[check.verdict]
+    verdict = f'<span style="color:var(--{tone});white-space:nowrap">{html.icon(sign, 15)} {word.lower()}</span>'
+    told = f"{day_and_time(check.at)}, {check.verdict}, signed by {check.signed_by}"
+    attributes = f'{html.pick("gauge-record", check.at)} title="{html.safe(told)}"'
+    error = number(check.deviation.value_um, 3, signed=True)
+    return html.row([html.safe(day_and_time(check.at)), error, verdict], " n", attributes, "sel" if chosen else "")

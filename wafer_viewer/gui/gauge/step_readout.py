@@ -1,0 +1,36 @@
+"""Top right in Gauge check: the measured step in the largest figures of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.gui.gauge.gauge_list import looked_at
+from wafer_viewer.gui.measure.live_measurement import Answer
+from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.gauge import day_and_time, large
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.session.state.snapshot import Snapshot
+
+
+class GaugeGlass:
+    """The mean of the repeats; before the first, what lies between the regions; of an earlier check, its own."""
+
+    def __init__(self, page: Page, live: Callable[[], Answer]) -> None:
+        self._live = live
+        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, 330, 88, align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the figure up to date."""
+        self._glass.show(self._content(snapshot, view) if view.step == "gauge" and not view.explains else "")
+
+    def _content(self, snapshot: Snapshot, view: View) -> str:
+        earlier = looked_at(snapshot, view)
+        check = earlier or snapshot.gauge.signed or snapshot.gauge.check
+        if check is not None:
+            of = f", {day_and_time(check.at)}" if check.at else f", mean of {check.n}" if check.n > 1 else ""
+            return large(f"Measured step{of}", check.height)
+        step = self._live().finding
+        return large("Step between the regions, live", step.height) if isinstance(step, StepHeight) else ""

@@ -1,0 +1,1 @@
+"""Sections and docks of the measurement step."""

@@ -1,0 +1,78 @@
+"""Measures at the places of the tool in use, on a thread of its own: the answer follows the handles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.region_tools import fits
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.session.state.snapshot import Snapshot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What came of measuring at the handles' places: a result, or why there is none."""
+
+    finding: AnyFinding | None = None
+    problem: str = ""
+
+
+class Answering:
+    """`answer` is the newest; the page is drawn again when there is another."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = Latest("measure")
+        self._asked: tuple[object, ...] | None = None
+        self.answer = Answer()
+
+    def follow(self, snapshot: Snapshot, view: View) -> None:
+        """Have the places of a view measured where they, the zero or the surface have changed."""
+        asked = (view.tool, _places(view), view.options, view.levelling, view.show, _stamp(snapshot, view.show))
+        if asked == self._asked:
+            return
+        if self._asked is None or asked[0] != self._asked[0]:
+            self.answer = Answer()
+        self._asked = asked
+        if asked[-1] is None or not _places(view):
+            self.answer = Answer()
+            return
+        self._worker.ask(lambda: guarded(self._page, "The measurement failed")(self._measure)(view, asked))
+
+    def close(self) -> None:
+        """Stop measuring: the browser has gone."""
+        self._worker.close()
+
+    def _measure(self, view: View, asked: tuple[object, ...]) -> None:
+        try:
+            answer = self._measured(view)
+        except WaferViewerError as fault:
+            answer = Answer(problem=str(fault))
+        if self._asked is not None and asked[0] == self._asked[0]:
+            self.answer = answer  # of the tool in use: one that came too late would stand under another's title
+        self._page.redraw()
+
+    def _measured(self, view: View) -> Answer:
+        if view.tool == "none":
+            return Answer()
+        return Answer(self._page.session.measure(view.tool, view.places, view.show, view.levelling, view.options))
+
+
+def _places(view: View) -> object:
+    """Where the view's tool measures; nothing where it has no places yet, and for profiles, which have curves."""
+    if view.tool == "none" or view.tool == "profile":
+        return ()
+    return view.places if fits(TOOLS[view.tool], view.places) else ()
+
+
+def _stamp(snapshot: Snapshot, show: int) -> object:
+    """Changes whenever the surface shown does; None where there is none."""
+    if show > 0:
+        return snapshot.dataset.stamps.get(show) if snapshot.dataset else None
+    return snapshot.surface.stamp if snapshot.surface else None

@@ -1,0 +1,142 @@
+"""The profiles' curves: measured on a thread of their own whenever a line, the surface or the zero changes."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.measurement.measurements import Profile
+from wafer_viewer.model.measurement.section_lines import Gap, gap
+from wafer_viewer.model.measurement.sections import Section, SectionAsked
+from wafer_viewer.session.state.snapshot import Snapshot
+
+_NOT_FELT_S = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """Why there is no curve."""
+
+    why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveAnswer:
+    """What came of measuring along the active line."""
+
+    finding: Profile | None = None
+    problem: str = ""
+
+
+class Curves:
+    """One curve for each line, and one more where the active line is compared; the plot is drawn as they come."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._worker = Latest("profile")
+        self._known: dict[SectionAsked, Section | Missing] = {}
+        self._asked: object = None
+        self._surface: object = None
+        self._line = 0
+        self._lock, self._measured = threading.Lock(), threading.Event()
+        self._news: Callable[[], None] = lambda: None
+        self.sections: tuple[Section, ...] = ()
+        self.problems: tuple[str, ...] = ()
+        page.on_close(self._worker.close)
+
+    def on_news(self, callback: Callable[[], None]) -> None:
+        """Call back, on the thread that measured, when there are other curves."""
+        self._news = callback
+
+    @property
+    def active(self) -> Section | None:
+        """The active line's own curve."""
+        return next((s for s in self.sections if s.asked.place == self._line and not s.asked.is_second), None)
+
+    @property
+    def gap(self) -> Gap | None:
+        """What the cursors read on the active line's curve, and where they stand: on its nearest measured points."""
+        active = self.active
+        return None if active is None else gap(active.curve, self._page.view.plot.cursors)
+
+    def cursor_shares(self, view: View) -> tuple[float, float]:
+        """Where the cursors stand, as shares of the active line's length; where they are wished without a curve."""
+        read, active = self.gap, self.active
+        if read is None or active is None or view.tool != "profile":
+            return view.plot.cursors
+        length_um = float(active.curve.distance_um[-1])
+        return read.at_um[0] / length_um, read.at_um[1] / length_um
+
+    @property
+    def answer(self) -> CurveAnswer:
+        """The active line's numbers, or why there are none."""
+        active = self.active
+        return CurveAnswer(active.profile if active else None, self.problems[0] if self.problems else "")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Have whatever changed measured; nothing while no profile is looked at."""
+        self._ask(snapshot)
+
+    def follow(self) -> None:
+        """A handle has moved: have its curve sent now, before its line is, so that one frame shows both.
+
+        Waits for it no longer than a hand could feel.
+        """
+        self._ask(self._page.session.snapshot)
+        self._measured.wait(_NOT_FELT_S)
+
+    def _ask(self, snapshot: Snapshot) -> None:
+        """For the newest view: the page may be drawing an older one while a handle moves."""
+        with self._lock:
+            view = self._page.view
+            if view.step != "measure" or view.tool != "profile" or snapshot.surface is None:
+                return
+            self._line = view.line
+            surface, wanted = _stamp(snapshot, view.show), tuple(_asked(view))
+            if (surface, wanted) == self._asked:
+                return
+            self._asked = surface, wanted
+            self._measured.clear()
+            measure = guarded(self._page, "The measurement failed")(self._measure)
+            self._worker.ask(lambda: measure(surface, wanted))
+
+    def _measure(self, surface: object, wanted: tuple[SectionAsked, ...]) -> None:
+        if surface != self._surface:
+            self._surface, self._known = surface, {}
+        answers = {asked: self._known.get(asked) or self._section(asked) for asked in wanted}
+        self._known = answers
+        self.sections = tuple(answer for answer in answers.values() if isinstance(answer, Section))
+        self.problems = tuple(answer.why for answer in answers.values() if isinstance(answer, Missing))
+        self._news()
+        self._measured.set()
+        self._page.redraw()
+
+    def _section(self, asked: SectionAsked) -> Section | Missing:
+        try:
+            return self._page.session.sections.section(asked)
+        except WaferViewerError as fault:
+            return Missing(str(fault))
+
+
+def _asked(view: View) -> Iterator[SectionAsked]:
+    """Every line, and after the active one what it is compared with."""
+    for place, line in enumerate(view.lines):
+        yield SectionAsked(place, line, view.show, view.levelling, slab=view.look == "points")
+        if place == view.line and view.plot.cleaned:
+            yield SectionAsked(place, line, view.show, view.levelling, cleaned=True)
+        if place == view.line and view.plot.of is not None:
+            yield SectionAsked(place, line, 0, view.levelling, of=view.plot.of)
+
+
+def _stamp(snapshot: Snapshot, show: int) -> object:
+    """Changes with the heights that are measured."""
+    data, surface = snapshot.dataset, snapshot.surface
+    if data is None or surface is None:
+        return None
+    return data.path, surface.result, surface.stamp if show <= 0 else data.stamps.get(show), show

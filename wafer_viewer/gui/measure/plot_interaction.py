@@ -1,0 +1,80 @@
+"""What a pointer and keys do on the plot of profiles: drag over a part to see it larger, click or slide for cursors.
+
+viser tells nothing of clicks on its plots: these elements lie over the curves and tell through the page's hidden field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from wafer_viewer.gui.widgets import html
+
+ZOOM, CURSOR = "plot", "cursor"
+"""What is told: two shares of the plot's width where the pointer went down and up; a cursor and its distance."""
+WHOLE = "whole"
+_ALONG = "(event.clientX-this.getBoundingClientRect().left)/this.clientWidth"
+_DOWN = f"if(event.button===0){{this.setPointerCapture(event.pointerId);window.plotFrom={_ALONG}}}"
+"""Kept by the window: a plot that is drawn anew while one drags over it goes on where the old one was."""
+_MOVE = (
+    "if(!(event.buttons&1)){window.plotFrom=undefined;this.firstElementChild.style.display='none'}"
+    f"if(window.plotFrom!==undefined){{const a=window.plotFrom,b={_ALONG},s=this.firstElementChild.style;"
+    "s.display='block';s.left=100*Math.max(0,Math.min(a,b))+'%';s.right=100*Math.max(0,1-Math.max(a,b))+'%'}"
+)
+_UP = (
+    f"if(window.plotFrom!==undefined){{this.dataset.k=window.plotFrom+':'+{_ALONG};window.plotFrom=undefined;"
+    f"this.firstElementChild.style.display='none';{html.pick_script(ZOOM)}}}"
+)
+_WHOLE = f"this.dataset.k='{WHOLE}';{html.pick_script(ZOOM)}"
+_KEYS = "if(event.key.startsWith('Arrow'))event.stopPropagation()"
+"""Or the arrows would move the camera too."""
+
+
+def zoom_area() -> str:
+    """Lies on the curves: a drag chooses a part of them, a click puts the nearer cursor there."""
+    heard = {"pointerdown": _DOWN, "pointermove": _MOVE, "pointerup": _UP, "dblclick": _WHOLE}
+    handlers = " ".join(f'on{event}="{html.safe(script)}"' for event, script in heard.items())
+    return f'<div class="wv-zoom" {handlers}><div></div></div>'
+
+
+def cursor_sliders(at_um: Sequence[float], ends_um: tuple[float, float], step_um: float) -> str:
+    """A slider over the plot for each cursor within its ends; only where they stand do they take the pointer."""
+    tell = "this.dataset.k=this.name+':'+this.value+':'+(this.dataset.by||'key')+':{end}';"
+    tell += html.pick_script(CURSOR, latest_only=True)
+    moved, released = (html.safe(tell.replace("{end}", end)) for end in ("", "end"))
+    released += ";delete this.dataset.by"
+    return "".join(
+        f'<input type="range" class="wv-slide" name="{k}" aria-label="Cursor {k + 1}, µm" '
+        f'min="{ends_um[0]!r}" max="{ends_um[1]!r}" step="{step_um * (1 - 1e-9)!r}" value="{at!r}" '
+        f'oninput="{moved}" onchange="{released}" onpointerdown="this.dataset.by=\'hand\'" onkeydown="{_KEYS}">'
+        for k, at in enumerate(at_um)
+        if ends_um[0] <= at <= ends_um[1]
+    )
+
+
+def told_shares(key: str) -> tuple[float, float]:
+    """The two shares that `zoom_area` told, kept within the plot."""
+    first, last = (min(max(float(share), 0.0), 1.0) for share in key.split(":"))
+    return first, last
+
+
+@dataclass(frozen=True, slots=True)
+class CursorMove:
+    """What a slider told: its cursor, its distance along the line in um, whether a key moved it, or it was let go."""
+
+    number: int
+    at_um: float
+    by_key: bool
+    released: bool
+
+
+def told_cursor(key: str) -> CursorMove:
+    """What a slider told of its cursor."""
+    number, at_um, by, end = key.split(":")
+    return CursorMove(int(number), float(at_um), by == "key", end == "end")
+
+
+def focused(number: int) -> str:
+    """Has the slider of a cursor take the focus again: it was made anew under the keys."""
+    script = f"document.querySelector('.wv-slide[name=&quot;{number}&quot;]')?.focus()"
+    return f'<img src="data:," alt="" hidden onerror="{script}">'

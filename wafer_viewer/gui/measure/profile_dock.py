@@ -1,0 +1,150 @@
+"""The bottom panel: the profiles as curves in µm, live while a handle moves. The scene makes room for it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from wafer_viewer.draw.charts.profile_axes import Ends, ProfileFrame, frame_of
+from wafer_viewer.draw.charts.profile_plot import profile_plot_html
+from wafer_viewer.gui.measure import plot_interaction as pointer
+from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.page.bottom_panel import BottomPanel
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters import profile as words
+from wafer_viewer.gui.state.plot_state import with_cursor
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.model.measurement.section_lines import Gap, gap, next_measured
+from wafer_viewer.model.measurement.sections import Section
+from wafer_viewer.session.state.snapshot import Snapshot
+
+STILL_S = 0.6
+"""While curves follow each other faster, a handle is being moved: the heights of the plot stay as they are."""
+LEAST_ZOOM_SHARE = 0.01
+"""A shorter drag is a click."""
+
+
+class ProfileDock:
+    """Head with the figures, the plot, and two cursors on the active line's curve."""
+
+    def __init__(self, page: Page, curves: Curves) -> None:
+        self._page, self._curves = page, curves
+        self._lock = threading.Lock()
+        self._frame = frame_of([])
+        self._sections: Sequence[Section] = ()
+        self._changed_s = 0.0
+        self._slid: tuple[float, float] | None = None
+        self._slider = (self._frame.x_um, (0.0, 1.0))
+        self._focused: int | None = None
+        self._rests = 0
+        self._panel = BottomPanel(page, "profile")
+        with self._panel.tab:
+            self._plot = Cell(page.gui)
+            self._over = Cell(page.gui)
+            self._sliders = Cell(page.gui)
+        page.on_pick("line", lambda place: page.change(line=int(place), selected=None))
+        page.on_pick(pointer.ZOOM, self._pointed)
+        page.on_pick(pointer.CURSOR, self._slide)
+        curves.on_news(lambda: self._draw(page.view))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the curves up to date."""
+        if self._panel.show(view):
+            self._draw(view)
+
+    def _draw(self, view: View) -> None:
+        """From the page's thread, and at once from the one that measured."""
+        with self._lock:
+            sections, active = self._curves.sections, self._curves.active
+            if not sections:
+                self._show_below(self._head(view, None))
+                self._over.show("")
+                self._sliders.show("")
+                return
+            self._frame = self._framed(sections, view.plot.span_um)
+            read = self._curves.gap
+            at_um = read.at_um if read is not None else ()
+            plot = profile_plot_html(sections, self._frame, at_um, view.brush)
+            self._show_below(self._head(view, read) + plot)
+            # Always the same, and so never put in anew under the pointer that drags on it.
+            self._over.show(pointer.zoom_area())
+            self._show_sliders(view, active, read)
+
+    def _show_below(self, content: str) -> None:
+        self._plot.show(f'<div class="wv-below">{content}</div>')
+
+    def _framed(self, sections: Sequence[Section], span_um: Ends | None) -> ProfileFrame:
+        """What the plot shows; its heights are held while curves follow each other, and fitted once they rest."""
+        now_s = time.monotonic()
+        moving = now_s - self._changed_s < STILL_S
+        if sections != self._sections:
+            self._sections, self._changed_s = sections, now_s
+        fitted = frame_of(sections, span_um)
+        return fitted.holding(self._frame.z_um) if moving else fitted
+
+    def _head(self, view: View, read: Gap | None) -> str:
+        zoomed = view.plot.span_um is not None
+        return words.head(self._curves.sections, self._curves.problems, len(view.lines), view.line, read, zoomed)
+
+    def _show_sliders(self, view: View, active: Section | None, read: Gap | None) -> None:
+        """Sent anew only where something else than a slider moved a cursor: it would slip out of the hand."""
+        if active is None or read is None:
+            self._sliders.show("")
+            return
+        if view.plot.cursors != self._slid or self._slider[0] != self._frame.x_um:
+            self._slid, self._slider = None, (self._frame.x_um, read.at_um)
+        ends_um, at_um = self._slider
+        sliders = pointer.cursor_sliders(at_um, ends_um, _step_um(active))
+        focused = pointer.focused(self._focused) if self._focused is not None else ""
+        self._sliders.show(f'<div class="wv-slides" data-rests="{self._rests}">{sliders}{focused}</div>')
+
+    # ---------------------------------------------------------------- what the operator does
+
+    def _pointed(self, key: str) -> None:
+        plot = self._page.view.plot
+        if key == pointer.WHOLE:
+            self._page.change(plot=replace(plot, span_um=None))
+            return
+        low, high = self._frame.x_um
+        first, last = (low + share * (high - low) for share in pointer.told_shares(key))
+        if abs(last - first) > LEAST_ZOOM_SHARE * (high - low):
+            self._page.change(plot=replace(plot, span_um=(min(first, last), max(first, last))))
+        else:
+            self._put_nearer(last)
+
+    def _put_nearer(self, at_um: float) -> None:
+        """Put the cursor that stands nearer to a place there."""
+        active = self._curves.active
+        if active is not None:
+            share = at_um / float(active.curve.distance_um[-1])
+            first, second = self._page.view.plot.cursors
+            self._put_cursor(0 if abs(first - share) <= abs(second - share) else 1, share, slid=False)
+
+    def _slide(self, key: str) -> None:
+        """A grip is moved. Let go where nothing is measured it goes to the nearest point, by keys over the gap."""
+        told, active, before = pointer.told_cursor(key), self._curves.active, self._curves.gap
+        if active is None or before is None:
+            return
+        length_um = float(active.curve.distance_um[-1])
+        stands_um = gap(active.curve, (told.at_um / length_um, 0.0)).at_um[0]
+        beside = abs(stands_um - told.at_um) > _step_um(active) / 2
+        self._focused = told.number if told.by_key else None
+        if told.by_key and told.released and beside:
+            forward = told.at_um > before.at_um[told.number]
+            stands_um = next_measured(active.curve, before.at_um[told.number], forward)
+        resting = beside and told.released
+        self._rests += resting  # a grip that goes back to where it was is sent all the same
+        self._put_cursor(told.number, (stands_um if resting else told.at_um) / length_um, slid=not resting)
+
+    def _put_cursor(self, number: int, share: float, *, slid: bool) -> None:
+        plot = with_cursor(self._page.view.plot, number, share)
+        self._slid = plot.cursors if slid else None
+        self._page.change(plot=plot)
+
+
+def _step_um(section: Section) -> float:
+    """From one point of a curve to the next."""
+    return float(section.curve.distance_um[-1]) / max(1, len(section.curve.z_um) - 1)

@@ -1,0 +1,162 @@
+"""The part of the measuring panel that belongs to profiles: lines, rows by number, cursors, comparison, files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.plot_state import PlotView, with_cursor
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, button, duo, in_a_row, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.measurement import section_lines
+from wafer_viewer.model.measurement.section_lines import MOST_LINES
+from wafer_viewer.model.measurement.sections import OtherSurface
+from wafer_viewer.model.surface.clipping import BeforeSlab
+from wafer_viewer.session.state.snapshot import Snapshot
+
+ALONE, CLEANED = "nothing", "measured and filtered heights"
+HINT = "A second curve along the active line: its other heights, or those of another surface"
+BEFORE: tuple[tuple[BeforeSlab, str], ...] = (("show", "Show"), ("pale", "Pale"), ("hide", "Hide"))
+"""What becomes of points before the slab along the active line, where points are drawn."""
+FAILED = "The line was not changed"
+ICON = viser.Icon
+
+
+class ProfileSection:
+    """Shown while profiles are cut."""
+
+    def __init__(self, page: Page, curves: Curves) -> None:
+        self._page, self._curves, self._verbs = page, curves, LineVerbs(page)
+        self._worker = Latest("other surfaces")
+        self._others: dict[str, OtherSurface] = {}
+        self._listed: object = None
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+        page.on_close(self._worker.close)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the section up to date."""
+        there = view.step == "measure" and view.tool == "profile" and not view.explains
+        set_prop(self._folder, "visible", there)
+        if not there:
+            return
+        self._list_others(snapshot)
+        line = view.active_line
+        set_prop(self._add, "disabled", line is None or len(view.lines) >= MOST_LINES)
+        set_prop(self._remove, "disabled", len(view.lines) < 2)
+        self._width.show(line.width_um if line is not None else 0.0)
+        self._show_numbers(snapshot, view)
+        self._show_cursors()
+        set_prop(self._cut_folder, "visible", view.look == "points")
+        self._before.show(view.before)
+        self._compare.show(_compared(view.plot))
+        for handle in self._files:
+            set_prop(handle, "disabled", not self._curves.sections)
+
+    def _build(self) -> None:
+        gui, verbs = self._page.gui, self._verbs
+        self._add = self._button("Add line", ICON.PLUS, verbs.add)
+        self._remove = self._button("Remove line", ICON.TRASH, verbs.remove)
+        in_a_row(gui, [self._add, self._remove], 30)
+        along_x = self._button("Horizontal cut", ICON.ARROWS_HORIZONTAL, lambda: verbs.cut("row"))
+        along_y = self._button("Vertical cut", ICON.ARROWS_VERTICAL, lambda: verbs.cut("column"))
+        in_a_row(gui, [along_x, along_y], 30)
+        duo(gui)
+        self._row = self._number("Row", lambda number: verbs.cut_at("row", round(number)), step=1)
+        self._column = self._number("Column", lambda number: verbs.cut_at("column", round(number)), step=1)
+        self._numbers = Cell(gui)
+        self._width = self._number("Width, µm", verbs.widen, step=0.5)
+        self._cut_folder = gui.add_folder(None, visible=False)
+        with self._cut_folder:
+            self._before = Choice(gui, "Before it", BEFORE, lambda key: self._page.change(before=key))
+        cursors = gui.add_vector2("Cursors, µm", (0.0, 0.0), step=0.1)
+        self._cursors: Field[tuple[float, float]] = Field(
+            cursors, lambda event: self._put_cursors(event.target.value), self._page, FAILED
+        )
+        compare = gui.add_dropdown("Compare with", (ALONE, CLEANED), hint=HINT)
+        self._compare: Field[str] = Field(
+            compare, lambda event: self._choose_other(event.target.value), self._page, FAILED
+        )
+        self._files = [
+            self._button("Profiles as CSV", ICON.TABLE_EXPORT, lambda: self._download(".csv")),
+            self._button("Profiles as PNG", ICON.PHOTO_DOWN, lambda: self._download(".png")),
+        ]
+        in_a_row(gui, self._files, 30)
+
+    def _button(self, label: str, icon: Any, act: Callable[[], None]) -> Any:
+        return button(self._page.gui, label, icon, guarded(self._page, FAILED)(lambda _: act()))
+
+    def _number(self, label: str, act: Callable[[float], None], step: float) -> Field[float]:
+        handle = self._page.gui.add_number(label, 0 if step == 1 else 0.0, min=0, step=step)
+        return Field(handle, lambda event: act(float(event.target.value)), self._page, FAILED)
+
+    # ---------------------------------------------------------------- bring up to date
+
+    def _show_numbers(self, snapshot: Snapshot, view: View) -> None:
+        """The row and the column that the line runs along, or those nearest to its middle."""
+        line = view.active_line
+        if line is None or snapshot.surface is None:
+            return
+        surface = self._page.session.surface_source(view.show)
+        place = section_lines.middle(line)
+        self._row.show(section_lines.nearest(surface, "row", *place))
+        self._column.show(section_lines.nearest(surface, "column", *place))
+        rows, cols = surface.shape
+        where = f"field {view.show}" if view.show > 0 else "the stitched surface"
+        text = f"Rows 0 to {rows - 1}, columns 0 to {cols - 1} of {where}."
+        self._numbers.show(f'<div class="wv-lab">{html.safe(text)}</div>')
+
+    def _show_cursors(self) -> None:
+        """Where the cursors stand, which is where lines, grips and figures have them."""
+        read = self._curves.gap
+        self._cursors.enable(read is not None)
+        first, second = read.at_um if read is not None else (0.0, 0.0)
+        self._cursors.show((round(first, 2), round(second, 2)))
+
+    def _list_others(self, snapshot: Snapshot) -> None:
+        """The surfaces to compare with, read from the disk when the list of datasets has changed."""
+        shown = snapshot.dataset
+        listed = snapshot.datasets, shown and (shown.path, shown.results), snapshot.surface and snapshot.surface.result
+        if listed != self._listed:
+            self._listed = listed
+            self._worker.ask(guarded(self._page, "The other surfaces were not listed")(self._read_others))
+
+    def _read_others(self) -> None:
+        self._others = {other.title: other for other in self._page.session.sections.others()}
+        set_prop(self._compare.handle, "options", (ALONE, CLEANED, *self._others))
+        self._page.redraw()
+
+    # ---------------------------------------------------------------- what the operator does
+
+    def _put_cursors(self, at_um: tuple[float, float]) -> None:
+        active = self._curves.active
+        if active is not None:
+            plot = self._page.view.plot
+            for number in (0, 1):
+                plot = with_cursor(plot, number, at_um[number] / float(active.curve.distance_um[-1]))
+            self._page.change(plot=plot)
+
+    def _choose_other(self, name: str) -> None:
+        plot = replace(self._page.view.plot, cleaned=name == CLEANED, of=self._others.get(name))
+        self._page.change(plot=plot)
+
+    def _download(self, ending: str) -> None:
+        """Offer all curves to the browser as a file."""
+        sections, shown = self._curves.sections, self._page.session.snapshot.dataset
+        if sections and shown is not None:
+            content = self._page.session.sections.file(sections, ending)
+            self._page.client.send_file_download(f"{shown.path.stem}-profiles{ending}", content, save_immediately=True)
+
+
+def _compared(plot: PlotView) -> str:
+    return plot.of.title if plot.of is not None else CLEANED if plot.cleaned else ALONE

@@ -1,0 +1,167 @@
+"""The list of results in the left panel: choose and fly there, rename, delete, undo and redo, CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.page.dialogs import rename_dialog
+from wafer_viewer.gui.page.import_export_dialogs import save_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.measurement import REGION_COLOUR, letter, list_text, sign_colour
+from wafer_viewer.gui.presenters.provenance import where
+from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, places_of, tool_of
+from wafer_viewer.gui.scenes.thumbnails import Thumbnails
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.session.state.snapshot import Snapshot
+
+ROUND_PLACES = 2.4
+"""How much more than its places is shown of where a result was measured."""
+LEAST_SHOWN_PX = 120
+"""Pixels of the surface that are shown at least: nearer there is nothing more to see."""
+
+
+class ResultList:
+    """What was kept, each with its picture, its value and its uncertainty."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._thumbnails = Thumbnails(page)
+        self._fly: Callable[[Box], object] = lambda box: None
+        gui = page.gui
+        self._folder = gui.add_folder(None, visible=False)
+        with self._folder:
+            self._list = Cell(gui)
+            self._csv = button(gui, "CSV…", viser.Icon.TABLE_EXPORT, self._on("Export failed", self._export))
+            self._rename = button(
+                gui, "Rename", viser.Icon.PENCIL, self._on("The name was not changed", self._ask_name)
+            )
+            self._delete = button(
+                gui, "Delete", viser.Icon.TRASH, self._on("The result was not changed", self._delete_it)
+            )
+            in_a_row(gui, [self._csv, self._rename, self._delete], 30)
+            self._undo = button(gui, "Undo", viser.Icon.ARROW_BACK_UP, self._on("Nothing was undone", self.undo))
+            self._redo = button(gui, "Redo", viser.Icon.ARROW_FORWARD_UP, self._on("Nothing was redone", self.redo))
+            in_a_row(gui, [self._undo, self._redo], 30)
+        page.on_pick("finding", lambda key: self.choose(int(key)))
+
+    def on_chosen(self, fly: Callable[[Box], object]) -> None:
+        """Call back with the part of the surface to be shown when a result is chosen."""
+        self._fly = fly
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the list up to date."""
+        set_prop(self._folder, "visible", view.step == "measure")
+        if view.step != "measure":
+            return
+        self._list.show(html.head("Results", str(len(snapshot.findings) or "")) + self._rows(snapshot, view))
+        chosen = self._chosen(snapshot, view) is not None
+        for act in (self._csv, self._rename, self._delete):
+            set_prop(act, "visible", bool(snapshot.findings))
+        for way in (self._undo, self._redo):
+            set_prop(way, "visible", bool(snapshot.findings or snapshot.findings_undo or snapshot.findings_redo))
+        set_prop(self._rename, "disabled", not chosen)
+        set_prop(self._delete, "disabled", not chosen)
+        set_prop(self._undo, "disabled", not snapshot.findings_undo)
+        set_prop(self._redo, "disabled", not snapshot.findings_redo)
+
+    def choose(self, number: int) -> None:
+        """Show a result on the surface it was measured on, its tool at its places; a second click lets go of it."""
+        page = self._page
+        finding = next((f for f in page.session.snapshot.findings if f.number == number), None)
+        if finding is None or page.view.selected == number:
+            page.change(selected=None)
+            return
+        page.change(selected=number, **_as_measured(finding, page.view))
+        info = page.session.snapshot.surface
+        self._fly(_round(bounds_of(finding), LEAST_SHOWN_PX * info.pixel_um if info else 0.0))
+
+    def undo(self) -> None:
+        """Take back the last change to the list."""
+        self._page.ask("Nothing was undone", self._page.session.undo_findings())
+
+    def redo(self) -> None:
+        """Make the change again that was taken back last."""
+        self._page.ask("Nothing was redone", self._page.session.redo_findings())
+
+    def _on(self, name: str, act: Any) -> Any:
+        return guarded(self._page, name)(lambda _: act())
+
+    def _chosen(self, snapshot: Snapshot, view: View) -> AnyFinding | None:
+        return next((f for f in snapshot.findings if f.number == view.selected), None)
+
+    def _ask_name(self) -> None:
+        finding = self._chosen(self._page.session.snapshot, self._page.view)
+        if finding is not None:
+            rename_dialog(self._page, finding.number, finding.name)
+
+    def _delete_it(self) -> None:
+        page, number = self._page, self._page.view.selected
+        if number is not None:
+            page.ask("The result was not changed", page.session.delete(number), lambda _: page.change(selected=None))
+
+    def _export(self) -> None:
+        page, data = self._page, self._page.session.snapshot.dataset
+        if data is not None:
+            name = f"{data.path.stem}-results.csv"
+            save_dialog(
+                page, "Save the results", name, page.session.export_findings, "Results exported", "Export failed"
+            )
+
+    def _rows(self, snapshot: Snapshot, view: View) -> str:
+        if not snapshot.findings:
+            return html.empty("What you keep is listed here.") + '<div style="height:8px"></div>'
+        rows = [_row(f, view, self._thumbnails.of(f, snapshot)) for f in snapshot.findings]
+        return html.table(["", "Result", "k = 2"], rows, "  n") + '<div style="height:6px"></div>'
+
+
+def _row(finding: AnyFinding, view: View, thumbnail: str) -> str:
+    colour = sign_colour(finding)
+    sign = html.chip(letter(finding), "" if colour == REGION_COLOUR else colour)
+    name = f'<span class="wv-cut wv-short" title="{html.safe(finding.name)}">{html.safe(finding.name)}</span>'
+    elsewhere = " · ".join(_elsewhere(finding, view))
+    beside = f'<small class="wv-cut wv-short" title="{html.safe(elsewhere)}">{html.safe(elsewhere)}</small>'
+    return html.row(
+        [
+            thumbnail,
+            f'<div class="wv-result">{sign}<div>{name}{beside if elsewhere else ""}</div></div>',
+            list_text(finding),
+        ],
+        "  n",
+        html.pick("finding", finding.number),
+        "sel" if finding.number == view.selected else "",
+    )
+
+
+def _elsewhere(finding: AnyFinding, view: View) -> list[str]:
+    """What a result was measured on where that is not what is shown."""
+    told = [where(finding)] if finding.show != view.show else []
+    return told + ([f"zero: {finding.levelling.by}"] if finding.levelling != view.levelling else [])
+
+
+def _as_measured(finding: AnyFinding, view: View) -> dict[str, Any]:
+    """What of the view makes it show a result as it was measured."""
+    tool, places = tool_of(finding), places_of(finding)
+    changes: dict[str, Any] = {"why": None}
+    if tool == "profile":
+        changes |= {"tool": tool, "lines": places, "line": 0}
+    elif tool is not None:
+        changes |= {"tool": tool, "places": places}
+    if (finding.show, finding.levelling) != (view.show, view.levelling):
+        changes |= {"show": finding.show, "levelling": finding.levelling, "range_um": None}
+        changes |= {"frame_k": None, "slice_z_um": None}
+    return changes
+
+
+def _round(bounds: Box, least_um: float) -> Box:
+    """The part of the surface to be shown for places within bounds."""
+    x0, y0, x1, y1 = bounds
+    half = max(ROUND_PLACES * max(x1 - x0, y1 - y0), least_um) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - half, y - half, x + half, y + half

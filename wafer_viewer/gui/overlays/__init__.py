@@ -1,0 +1,1 @@
+"""Legends and tools that float over the scene."""

@@ -1,0 +1,74 @@
+"""Top right wherever a surface is looked at, but in Gauge check: what the colours mean, with the histogram."""
+
+from __future__ import annotations
+
+from wafer_viewer.draw.charts.colour_bar import LINE_PX, colour_bar_html, origin_legend_html
+from wafer_viewer.draw.surface.display_style import QUANTITIES
+from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
+from wafer_viewer.gui.state.view_state import ColourBy, View
+from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.session.rendering.render_request import Scale
+from wafer_viewer.session.state.snapshot import Snapshot
+
+WIDTH_PX, HEAD_AND_FOOT_PX = 124, 78
+MOST_BAR_PX, LEAST_BAR_PX = 320, 110
+BELOW_PX = 96
+"""Room left under the bar for the read-out."""
+ORIGIN_ROW_PX, ORIGINS_EDGES_PX = 23, 18
+SIGNED = ("height", "deviation", "form", "difference")
+
+
+class ColourLegend:
+    """The colour bar on glass, as high as the scene allows."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, WIDTH_PX, MOST_BAR_PX + HEAD_AND_FOOT_PX)
+        self._of_origins = Overlay(page.gui, -EDGE_PX, EDGE_PX, 236, _origins_px(1), align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the legend up to date."""
+        scale = self._page.scale if view.on_surface and view.step != "gauge" else None
+        of_origins = scale is not None and scale.quantity == "origin"
+        bar_px = self._bar_px()
+        bar = _bar(scale, view, self._page.coloured_by(view), bar_px) if scale is not None and not of_origins else ""
+        self._glass.show(_on_glass(bar), height_px=bar_px + HEAD_AND_FOOT_PX + 2 + _foot_px(scale))
+        origins = scale.origins if scale is not None and of_origins else {}
+        rows = sum(share > 0 for share in origins.values())
+        self._of_origins.show(_on_glass(origin_legend_html(origins) if rows else ""), height_px=_origins_px(rows))
+
+    def _bar_px(self) -> int:
+        room = self._page.viewport.height_px - EDGE_PX - HEAD_AND_FOOT_PX - BELOW_PX
+        return min(MOST_BAR_PX, max(LEAST_BAR_PX, room // 10 * 10))
+
+
+def _foot_px(scale: Scale | None) -> int:
+    """Room for what the grey says."""
+    return LINE_PX if scale is not None and scale.quantity == "overlap" else 0
+
+
+def _origins_px(rows: int) -> int:
+    """How high the legend of so many origins is."""
+    return ORIGIN_ROW_PX * rows + ORIGINS_EDGES_PX
+
+
+def _bar(scale: Scale, view: View, quantity: ColourBy, bar_px: int) -> str:
+    title, unit = QUANTITIES[quantity]
+    colours = OWN_COLOURS.get(quantity, view.colours)
+    return colour_bar_html(
+        title,
+        unit,
+        scale.low,
+        scale.high,
+        colours,
+        scale.counts,
+        height_px=bar_px,
+        signed=quantity in SIGNED,
+        elsewhere="one field only" if quantity == "overlap" else "",
+    )
+
+
+def _on_glass(content: str) -> str:
+    return content and f'<div class="wv-glass">{content}</div>'

@@ -1,0 +1,161 @@
+"""What lies over the scene on glass: legends, the scale bar, the read-out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from wafer_viewer.draw.number_format import number, with_unit
+from wafer_viewer.draw.ticks import length_text, round_length
+from wafer_viewer.gui.page.bottom_panel import room_px
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.gauge_regions import in_scene
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.model.measurement.levelling import LevelBy
+from wafer_viewer.model.surface.height_map import ORIGIN_TITLES, Origin
+from wafer_viewer.session.measurement.dataset_queries import ReadOut
+from wafer_viewer.session.state.snapshot import ScanProgress, Snapshot
+
+EDGE_PX = 14
+SHORT_NAME = 24
+BAR_PX = 150
+"""The scale bar is at most this long."""
+READ_OUT_PX = 60
+OVER: dict[LevelBy, str] = {
+    "stage": "",
+    "three points": "over three points",
+    "plane": "over its plane",
+    "region": "over the region",
+    "form": "over its form",
+}
+"""From what a height is read, where that is not the stage's zero."""
+NARROW_SCENE_PX = 740
+"""Scale bar with all its words and read-out lie side by side from this width on."""
+
+
+class Legend:
+    """Top right: what the lines of the plan mean; in Acquire the place of the frame being taken."""
+
+    def __init__(self, page: Page) -> None:
+        self._glass = Overlay(page.gui, -EDGE_PX, EDGE_PX, 340, 44, align="right")
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the legend up to date."""
+        content = ""
+        if view.step == "plan" and snapshot.draft.job is not None:
+            content = _plan_legend(snapshot)
+        elif view.step == "acquire" and snapshot.scanning and snapshot.scan is not None:
+            content = _frame_place(snapshot.scan, snapshot)
+        self._glass.show(content and f'<div class="wv-glass wv-legend-card">{content}</div>')
+
+
+class ScaleBar:
+    """Bottom left: a round length at the point looked at, and how many times z is drawn."""
+
+    def __init__(self, page: Page, scene: Any) -> None:
+        self._scene, self._viewport = scene, page.viewport
+        self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX, 500, 44)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the bar up to date."""
+        um_per_pixel = self._scene.um_per_pixel()
+        y_px = -(EDGE_PX + room_px(view))
+        narrow = self._viewport.width_px < NARROW_SCENE_PX
+        drawn = _drawn(snapshot, in_scene(view), narrow)
+        self._glass.show(_scale_bar(um_per_pixel, drawn) if um_per_pixel else "", y_px=y_px)
+
+
+class ReadOutBox:
+    """Bottom right: height and confidence where the surface was clicked, and the way to ask why."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._glass = Overlay(page.gui, -EDGE_PX, -EDGE_PX, 420, READ_OUT_PX, align="right")
+        self._text = ""
+        self._of: object = None
+
+    def at(self, x_um: float, y_um: float) -> None:
+        """Read the surface at a place; on a thread that may wait."""
+        view, session = self._page.view, self._page.session
+        read = session.read_out(x_um, y_um, view.show)
+        if read.z_um is not None and view.levelling.by != "stage":
+            zero = session.datum(view.levelling, view.show).at(np.array([x_um]), np.array([y_um]))
+            read = replace(read, z_um=read.z_um - float(zero[0]))
+        place = f"x <b>{number(x_um, 1)}</b>&ensp;y <b>{number(y_um, 1)}</b>&ensp;"
+        self._text = f'{place}{_height(read, view)}<br><span class="dim">{_trust(read)}</span>&ensp;'
+        self._of = _surface(session.snapshot, view)
+        self._page.redraw()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show what was read last, as long as the surface is the same."""
+        on_surface = view.on_surface and self._of == _surface(snapshot, view)
+        y_px = -(EDGE_PX + room_px(view))
+        ask = f'<span class="wv-link" title="Key C" {html.pick("why")}>Why this height?</span>'
+        shown = f"{self._text}{'' if view.explains else ask}" if on_surface else ""
+        self._glass.show(shown and f'<div class="wv-glass wv-read">{shown}</div>', y_px=y_px)
+
+
+def _surface(snapshot: Snapshot, view: View) -> tuple[object, ...]:
+    stamp = snapshot.surface.stamp if snapshot.surface else None
+    return (snapshot.dataset.path if snapshot.dataset else None, view.show, view.levelling, stamp)
+
+
+def _height(read: ReadOut, view: View) -> str:
+    """The height, and over what it is; where there is none, nothing: the reason stands below."""
+    if read.z_um is None:
+        return ""
+    over = f' <span class="dim">{OVER[view.levelling.by]}</span>' if view.levelling.by != "stage" else ""
+    return f"z <b>{with_unit(read.z_um, 2, signed=True)}</b>{over}&ensp;"
+
+
+def _trust(read: ReadOut) -> str:
+    if read.origin != Origin.MEASURED:
+        return html.safe(ORIGIN_TITLES[read.origin])
+    return f"confidence {number(read.confidence, 2)}"
+
+
+def _plan_legend(snapshot: Snapshot) -> str:
+    job = snapshot.draft.job
+    parts: list[str] = []
+    if job is not None and job.grid is not None and job.grid.rows * job.grid.cols > 1:
+        shade = html.swatch("color-mix(in srgb,var(--accent) 45%,transparent)", "var(--accent)")
+        parts.append(f"<span>{shade} overlap {number(100 * job.grid.overlap_x_fraction, 0)} %</span>")
+    if snapshot.draft.plan is not None:
+        parts.append('<span><i class="wv-way"></i> path of the stage</span>')
+    return "".join(parts)
+
+
+def _frame_place(scan: ScanProgress, snapshot: Snapshot) -> str:
+    data = snapshot.dataset
+    of = f" of {data.plan.sweep.n_frames}" if data else ""
+    return (
+        f"<span>Field {scan.field.number}</span><span>z <b>{with_unit(scan.z_um, 1, signed=True)}</b></span>"
+        f'<span class="dim">frame {scan.k + 1}{of}</span>'
+    )
+
+
+def _drawn(snapshot: Snapshot, view: View, narrow: bool) -> str:
+    """What stands beside the bar; in a narrow scene it leaves room for the read-out."""
+    if view.step == "plan":
+        sample = snapshot.draft.job.sample if snapshot.draft.job else None
+        if sample is None or (size_um := sample.size_um) is None:
+            return "stage"
+        name = f"{sample.name} · " if 0 < len(sample.name) <= SHORT_NAME else ""
+        return f"{name}{number(size_um[0] / 1000, 3)} × {with_unit(size_um[1] / 1000, 3, 'mm')}"
+    if view.look == "plan" and view.step != "acquire":
+        return "seen from above"
+    shape = " (true shape)" if view.exaggeration == 1 else ""
+    points = view.look == "points"
+    words, strength = ("depth shade", view.depth_shade) if points else ("light from the north-west", view.hillshade)
+    light = f" · {words}" if view.step == "surface" and strength and not narrow else ""
+    return f"z drawn × {view.exaggeration:g}{shape}{light}"
+
+
+def _scale_bar(um_per_pixel: float, beside: str) -> str:
+    length_um = round_length(BAR_PX * um_per_pixel)
+    ruler = f'<div style="width:{length_um / um_per_pixel:.0f}px"><b>{length_text(length_um)}</b><i></i></div>'
+    return f'<div class="wv-glass wv-scale">{ruler}<span>{html.safe(beside)}</span></div>'

@@ -1,0 +1,100 @@
+"""Bottom left over the scale bar: what the lines over the surface mean, and how many times too long arrows are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.scenes.pose_cache import Known, PoseBook
+from wafer_viewer.gui.scenes.pose_geometry import STITCH, Fields
+from wafer_viewer.gui.scenes.pose_overlay import LEAST_STITCH_PX, inks
+from wafer_viewer.gui.scenes.surface_scene import source_of
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.gui.widgets.html import safe
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot
+
+WIDTH_PX, ROW_PX, EDGES_PX = 580, 21, 15
+ABOVE_SCALE_PX = 62
+_SIGNS = {
+    "field": '<rect x="3" y="2" width="22" height="10" stroke="{field}" stroke-width="1.8"/>',
+    "arrow": '<path d="M3 7H24M19 3.5L24.5 7L19 10.5" stroke="{arrow}" stroke-width="2"/>',
+    "circle": '<circle cx="14" cy="7" r="5" stroke="{arrow}" stroke-width="1.6"/>',
+    "stitch": '<path d="M7 7H21" stroke="{field}" stroke-width="2.8"/>',
+    "doubt": '<rect x="3" y="2.5" width="22" height="9" stroke="{doubt}" stroke-width="2.4" stroke-dasharray="4 3"/>',
+    "blank": '<rect x="3" y="2.5" width="22" height="9" stroke="{blank}" stroke-width="1.8" stroke-dasharray="4 3"/>',
+    "out": '<g stroke="{doubt}" stroke-width="1.8"><path d="M3 2L25 12M3 12L25 2"/>'
+    '<path d="M3 2H25V12H3Z" stroke-dasharray="4 3"/></g>',
+}
+
+
+class PoseLegend:
+    """As long as the fields are shown."""
+
+    def __init__(self, page: Page, poses: PoseBook, um_per_pixel: Callable[[], float]) -> None:
+        self._poses, self._um_per_pixel = poses, um_per_pixel
+        self._glass = Overlay(page.gui, EDGE_PX, -EDGE_PX - ABOVE_SCALE_PX, WIDTH_PX, ROW_PX)
+        self._known: Known | None = None
+        self._fields: Fields | None = None
+        self._rows: list[tuple[str, str]] = []
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the legend up to date."""
+        fields = self._on_show(snapshot, view)
+        rows = self._seen(fields) if fields is not None else []
+        lines = "".join(f"<div>{_sign(kind, view.dark)}<span>{safe(words)}</span></div>" for kind, words in rows)
+        down = f"grid-template-rows:repeat({-(-len(rows) // 2)},18px)"
+        content = f'<div class="wv-glass wv-lines" style="{down}">{lines}</div>' if rows else ""
+        self._glass.show(content, height_px=ROW_PX * max(1, -(-len(rows) // 2)) + EDGES_PX)
+
+    def _seen(self, fields: Fields) -> list[tuple[str, str]]:
+        """Stitches are drawn from near alone."""
+        near = STITCH * fields.unit_um >= LEAST_STITCH_PX * self._um_per_pixel()
+        return [(kind, words) for kind, words in self._rows if near or kind != "stitch"]
+
+    def _on_show(self, snapshot: Snapshot, view: View) -> Fields | None:
+        source, data = source_of(snapshot, 0), snapshot.dataset
+        known = self._poses.at(source) if view.shows_fields and source is not None else None
+        if known is None or known.poses is None or data is None:
+            return None
+        if known is not self._known:
+            self._known, self._fields = known, fields_of(known, data)
+            self._rows = _rows(self._fields) if self._fields is not None else []
+        return self._fields
+
+
+def fields_of(known: Known, data: OpenDataset) -> Fields | None:
+    """The fields of a dataset as they were placed; None where only the stage tells."""
+    if known.poses is None:
+        return None
+    return Fields(known.poses, data.plan.cols * data.plan.pixel_um, data.plan.rows * data.plan.pixel_um)
+
+
+def _rows(fields: Fields) -> list[tuple[str, str]]:
+    """What is drawn, in words, the quiet first."""
+    many = f" (every {number(fields.every, 0)}th)" if fields.every > 1 else ""
+    rows = [
+        ("field", f"field, position found{many}"),
+        ("arrow", f"offset from the stage, drawn × {number(fields.times, 0)}"),
+        ("circle", f"U of its position (k = 2), drawn × {number(fields.times, 0)}"),
+        ("stitch", "overlap accepted"),
+        ("blank", "nothing to compare"),
+        ("doubt", "overlap rejected"),
+        ("out", "field left out"),
+    ]
+    there = {
+        "arrow": len(fields.arrows()),
+        "circle": len(fields.circles()),
+        "stitch": len(fields.stitches()),
+        "blank": len(fields.doubted(blank=True)),
+        "doubt": len(fields.doubted(blank=False)),
+        "out": len(fields.left_out()),
+    }
+    return [(kind, words) for kind, words in rows if there.get(kind, 1)]
+
+
+def _sign(kind: str, dark: bool) -> str:
+    tones = {name: f"rgb{getattr(inks(dark), name)}" for name in ("field", "arrow", "doubt", "blank")}
+    return f'<svg width="28" height="14" fill="none" aria-hidden="true">{_SIGNS[kind].format(**tones)}</svg>'

@@ -1,0 +1,65 @@
+"""Top left on glass: ways to look, and in Measure the tools before them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.overlays.hud import EDGE_PX
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.tool_palette import GAP, tool_strip
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Overlay
+from wafer_viewer.session.state.snapshot import Snapshot
+
+WAYS_TO_LOOK = (
+    ("top", "Top", "Look from above · T", viser.Icon.SQUARE),
+    ("front", "Front", "Look from the front · F", viser.Icon.PERSPECTIVE),
+    ("iso", "Iso", "Three-quarter view · I", viser.Icon.CUBE),
+    ("all", "Fit", "Show all · Home", viser.Icon.FOCUS_2),
+)
+_WIDTH_PX, _HEIGHT_PX = 520, 42
+NARROW_SCENE_PX = 640
+"""Scenes narrower than this have no room for words beside the legend."""
+_BESIDE_PX = 124 + 2 * EDGE_PX + 8
+"""The colour bar, which the tools must not reach: in a narrow scene they take two rows."""
+
+
+class Toolbar:
+    """Ways to look have words until the tools need their room."""
+
+    def __init__(self, page: Page) -> None:
+        self._glass = Overlay(page.gui, EDGE_PX, EDGE_PX, _WIDTH_PX, _HEIGHT_PX)
+        self._viewport = page.viewport
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the toolbar up to date."""
+        if view.sheet_over != "none":  # what lies over the scene would lie over the tools
+            self._glass.show("")
+            return
+        measuring = view.step == "measure"
+        scene_px = self._viewport.width_px
+        short = measuring or 0 < scene_px < NARROW_SCENE_PX
+        looks = "".join(_way(*way, short=short) for way in WAYS_TO_LOOK)
+        parts = f"{tool_strip(view.tool)}{GAP}{looks}" if measuring else looks
+        if view.step == "surface":
+            parts += GAP + _select(view.selecting)
+        two_rows = measuring and 0 < scene_px < NARROW_SCENE_PX
+        room = f' style="flex-wrap:wrap;max-width:{scene_px - _BESIDE_PX - EDGE_PX}px"' if two_rows else ""
+        content = f'<div class="wv-glass wv-tools{" many" if measuring else ""}"{room}>{parts}</div>'
+        self._glass.show(content, height_px=2 * _HEIGHT_PX if two_rows else _HEIGHT_PX)
+
+
+def _way(key: str, name: str, hint: str, sign: Any, short: bool) -> str:
+    words = "" if short else html.safe(name)
+    told = f'title="{html.safe(hint)}" aria-label="{name}"'
+    return f"<span {told} {html.pick('look', key)}>{html.icon(sign, 17)}{words}</span>"
+
+
+def _select(selecting: bool) -> str:
+    """A drag over the scene then selects; with Shift it always does."""
+    told = f'title="Select an area · or drag with Shift" aria-label="Select" aria-pressed="{str(selecting).lower()}"'
+    on = ' class="on"' if selecting else ""
+    return f"<span{on} {told} {html.pick('select')}>{html.icon(viser.Icon.MARQUEE_2, 17)}Select</span>"

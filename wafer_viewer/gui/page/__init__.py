@@ -1,0 +1,1 @@
+"""Header, status bar, dialogs and what else belongs to the whole page."""

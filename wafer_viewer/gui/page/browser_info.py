@@ -1,0 +1,183 @@
+"""What only the browser knows: its system, and how wide its side panels are; it tells through a hidden text field.
+
+viser never reads a layout back: widths are watched by a line of script and put back after a reload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.browser_storage import Layout
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.html import safe
+from wafer_viewer.gui.widgets.style import LEFT_PX, RIGHT_PX
+from wafer_viewer.session.state.snapshot import Snapshot
+
+EDGE_PX = 4
+"""A region at the side is so much wider than the panel in it."""
+LEAST_PX, MOST_PX = 200, 720
+"""Widths outside of these are no panel's: a panel folded away, or on its way to be."""
+LEAST_SCENE_PX = 440
+_SYSTEMS = {"Linux": "Linux", "Win": "Windows", "Mac": "macOS", "Android": "Android", "iPhone": "iOS", "iPad": "iPadOS"}
+_SOFTWARE = ("swiftshader", "llvmpipe", "softpipe", "software", "basic render")
+"""In the name of what draws without a graphics card."""
+_EVERY_MS = 600
+_SCRIPT = f"""
+clearInterval(window.wvTelling);
+let told = '';
+const still = () => matchMedia('(prefers-reduced-motion: reduce)').matches;
+const drawnBy = () => {{
+  const gl = document.createElement('canvas').getContext('webgl2');
+  const named = gl && gl.getExtension('WEBGL_debug_renderer_info');
+  const name = named ? gl.getParameter(named.UNMASKED_RENDERER_WEBGL) : '';
+  if (gl) gl.getExtension('WEBGL_lose_context')?.loseContext();
+  return name;
+}};
+const renderer = drawnBy();
+const side = edge => {{
+  const region = document.querySelector(`[data-dock-region=${{edge}}]`);
+  const folded = region && !!region.querySelector('[data-dock-minimize-all]');
+  return region && [Math.round(region.getBoundingClientRect().width), folded];
+}};
+const drawn = () => {{
+  const scene = document.querySelector('canvas[data-engine]') || document.querySelector('canvas');
+  return scene && scene.clientWidth ? Math.round(1e3 * scene.width / scene.clientWidth) / 1e3 : 0;
+}};
+const tell = () => {{
+  const now = JSON.stringify({{
+    system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'), window: innerWidth,
+    drawn: drawn(),
+  }});
+  const field = document.querySelector('div:has(>.wv-tells)+div input');
+  if (now === told || !field) return;
+  told = now;
+  Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(field, now);
+  field.dispatchEvent(new Event('input', {{bubbles: true}}));
+}};
+window.wvTelling = setInterval(tell, {_EVERY_MS});
+window.onresize = tell;
+"""
+
+
+class Told(msgspec.Struct, frozen=True):
+    """A browser's report: of each side panel its width in pixels, and whether it is folded away.
+
+    renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
+    window: width of the page in pixels, 0 as long as the browser has not said. drawn: pixels drawn for a CSS pixel of
+    the scene, 0 before there is one.
+    """
+
+    system: str = ""
+    left: tuple[int, bool] | None = None
+    right: tuple[int, bool] | None = None
+    renderer: str = ""
+    still: bool = False
+    window: int = 0
+    drawn: float = 0.0
+
+
+class BrowserEar:
+    """Hears the reports of a page's browser: keeps the layout, and names one after its system.
+
+    `left` is the panel at the left side; it and the main panel get the widths they had when the page is first drawn.
+    """
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._system: str | None = None
+        self._restored = False
+        self._cramped = False
+        self.left: Any = None
+        self._can_fly = False
+        self._let_fly: Callable[[bool], None] = lambda able: None
+        page.gui.add_html('<div class="wv-tells"></div>')
+        failed = "The layout was not saved"
+        page.gui.add_text("tells", "").on_update(guarded(page, failed)(lambda event: self._hear(event.target.value)))
+        page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{safe(_SCRIPT)}">')
+
+    def on_motion(self, callback: Callable[[bool], None]) -> None:
+        """Call back with whether the camera may fly in this browser, now and when that changes."""
+        self._let_fly = callback
+        callback(self._can_fly)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Put the panels to where this browser had them, once."""
+        if not self._restored:
+            self._restored = True
+            restore(self._page.browser.layout, self.left, self._page.gui.main_panel)
+        name = snapshot.hands.name_of(self._page.browser.key)
+        if self._system is not None and name and "·" not in name and not self._page.browser.name:
+            self._page.session.control.rename(self._page.browser.key, f"{name} · {self._system}")
+            self._system = None
+
+    def _hear(self, text: str) -> None:
+        page, told = self._page, msgspec.json.decode(text, type=Told)
+        self._system = system_name(told.system)
+        self._can_fly = may_fly(told)
+        self._let_fly(self._can_fly)
+        page.viewport.set_ratio(told.drawn)
+        layout = layout_of(told, page.browser.layout)
+        if self._cramped:  # folded for want of room, not by a person
+            layout = replace(layout, left_folded=page.browser.layout.left_folded)
+        if self._restored and layout != page.browser.layout:
+            page.remember(replace(page.browser, layout=layout))
+        if self._restored:
+            self._make_room(told, layout)
+        page.redraw()
+
+    def _make_room(self, told: Told, layout: Layout) -> None:
+        """Fold the left panel away when the scene gets too narrow, and bring it back when there is room again."""
+        if (cramped := is_cramped(told, layout)) == self._cramped:
+            return
+        self._cramped = cramped
+        if cramped:
+            self.left.minimize()
+        elif not layout.left_folded:
+            self.left.expand()
+
+
+def restore(layout: Layout, left: Any, right: Any) -> None:
+    """Put the panels back to where a browser had them; `left` and `right` are viser's panels."""
+    left.set_width(layout.left_px or LEFT_PX)
+    right.set_width(layout.right_px or RIGHT_PX)
+    if layout.left_folded:
+        left.minimize()
+    if layout.right_folded:
+        right.minimize()
+
+
+def layout_of(told: Told, before: Layout) -> Layout:
+    """The layout after a report; a panel that is folded away keeps the width it had."""
+    left_px, left_folded = _side(told.left, before.left_px, before.left_folded)
+    right_px, right_folded = _side(told.right, before.right_px, before.right_folded)
+    return Layout(left_px, right_px, left_folded, right_folded)
+
+
+def is_cramped(told: Told, layout: Layout) -> bool:
+    """Return whether a window leaves too little for the scene between both panels."""
+    panels = (layout.left_px or LEFT_PX) + (layout.right_px or RIGHT_PX)
+    return 0 < told.window < panels + LEAST_SCENE_PX
+
+
+def may_fly(told: Told) -> bool:
+    """Whether a browser draws on a graphics card and its user does not want less motion."""
+    renderer = told.renderer.lower()
+    return not told.still and not any(name in renderer for name in _SOFTWARE)
+
+
+def system_name(platform: str) -> str:
+    """A browser's `navigator.platform` as people say it."""
+    return next((name for sign, name in _SYSTEMS.items() if platform.startswith(sign)), platform or "unknown")
+
+
+def _side(told: tuple[int, bool] | None, before_px: int | None, before_folded: bool) -> tuple[int | None, bool]:
+    if told is None:
+        return before_px, before_folded
+    width_px, folded = told
+    return (width_px - EDGE_PX if not folded and LEAST_PX <= width_px <= MOST_PX else before_px), folded

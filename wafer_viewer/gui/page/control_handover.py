@@ -1,0 +1,211 @@
+"""Who holds the controls, on one page: what a watcher cannot use, who asks for them, and how they are passed on.
+
+That a watcher's verbs are refused is the session's matter; here stands which widgets show it beforehand.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, bar, unbar
+from wafer_viewer.session.state.control_state import Browser, Hands
+from wafer_viewer.session.state.snapshot import Snapshot
+
+HANDS_ON = frozenset(
+    {
+        *("Name", "Lot", "Wafer", "Product", "Operator", "Size, mm", "Columns, rows", "Overlap, %", "Centre, µm"),
+        *("From, to, µm", "Step, µm", "Exposures, µs"),
+        *("Cover the sample", "Move to stage", "Save plan…", "Load plan…", "Start scan"),
+        *("Pause", "Continue", "Continue the scan"),
+        *("Plan a scan", "Open a dataset…", "Import images…", "Open…", "Import…"),
+        *("Wafer id", "Go there", "Mark here", "Corners…", "Feature…", "Release…", "Copy to a new plan", "Next wafer"),
+        "Try on wafers…",
+        "Dies…",
+        *("Reconstruct again", "Keep result", "Rename", "Delete", "Undo", "Redo", "Compare"),
+        *("Accept", "Reject", "Note", "Save view", "Move there", "Inspect"),
+        *("Load the certificate…", "Certificate…", "Measure the step", "Measure again", "Sign and save", "New check"),
+        *("Correct the z scale…", "Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days"),
+    }
+)
+"""By their labels: the widgets that move the rig, or change the plan, the dataset or the results.
+
+viser's button groups cannot be disabled: what they do is refused.
+"""
+OF_JOBS = ("job", "jobs", "corner-at", "unmark", "feature", "no-feature")
+OF_GAUGE = ("gauge-tick", "gauge-drop")
+OF_DEFECTS = ("defect-class", "defect-golden-file")
+OF_VIEWS = ("view-save", "view-rename", "view-delete", "view-undo")
+PICKS = (
+    *("strategy", "cover", "undo", "redo", "cancel", "tour", "open", "confirm", "confirm-sample", "compare-remove"),
+    *OF_JOBS,
+    *OF_VIEWS,
+    *OF_GAUGE,
+    *OF_DEFECTS,
+)
+"""Elements of HTML that do the same."""
+_OFF = ",".join(f"[data-pick={what}]" for what in PICKS)
+_STYLE = f"<style>{_OFF}{{opacity:.5;pointer-events:none}}</style>"
+
+
+class HandsOff:
+    """Bars a watcher's widgets and says who holds the controls."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._hands = Hands()
+        self._barred: dict[str, Any] = {}
+        self._strip = Cell(page.gui)
+        page.on_close(lambda: self._bar(False))
+        page.on_pick("hands", lambda _: hands_dialog(page))
+        page.on_pick("hands-ask", lambda _: ask(page))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring widgets and words up to date."""
+        hands, key = snapshot.hands, self._page.browser.key
+        watching = hands.browser(key) is not None and not hands.holds(key)
+        self._strip.show(_watching(hands, key) + _STYLE if watching else "")
+        self._bar(watching)
+        self._tell(self._hands, hands)
+        self._hands = hands
+
+    def _bar(self, watching: bool) -> None:
+        """Also the widgets that were made since; viser knows all of a page."""
+        wanted: dict[str, Any] = {}
+        if watching:
+            handles = dict(self._page.gui._gui_input_handle_from_uuid)
+            wanted = {uuid: h for uuid, h in handles.items() if getattr(h, "label", None) in HANDS_ON}
+        for handle in wanted.values():
+            bar(handle)
+        for uuid in self._barred.keys() - wanted.keys():
+            unbar(self._barred[uuid])
+        self._barred = wanted
+
+    def _tell(self, before: Hands, now: Hands) -> None:
+        page, key = self._page, self._page.browser.key
+        if before.holder is not None and before.holder != now.holder and before.browser(key) is not None:
+            if now.holds(key):
+                page.say("You hold the controls now", "The others watch.")
+            elif before.holds(key):
+                page.say(
+                    f"{now.name_of(now.holder)} holds the controls now",
+                    "You are watching. A running scan continues.",
+                    "attention",
+                )
+        if now.kept_from == key and before.kept_from != key:
+            page.say(f"{now.name_of(now.holder)} keeps the controls", "Ask again later.", "attention")
+
+
+class Question:
+    """Tells the holder that somebody asks for the controls, with the two answers."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._question = Cell(page.gui, padded=False)
+        page.on_pick("hands-over", lambda to: hand_over(page, to))
+        page.on_pick("hands-keep", lambda _: page.session.control.keep(page.browser.key))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Ask as long as there is no answer."""
+        hands = snapshot.hands
+        asked = hands.holds(self._page.browser.key) and hands.asking is not None
+        self._question.show(_question(hands) if asked else "")
+
+
+def ask(page: Page) -> None:
+    """Ask for the controls; a browser without a name is asked for one first."""
+    if page.browser.name:
+        page.ask("Control was not handed over", page.session.control.ask(page.browser.key))
+    else:
+        hands_dialog(page)
+
+
+def hand_over(page: Page, to: str) -> None:
+    """Pass the controls on."""
+    page.ask("Control was not handed over", page.session.control.hand_over(page.browser.key, to))
+
+
+def hands_dialog(page: Page) -> None:
+    """Connected browsers, who holds the controls, what this browser is called; and how to ask for the controls."""
+    hands, key = page.session.snapshot.hands, page.browser.key
+    holds = hands.holds(key)
+    dialog = Dialog(page, "Connected browsers", "One holds the controls; all may look, measure and stop all motion.")
+    with dialog.modal:
+        Cell(page.gui, _people(hands, key))
+        name = page.gui.add_text("Your name", hands.name_of(key))
+
+    def done() -> None:
+        _call(page, name.value)
+        if not holds:
+            page.ask("Control was not handed over", page.session.control.ask(key))
+
+    def pass_on(to: str) -> None:
+        dialog.close()
+        _call(page, name.value)
+        hand_over(page, to)
+
+    page.on_pick("hands-to", pass_on)
+    if holds:
+        dialog.answers("Done", viser.Icon.CHECK, done, "The name was not changed")
+    else:
+        verb = "Ask for the controls" if hands.holder else "Take the controls"
+        dialog.answers(verb, viser.Icon.HAND_STOP, done, "Control was not handed over")
+
+
+def _call(page: Page, name: str) -> None:
+    """Another name for this browser, remembered by it."""
+    name = " ".join(name.split())
+    if name and name != page.session.snapshot.hands.name_of(page.browser.key):
+        page.ask("The name was not changed", page.session.control.rename(page.browser.key, name))
+    if name:
+        page.remember(replace(page.browser, name=name))
+
+
+def _people(hands: Hands, key: str) -> str:
+    def line(browser: Browser) -> str:
+        me = " (this browser)" if browser.key == key else ""
+        return html.row([html.safe(browser.name + me), _state(hands, browser, key)], " n")
+
+    return html.table([], [line(browser) for browser in hands.browsers], " n") + '<div style="height:8px"></div>'
+
+
+def _state(hands: Hands, browser: Browser, key: str) -> str:
+    if hands.holds(browser.key):
+        return "<b>holds the controls</b>"
+    if not browser.present:
+        return '<span class="dim">disconnected</span>'
+    if hands.holds(key):
+        return f'<span class="wv-link" {html.pick("hands-to", browser.key)}>Hand over</span>'
+    return '<span class="dim">watches</span>'
+
+
+def _watching(hands: Hands, key: str) -> str:
+    """What stands over a watcher's panel."""
+    if hands.asking == key:
+        end = f'<span class="dim">Asked; {html.safe(hands.name_of(hands.holder))} has {hands.answer_s:.0f} s.</span>'
+    else:
+        verb = "Ask for them" if hands.holder else "Take them"
+        end = f'<span class="wv-link" {html.pick("hands-ask")}>{verb}</span>'
+    sign = html.icon(viser.Icon.EYE, 18)
+    return html.note("busy", hands.why_not(key) or "", "You may look, measure and stop all motion.", end, sign)
+
+
+def _question(hands: Hands) -> str:
+    """One who asks, with the two answers; the line under them runs out when the controls pass."""
+    name = html.safe(hands.name_of(hands.asking))
+    gone_s = max(0.0, time.time() - hands.asked_at)
+    over, stay = html.pick("hands-over", hands.asking), html.pick("hands-keep")
+    return (
+        f'<div class="wv-asked" role="alertdialog" aria-label="{name} asks for the controls">'
+        f"<b>{name} asks for the controls</b>"
+        f"<span>Without an answer they pass in {hands.answer_s:.0f} s. A running scan continues.</span>"
+        f'<div><span class="wv-yes" {over}>Hand over</span><span class="wv-no" {stay}>Keep</span></div>'
+        f'<i style="animation:wv-drain {hands.answer_s:g}s linear -{gone_s:.1f}s both"></i></div>'
+    )

@@ -1,0 +1,160 @@
+"""Questions in the middle of the page: their frame, and those that ask whether something is really meant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.tooltips import add_hints
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.file_formats import Reading
+from wafer_viewer.session.state.snapshot import DatasetEntry
+
+
+class KeepOpen(Exception):
+    """Raised by what a dialog's button does where the dialog goes on: it showed a folder, or asks something first."""
+
+
+class Dialog:
+    """A question with its way out: one button that does it, one that leaves everything as it is."""
+
+    def __init__(self, page: Page, title: str, below: str) -> None:
+        self.page = page
+        self.modal = page.gui.add_modal(title)
+        self.press: Callable[[], None] = lambda: None
+        """Does what the button that does it does."""
+        with self.modal:
+            Cell(page.gui, f'<div class="wv-sub">{html.safe(below)}</div>')
+
+    def answers(self, name: str, icon: Any, act: Callable[[], None], failed: str, away: str = "Cancel") -> None:
+        """The two buttons at the foot. `act` may raise: the dialog then stays open, so that it can be mended."""
+        with self.modal:
+            problem = Cell(self.page.gui)
+            leave = button(self.page.gui, away, None, lambda _: self.close())
+            self.press = guarded(self.page, failed)(lambda: self._do(act, problem))
+            do = button(self.page.gui, name, icon, lambda _: self.press())
+            in_a_row(self.page.gui, [leave, do], 38, filled=do)
+            Cell(self.page.gui, _on_key("wv-away", leave) + _on_key("wv-do", do), padded=False)
+        add_hints(self.page.gui)
+
+    def way_out(self, name: str) -> None:
+        """The one button of a sheet that only tells."""
+        with self.modal:
+            away = button(self.page.gui, name, None, lambda _: self.close())
+            in_a_row(self.page.gui, [away], 36)
+            Cell(self.page.gui, _on_key("wv-away", away), padded=False)
+
+    def close(self) -> None:
+        """Leave the question."""
+        if not self.modal.closed:
+            self.modal.close()
+
+    def _do(self, act: Callable[[], None], problem: Cell) -> None:
+        try:
+            act()
+        except KeepOpen:
+            problem.show("")
+            return
+        except WaferViewerError as fault:
+            problem.show(f'<div class="wv-note fault">{html.safe(html.micro(str(fault)))}</div>')
+            return
+        self.close()
+
+
+def _on_key(marker: str, handle: Any) -> str:
+    """Tells the script of keys which button Escape and Enter press."""
+    return f'<span hidden class="{marker}" data-button="{handle._impl.uuid}"></span>'
+
+
+def open_dataset(page: Page, path: Path) -> None:
+    """Open a dataset and look at what there is of it."""
+
+    def look(_: Any) -> None:
+        data = page.session.snapshot.dataset
+        unfinished = data is not None and not data.finished
+        page.change(step="acquire" if unfinished else "surface", show=0, range_um=None, selected=None, frame_k=None)
+
+    page.ask("The dataset was not opened", page.session.open_dataset(path), look)
+
+
+def open_surface(page: Page, path: Path, says: Reading, name: str | None) -> None:
+    """Make a dataset of a surface file and look at it. says: what the file does not say."""
+    done = page.session.exchange.import_surface(path, says, name)
+    look = dict[str, Any](step="surface", show=0, range_um=None, selected=None, frame_k=None)
+    page.ask("The surface was not opened", done, lambda _: page.change(**look))
+
+
+def dataset_table(entries: tuple[DatasetEntry, ...], opened: Path | None, what: str) -> str:
+    """The datasets of the data folder; a click on one picks `what`."""
+    if not entries:
+        return html.empty("No datasets here yet.")
+
+    def line(entry: DatasetEntry) -> str:
+        signs = [word for word, yes in (("unfinished", entry.unfinished), ("simulated", entry.simulated)) if yes]
+        marks = f'<small style="color:var(--attention)">{" · ".join(signs)}</small>' if signs else ""
+        name = f'<span class="wv-cut" title="{html.safe(entry.path)}">{html.safe(entry.path.stem)}</span>{marks}'
+        look = "sel" if entry.path == opened else ""
+        return html.row(
+            [name, html.safe(when(entry.taken, datetime.now().astimezone()))], " n", html.pick(what, entry.path), look
+        )
+
+    return html.table(["Name", "Taken"], [line(entry) for entry in entries], " n")
+
+
+def when(taken: str, now: datetime) -> str:
+    """A time of ISO 8601 as people say it: today 08:41, yesterday 17:02, 12 Nov, 3 Feb 2025; other text as it is."""
+    try:
+        at = datetime.fromisoformat(taken).astimezone(now.tzinfo)
+    except ValueError:
+        return taken
+    if at.date() == now.date():
+        return f"today {at:%H:%M}"
+    if at.date() == (now - timedelta(days=1)).date():
+        return f"yesterday {at:%H:%M}"
+    return f"{at.day} {at:%b}" + (f" {at.year}" if at.year != now.year else "")
+
+
+def unless_there(page: Page, path: Path, write: Callable[[], None]) -> None:
+    """Write a file; one that is there already is replaced only after a person said so, by its name."""
+    if not path.exists():
+        write()
+        return
+    below = f"It is in {path.parent} already; its contents will be lost; this cannot be undone."
+    dialog = Dialog(page, f"Replace {path.name}?", below)
+    dialog.answers(f"Replace {path.name}", viser.Icon.REPLACE, write, "Nothing was replaced")
+
+
+def reconstruct_dialog(page: Page, again: Callable[[], None]) -> None:
+    """Make a surface again; one that is there is replaced only after a person said so, by its name."""
+    snapshot = page.session.snapshot
+    if snapshot.surface is None or snapshot.dataset is None:
+        again()
+        return
+    name = snapshot.dataset.path.stem
+    below = (
+        "Its heights are reconstructed with the chosen recipe. Frames and results are kept; the present heights are "
+        "replaced."
+    )
+    dialog = Dialog(page, f"Replace the surface of {name}?", below)
+    dialog.answers(f"Replace the surface of {name}", viser.Icon.REFRESH, again, "The surface was not changed")
+
+
+def rename_dialog(page: Page, number: int, old: str) -> None:
+    """Give a result another name."""
+    dialog = Dialog(page, "Rename the result", "The name appears in the list, in exports and in reports.")
+    with dialog.modal:
+        name = page.gui.add_text("Name", old)
+    dialog.answers(
+        "Rename",
+        viser.Icon.PENCIL,
+        lambda: page.ask("The name was not changed", page.session.rename(number, name.value.strip())),
+        "The name was not changed",
+    )

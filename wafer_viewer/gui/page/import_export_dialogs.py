@@ -1,0 +1,188 @@
+"""Questions about files: which dataset or plan is opened, which images come in, as what a surface goes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.page.dialogs import Dialog, open_dataset, open_surface
+from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.surface.shown_statistics import name_of
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, duo
+from wafer_viewer.gui.widgets.number_field import OptionalNumber
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.file_formats import FORMATS, MESH_POINTS, READ, Reading, every_for
+from wafer_viewer.model.region import Region
+
+_TITLES = {kind.title: ending for ending, kind in FORMATS.items() if ending != ".tiff"}
+_FILES = ", ".join(ending for ending in READ if ending != ".tiff")
+
+
+def open_dialog(page: Page) -> None:
+    """Open a dataset; a surface file becomes one first."""
+    dialog = Dialog(page, "Open a dataset", f"A dataset NAME.wafer, or a surface file ({_FILES}).")
+    with dialog.modal:
+        files = FileList(dialog, "dataset", rows=9)
+
+    def begin() -> None:
+        path = files.path()
+        if page.session.exchange.is_surface(path):
+            open_surface(page, path, Reading(), None)
+        else:
+            open_dataset(page, path)
+
+    dialog.answers("Open", viser.Icon.FOLDER_OPEN, begin, "The dataset was not opened")
+
+
+def save_dialog(
+    page: Page, title: str, name: str, write: Callable[[Path], Future[Path]], saved: str, failed: str
+) -> None:
+    """Write a file in the folder and under the name chosen, the data folder and `name` at first.
+
+    Parameters
+    ----------
+    page : Page
+        Where it is asked.
+    title : str
+        Of the dialog, ``Save the plan``.
+    name : str
+        Name proposed; its ending is that of the file.
+    write : callable
+        Begins to write to a path; a file that is there is replaced only after a question.
+    saved, failed : str
+        Titles of the news that it is written, or is not.
+    """
+    dialog = Dialog(page, title, "")
+    with dialog.modal:
+        files = FileList(dialog, "any", saving=name, ending=Path(name).suffix)
+
+    def begin(target: Path) -> None:
+        page.ask(failed, write(target), lambda path: page.say(saved, str(path)))
+
+    def save() -> None:
+        target = files.target()
+        files.write_to(target, lambda: begin(target))
+
+    dialog.answers("Save", viser.Icon.DEVICE_FLOPPY, save, failed)
+
+
+def load_plan_dialog(page: Page) -> None:
+    """Load a plan from its file."""
+    dialog = Dialog(page, "Load a plan", "A file PLAN.toml, as Save plan… writes it.")
+    with dialog.modal:
+        files = FileList(dialog, "plan")
+
+    def load() -> None:
+        page.ask("The plan was not loaded", page.session.load_plan(files.path()))
+
+    dialog.answers("Load", viser.Icon.FOLDER_OPEN, load, "The plan was not loaded")
+
+
+def import_dialog(page: Page) -> None:
+    """Import images taken elsewhere, a folder or a multi-page TIFF, or a surface file; one sent from here will do."""
+    below = "A folder of images, several files, a multi-page TIFF; or a surface file."
+    dialog = Dialog(page, "Import images or a surface", below)
+    gui = page.gui
+    with dialog.modal:
+        files = FileList(dialog, "images", rows=4)
+        files.add_upload()
+        duo(gui)
+        step = OptionalNumber(gui, "z step, µm")
+        pixel = OptionalNumber(gui, "Pixel, µm", over=0)
+        duo(gui)
+        aperture = OptionalNumber(gui, "NA", over=0, hint="Numerical aperture of the objective; tests walls by it")
+        light = OptionalNumber(gui, "Light, µm", over=0, hint="Wavelength; empty: 0.55 µm")
+        duo(gui)
+        name = gui.add_text("Name", "", hint="Of the dataset; empty: that of the folder or file")
+        pattern = gui.add_text("Pattern", "", hint="Only for a grid of fields, such as r{row}_c{col}_k{k}.tif")
+        Cell(gui, html.head("Surface file", "where the file does not say it"))
+        duo(gui)
+        unit = gui.add_text("z unit", "")
+        depths = gui.add_checkbox("Depths", False)
+
+    def begin() -> None:
+        sources, called = files.paths(), name.value.strip() or None
+        if len(sources) == 1 and page.session.exchange.is_surface(sources[0]):
+            says = Reading(z_unit=unit.value.strip() or None, pixel_um=pixel.value, invert_z=depths.value)
+            open_surface(page, sources[0], says, called)
+            return
+        done = page.session.import_images(
+            sources,
+            z_step_um=_wanted("z step", step.value, "the distance between two images of the stack"),
+            pixel_um=_wanted("pixel size", pixel.value, "the size of a pixel on the sample"),
+            pattern=pattern.value.strip() or None,
+            name=called,
+            numerical_aperture=aperture.value,
+            wavelength_um=light.value,
+        )
+        page.ask("Import stopped", done, lambda _: page.change(step="surface", show=0, range_um=None, selected=None))
+
+    dialog.answers("Import", viser.Icon.PHOTO_PLUS, begin, "Import stopped")
+
+
+def export_dialog(page: Page) -> None:
+    """Write the surface that is shown to a file, and say before what the file cannot hold."""
+    snapshot, field = page.session.snapshot, page.view.show or None
+    data, info = snapshot.dataset, snapshot.surface if field is None else None
+    stem = f"{data.path.stem if data else 'surface'}{_ending_of(field)}"
+    told, box_um = page.statistics, page.counted_um
+    part = Region.rectangle(*box_um) if box_um is not None else None
+    dialog = Dialog(page, "Export the surface", f"Writes: {name_of(page.view)}.")
+    size = (told.rows, told.cols, told.pixel_um) if told else (info.rows, info.cols, info.pixel_um) if info else None
+    with dialog.modal:
+        first = next(iter(_TITLES.values()))
+        files = FileList(dialog, "any", rows=6, saving=f"{stem}{first}", ending=first)
+        kind = page.gui.add_dropdown("Format", tuple(_TITLES))
+        every = page.gui.add_number("One pixel in", 1, min=1, max=1000, step=1)
+        said = Cell(page.gui, _said(first, 1, size))
+
+    @kind.on_update
+    def _(_: Any) -> None:
+        ending = _TITLES[kind.value]
+        files.save_as(f"{Path(files.field.value).stem}{ending}", ending)
+        every.value = every_for(size[:2], MESH_POINTS) if size and FORMATS[ending].is_mesh else 1
+        said.show(_said(ending, every.value, size))
+
+    @every.on_update
+    def _(_: Any) -> None:
+        said.show(_said(_TITLES[kind.value], every.value, size))
+
+    def write() -> None:
+        target = files.target()
+        files.write_to(target, lambda: export(target))
+
+    def export(target: Path) -> None:
+        done = page.session.export_surface(target, field, int(every.value), part)
+        page.ask("Export failed", done, lambda out: page.say("Exported", str(out)))
+
+    dialog.answers("Export", viser.Icon.DOWNLOAD, write, "Export failed")
+
+
+def _said(ending: str, every: float, size: tuple[int, int, float] | None) -> str:
+    """How much is written of a surface of so many rows, columns and µm a pixel, and what the format cannot hold."""
+    written = ""
+    if size is not None:
+        step = max(1, int(every))
+        rows, cols = (-(-n // step) for n in size[:2])
+        pixel_um = number(size[2] * step, 3)
+        written = f"{number(cols, 0)} × {number(rows, 0)} pixels of {pixel_um}\u202fµm, along x and y. "
+    loses = FORMATS[ending].loses or "The file holds all there is of the surface."
+    return f'<div class="wv-lab" style="margin-bottom:9px">{html.safe(html.micro(written + loses))}</div>'
+
+
+def _ending_of(field: int | None) -> str:
+    """What tells the file of a field, or of a comparison, from the dataset's."""
+    return "" if not field else f"-field{field}" if field > 0 else "-compared"
+
+
+def _wanted(name: str, value: float | None, what: str) -> float:
+    if value is None:
+        raise DatasetError(f"The {name} is missing: give {what} in µm.")
+    return value

@@ -1,0 +1,292 @@
+"""One browser's page: its view, its parts, and the thread that draws what the session and the view say."""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+import viser
+
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.viewport import Viewport
+from wafer_viewer.gui.state import browser_storage
+from wafer_viewer.gui.state.browser_storage import Remembered, Self
+from wafer_viewer.gui.state.view_state import ColourBy, View
+from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
+from wafer_viewer.gui.widgets.html import Tone, icon, micro, note, pick, read_picks, safe
+from wafer_viewer.gui.widgets.style import RGB_OF_TONE
+from wafer_viewer.model.surface.clipping import Box
+from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.rendering.render_request import Scale, Statistics
+from wafer_viewer.session.state.snapshot import Fault, Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.api import SessionApi
+
+SETTLE_S = 0.9
+"""After a change the page is drawn once more, when the widgets a person moved are at rest."""
+
+
+class Part(Protocol):
+    """A part of the page: brings itself up to date, sends only what has changed, never waits."""
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show what the session knows, as this browser chose to look at it."""
+        ...
+
+
+class Page:
+    """What the parts of a page share: the session, this browser's view, and ways to tell the operator.
+
+    browser: who this is, known from `begin` on. session: as this browser may use it; verbs that need the controls are
+    refused where another browser holds them.
+    """
+
+    def __init__(self, client: viser.ClientHandle, session: SessionApi) -> None:
+        self.client = client
+        self.gui = client.gui
+        self.viewport = Viewport(client.camera)
+        self.session = seat(session, lambda: self.browser.key)
+        self.browser = Self()
+        self.view = View()
+        self.recalled = Remembered()
+        self._restored = False
+        asking = ThreadPoolExecutor(1, thread_name_prefix="recall")
+        self._asked = asking.submit(browser_storage.recall, client)  # the browser answers while the parts are made
+        asking.shutdown(wait=False)
+        self.notices: tuple[Fault, ...] = ()
+        self.as_of_s = 0.0
+        self.scale: Scale | None = None
+        self.on_show: OnShow | None = None
+        self.statistics: Statistics | None = None
+        self.counted_um: Box | None = None
+        self.drawn_points = 0
+        self.has_overlaps = False
+        self._parts: Sequence[Part] = ()
+        self._picks: dict[str, Callable[[Any], Any]] = {}
+        self._last_pick = 0
+        self._at_close: list[Callable[[], None]] = []
+        self._told: dict[str, viser.NotificationHandle | None] = {
+            fault.id: None for fault in session.snapshot.faults if not fault.needs_person
+        }
+        self._lock = threading.Lock()
+        self._due = threading.Event()
+        self._closed = False
+        self._leave = session.subscribe(lambda _: self._due.set())
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def show_first(self, parts: Sequence[Part]) -> None:
+        """Take up what the browser remembers, waiting for its answer, and have drawn what takes it longest.
+
+        The other parts are made meanwhile: `begin` draws them.
+        """
+        self._recall()
+        self.as_of_s = time.monotonic()
+        snapshot = self.session.snapshot
+        if not snapshot.reopening:
+            self._restore(snapshot)
+            self._show(parts, snapshot)
+
+    def begin(self, parts: Sequence[Part]) -> None:
+        """Start drawing; `parts` in the order in which they are drawn."""
+        self._parts = parts
+        with self._lock:
+            if self._closed:
+                return
+            self.ask("This browser only watches", self.session.control.arrive(self.browser.key, self.browser.name))
+        self._due.set()
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop drawing: the browser has gone."""
+        with self._lock:
+            self._closed = True
+            if self.browser.key:
+                self.session.control.leave(self.browser.key)
+        self._leave()
+        self._due.set()
+        for last in self._at_close:
+            last()
+
+    def on_close(self, last: Callable[[], None]) -> None:
+        """Have something ended with the page."""
+        self._at_close.append(last)
+
+    # --- what this browser chooses
+
+    def change(self, **choices: Any) -> None:
+        """Choose something of the view, remember it, draw it."""
+        with self._lock:
+            before, self.view = self.view, browser_storage.changed(self.view, **choices)
+        data = self.session.snapshot.dataset
+        browser_storage.keep(self.client, before, self.view, str(data.path) if data is not None else "")
+        self._due.set()
+
+    def remember(self, browser: Self) -> None:
+        """Another name or layout for this browser, kept over a reload."""
+        self.browser = browser
+        browser_storage.keep_self(self.client, browser)
+
+    def redraw(self) -> None:
+        """Draw what changed beside session and view."""
+        self._due.set()
+
+    def show_scale(self, on_show: OnShow | None) -> None:
+        """Take over what the colours of the scene mean: the colour bar and the range say so."""
+        if on_show != self.on_show:
+            self.on_show = on_show
+            self._due.set()
+        scale = on_show.scale if on_show is not None else None
+        overlaps = on_show is not None and on_show.facts.has_overlaps
+        if (scale, overlaps) != (self.scale, self.has_overlaps):
+            self.scale, self.has_overlaps = scale, overlaps
+            self._due.set()
+
+    def show_points(self, drawn: int) -> None:
+        """Take over how many points the scene draws."""
+        self.drawn_points = drawn
+        self._due.set()
+
+    def coloured_by(self, view: View) -> ColourBy:
+        """What colours the surface on show: its height where it does not have what was chosen."""
+        if view.shows_difference and view.colour_by == "height":
+            return "difference"
+        return "height" if view.colour_by == "overlap" and not self.has_overlaps else view.colour_by
+
+    def on_pick(self, what: str, callback: Callable[[Any], Any]) -> None:
+        """Hear of clicks on elements that `html.pick(what, key)` made; the callback gets the key."""
+        self._picks[what] = callback
+
+    def add_picks(self) -> None:
+        """Make the hidden field through which elements of HTML tell that they were chosen."""
+        self.gui.add_html('<div class="wv-picks"></div>')
+        self.gui.add_text("picks", "").on_update(guarded(self, "The click failed")(self._picked))
+
+    # --- what the operator is told
+
+    def ask(self, name: str, verb: Future[Any], then: Callable[[Any], None] | None = None) -> None:
+        """Watch a verb of the session: tell the operator if it fails, else go on with `then`."""
+
+        def finished(done: Future[Any]) -> None:
+            if not done.cancelled() and (fault := done.exception()) is not None:
+                tell_failure(self, name, fault)
+            elif then is not None and not done.cancelled():
+                guarded(self, name)(then)(done.result())
+
+        verb.add_done_callback(finished)
+
+    def tell(self, fault: Fault) -> None:
+        """Show a note on this page until it is dealt with, and a notification now; the same note twice is one."""
+        if self._closed or any((n.title, n.text) == (fault.title, fault.text) for n in self.notices):
+            return
+        self._note_down((*self.notices, fault))
+
+    def say(self, title: str, text: str, tone: Tone = "good") -> None:
+        """News that needs nobody: a notification that goes by itself."""
+        self.client.add_notification(title, text, auto_close_seconds=6.0, color=RGB_OF_TONE[tone])
+
+    def dismiss(self, fault_id: str) -> None:
+        """Take a note away, this page's own or one of the session's."""
+        if any(fault_id == n.id for n in self.notices):
+            self._note_down(tuple(n for n in self.notices if n.id != fault_id))
+        else:
+            self.ask("The note was not changed", self.session.dismiss(fault_id))
+
+    def notes(self, snapshot: Snapshot) -> str:
+        """All standing notes, the newest first, as HTML."""
+        told = {(f.title, f.text) for f in snapshot.faults}
+        own = tuple(n for n in self.notices if (n.title, n.text) not in told)
+        return "".join(_note(fault) for fault in reversed((*snapshot.faults, *own)))
+
+    def _note_down(self, notices: tuple[Fault, ...]) -> None:
+        self.notices = notices
+        if self.browser.key:
+            self.remember(replace(self.browser, notes=tuple(n for n in notices if n.needs_person)))
+        self._due.set()
+
+    def _notify(self, fault: Fault) -> None:
+        self._told[fault.id] = self.client.add_notification(
+            fault.title,
+            micro(fault.text),
+            auto_close_seconds=None if fault.needs_person else 8.0,
+            color=RGB_OF_TONE["fault" if fault.needs_person else "attention"],
+        )
+
+    def _picked(self, event: Any) -> None:
+        if event.client is None:
+            return
+        with self._lock:
+            news = read_picks(event.target.value, self._last_pick)
+            self._last_pick = max((number for number, _, _ in news), default=self._last_pick)
+        for _, what, key in news:
+            if what in self._picks:
+                guarded(self, "The click failed")(self._picks[what])(key)
+
+    # --- drawing
+
+    def _run(self) -> None:
+        while not self._closed:
+            self._due.wait()
+            self._due.clear()
+            self._draw()
+            if not self._due.wait(SETTLE_S):
+                self._draw()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the browser is still there."""
+        return not self._closed
+
+    def _draw(self) -> None:
+        self.as_of_s = time.monotonic()
+        snapshot = self.session.snapshot
+        if self._closed or snapshot.reopening:
+            return
+        self._restore(snapshot)
+        self._tell_standing(snapshot)
+        self._show(self._parts, snapshot)
+
+    def _show(self, parts: Sequence[Part], snapshot: Snapshot) -> None:
+        view = self.view
+        for part in parts:
+            guarded(self, "A part of the page could not be drawn")(part.show)(snapshot, view)
+
+    def _recall(self) -> None:
+        self.recalled = recalled = self._asked.result()
+        self.view = recalled.view
+        if recalled.browser.key:
+            self.browser = recalled.browser
+            self.notices = tuple(replace(note, id=f"kept-{k}") for k, note in enumerate(recalled.browser.notes))
+        else:
+            self.remember(Self(secrets.token_hex(8)))
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Give back, once, what was chosen for the dataset that is open."""
+        if self._restored:
+            return
+        self._restored = True
+        if snapshot.dataset is not None and str(snapshot.dataset.path) == self.recalled.of:
+            with self._lock:
+                self.view = replace(self.view, **self.recalled.chosen)
+
+    def _tell_standing(self, snapshot: Snapshot) -> None:
+        """A notification for every new note, those that need a person also after a reload; none for what is settled."""
+        standing = (*snapshot.faults, *self.notices)
+        for fault in standing:
+            if fault.id not in self._told:
+                self._notify(fault)
+        for settled in set(self._told) - {fault.id for fault in standing}:
+            if (notification := self._told.pop(settled)) is not None:
+                notification.remove()
+
+
+def _note(fault: Fault) -> str:
+    sign = icon(viser.Icon.ALERT_CIRCLE if fault.needs_person else viser.Icon.ALERT_TRIANGLE, 18)
+    away = f'<span class="wv-link" {pick("dismiss", fault.id)}>dismiss</span>'
+    where = f"{fault.at} · {fault.where} · " if fault.where else f"{fault.at} · "
+    return note("fault" if fault.needs_person else "attention", fault.title, fault.text, safe(where) + away, sign)

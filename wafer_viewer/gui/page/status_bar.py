@@ -1,0 +1,164 @@
+"""The line at the foot of the page, always in sight: what is under the objective, and what the numbers rest on."""
+
+from __future__ import annotations
+
+import datetime
+
+import viser
+
+from wafer_viewer.draw.number_format import THIN, number, share
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters import stitching
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.session.rendering.render_request import Statistics
+from wafer_viewer.session.state.control_state import Hands
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo
+
+SOON_DAYS = 14
+"""A calibration that is due within so many days is drawn attention to."""
+FAR_DAYS = 400
+_MOTION = {
+    "ready": "at rest",
+    "moving": "moving",
+    "scanning": "scanning",
+    "paused": "paused",
+    "stopping": "stopping",
+    "starting": "starting",
+    "fault": "at fault",
+    "absent": "not connected",
+}
+Words = tuple[str, str, str]
+"""What is said, in which tone ('' for none), and more of it for those who point at it."""
+
+
+class StatusStrip:
+    """Sample, rig, calibration, surface; and who holds the controls."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._strip = Cell(page.gui, padded=False)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the line up to date."""
+        today = datetime.date.today()
+        said = [
+            sample(job_shown(snapshot, view)),
+            motion(snapshot.rig),
+            calibration(snapshot, view, today),
+            *surface(snapshot.surface if view.on_surface else None, self._page.statistics, view),
+            placement(snapshot.surface if view.on_surface else None),
+        ]
+        items = [_item(*words) for words in said if words[0]]
+        left = "".join([*items, f'<span class="wv-xyz">{where(snapshot.rig)}</span>'])
+        right = _controls(snapshot.hands, self._page.browser.key)
+        self._strip.show(f'<div class="wv-strip" role="contentinfo"><div>{left}</div>{right}</div>')
+
+
+def job_shown(snapshot: Snapshot, view: View) -> Job | None:
+    """The job of what is looked at: the plan in Plan, else the dataset's."""
+    if view.step == "plan" or snapshot.dataset is None:
+        return snapshot.draft.job
+    return snapshot.dataset.job
+
+
+def sample(job: Job | None) -> Words:
+    """Lot, wafer and revision of the job."""
+    if job is None:
+        return "", "", ""
+    names = [f"{word} {name}" for word, name in (("Lot", job.sample.lot), ("Wafer", job.sample.wafer_id)) if name] or [
+        job.sample.name or "Unnamed sample"
+    ]
+    if job.product or job.revision:
+        names.append(" ".join(w for w in ("Job", job.product, job.revision and f"rev. {job.revision}") if w))
+    return " · ".join(names), "", "released" if job.released else "not released"
+
+
+def motion(rig: RigStatus) -> Words:
+    """Whether the axes know where they are, and whether they move."""
+    word = _MOTION[rig.state]
+    if rig.state in ("fault", "absent"):
+        return f"Rig {word}", "fault", rig.message
+    if rig.homed is False:
+        return f"Not homed · {word}", "attention", "The axes have no reference: home them before a move."
+    return (f"Homed · {word}" if rig.homed else f"Rig {word}"), "busy" if rig.state != "ready" else "", rig.message
+
+
+def calibration(snapshot: Snapshot, view: View, today: datetime.date) -> Words:
+    """How long the calibration holds: the dataset's where one is looked at, else the rig's."""
+    data = snapshot.dataset
+    if view.on_surface and data is not None and data.calibration_problem is not None:
+        return "Uncalibrated", "fault", f"Lengths have no U and no verdict: {data.calibration_problem}."
+    if snapshot.rig.state in ("starting", "absent"):
+        return "", "", ""
+    return due(snapshot.rig.calibration, today)
+
+
+def due(made: Calibration | None, today: datetime.date) -> Words:
+    """Days left until a calibration is due."""
+    if made is None:
+        return "No calibration", "fault", "Lengths read 'uncalibrated': no U, no verdict."
+    if made.simulated:
+        return "Calibrated by simulation", "", "Pixel size and scales are the simulation's: nothing real is measured."
+    days = (datetime.date.fromisoformat(made.due) - today).days
+    more = f"Calibrated on {made.made} against {made.against}, due on {made.due}."
+    if days < 0:
+        return f"Calibration overdue by {_days(-days)}", "fault", more
+    if days <= SOON_DAYS:
+        return f"Calibration due {'today' if days == 0 else f'in {_days(days)}'}", "attention", more
+    return (f"Calibrated, due in {_days(days)}" if days <= FAR_DAYS else f"Calibrated until {made.due}"), "", more
+
+
+def surface(info: SurfaceInfo | None, told: Statistics | None = None, view: View | None = None) -> tuple[Words, Words]:
+    """What was done to the heights shown, and how many are missing; `told`: statistics of what the view shows."""
+    if info is None:
+        return ("", "", ""), ("", "", "")
+    smooth = info.settled is not None and info.settled.levy.mode != "none"
+    done = "Filtered heights" if smooth else "Measured heights"
+    counted = told if told is not None else info
+    if told is None and view is not None and view.show:
+        return (done, "", f"Result {info.result}."), ("", "", "")
+    filled = f", {share(counted.filled_fraction)} filled" if counted.filled_fraction else ", none filled"
+    reasons = ", ".join(f"{why} {share(part)}" for why, part in counted.unmeasured)
+    missing = 1.0 - counted.measured_fraction - counted.filled_fraction
+    return (done + filled, "", f"Result {info.result}."), (f"{share(max(0.0, missing))} unmeasured", "", reasons)
+
+
+def where(rig: RigStatus) -> str:
+    """Where the stage stands, as HTML: in the header, or here where that has no room."""
+    axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
+    said = "".join(f"{axis}&nbsp;<span>{number(um / 1000, 4, signed=True)}</span> " for axis, um in axes)
+    return f"{said}{THIN}mm"
+
+
+def placement(info: SurfaceInfo | None) -> Words:
+    """Fields whose overlaps decided nothing."""
+    if info is None or info.stitching is None:
+        return "", "", ""
+    words, reasons = stitching.by_stage(info.stitching, info.n_fields)
+    return words, "attention" if words else "", reasons
+
+
+def _days(days: int) -> str:
+    return f"{days} day{'' if days == 1 else 's'}"
+
+
+def _item(words: str, tone: str, more: str) -> str:
+    tip = f"{words}. {more}" if more else words
+    return f'<span class="{tone}" title="{html.safe(html.micro(tip))}">{html.safe(words)}</span>'
+
+
+def _controls(hands: Hands, key: str) -> str:
+    """Who holds the controls; a click says who is there."""
+    if hands.browser(key) is None:
+        return ""
+    watching = len([b for b in hands.browsers if b.present]) - (1 if hands.holder else 0)
+    others = f" · {watching} watch{'es' if watching == 1 else ''}" if watching > 0 and hands.holds(key) else ""
+    who = "You hold the controls" if hands.holds(key) else (hands.why_not(key) or "").rstrip(".")
+    sign = html.icon(viser.Icon.HAND_STOP if hands.holds(key) else viser.Icon.EYE, 14)
+    look = "mine" if hands.holds(key) else "theirs"
+    told = f'title="{html.safe(who)}: who is there, your name, and how to ask for the controls" {html.pick("hands")}'
+    return f'<span class="wv-hand {look}" {told}>{sign}{html.safe(who + others)}</span>'

@@ -1,0 +1,77 @@
+"""Stop, wherever it is pressed: all motion is halted at once, and after a scan a question says what to do next."""
+
+from __future__ import annotations
+
+import viser
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.session.state.snapshot import FieldState, OpenDataset, RigStatus, Snapshot
+
+NOT_STOPPED = "Nothing was stopped"
+COMPLETE = (FieldState.TAKEN, FieldState.RECONSTRUCTING, FieldState.MEASURED)
+"""States of a field that has all its frames."""
+
+
+def can_stop(snapshot: Snapshot) -> bool:
+    """Return whether something moves that is not ending already."""
+    return snapshot.rig.state in ("moving", "scanning", "paused")
+
+
+def stop(page: Page) -> None:
+    """Halt all motion at once; ask afterwards what to do with a scan that was interrupted."""
+    was_scanning = page.session.snapshot.scanning
+    page.ask(NOT_STOPPED, page.session.stop(), lambda anything: _stopped(page, bool(anything), was_scanning))
+
+
+def _stopped(page: Page, anything: bool, was_scanning: bool) -> None:
+    """Whoever holds the controls hears of a move from the verb that moved; others hear of it here."""
+    snapshot = page.session.snapshot
+    data, holds = snapshot.dataset, snapshot.hands.holds(page.browser.key)
+    if not anything:
+        page.say(NOT_STOPPED, "Nothing moves.", "attention")
+    elif was_scanning and _is_interrupted(snapshot, data) and data is not None:
+        if holds:
+            _ask_what_next(page, data)
+        else:
+            page.say("The scan is stopped", kept(data), "attention")
+    elif not holds:
+        page.say("Stopped", f"The stage stands at {place(snapshot.rig)}.", "attention")
+
+
+def _ask_what_next(page: Page, data: OpenDataset) -> None:
+    """Continue or end; the question goes by itself when it no longer applies."""
+    said = f"{kept(data)} To continue takes only the missing frames; that is possible later as well."
+    dialog = Dialog(page, "The scan is stopped", said)
+    dialog.answers(
+        "Continue the scan",
+        viser.Icon.PLAYER_PLAY,
+        lambda: page.ask("The scan did not continue", page.session.continue_scan()),
+        "The scan did not continue",
+        away="End the scan",
+    )
+
+    def close_when_settled(now: Snapshot) -> None:
+        if not _is_interrupted(now, data):
+            dialog.close()
+
+    page.on_close(page.session.subscribe(close_when_settled))
+
+
+def _is_interrupted(now: Snapshot, data: OpenDataset | None) -> bool:
+    """Return whether the scan of `data` is open, unfinished and at rest."""
+    shown = now.dataset
+    return data is not None and shown is not None and shown.path == data.path and not (shown.finished or now.scanning)
+
+
+def kept(data: OpenDataset) -> str:
+    """Return how many fields of a dataset are complete, as a sentence."""
+    complete = sum(state in COMPLETE for state in data.states.values())
+    return f"{complete} of {len(data.fields)} fields {'is' if complete == 1 else 'are'} complete; all frames are kept."
+
+
+def place(rig: RigStatus) -> str:
+    """Where the stage stands, as the header writes it."""
+    axes = (("X", rig.x_um), ("Y", rig.y_um), ("Z", rig.z_um))
+    return ", ".join(f"{axis} {number(um / 1000, 4, signed=True)}" for axis, um in axes) + " mm"

@@ -1,0 +1,39 @@
+"""The verdict as a part of a panel: in Acquire when the scan is over, in Surface whenever the dataset is looked at."""
+
+from __future__ import annotations
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters import verdict as words
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.session.state.snapshot import Snapshot
+
+
+class VerdictSection:
+    """Nothing where the job has no feature to judge."""
+
+    def __init__(self, page: Page) -> None:
+        self._cell = Cell(page.gui)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Bring the section up to date."""
+        self._cell.show(_content(snapshot))
+
+
+def awaited(snapshot: Snapshot) -> bool:
+    """Whether the open dataset is to be judged, and is not yet."""
+    return has_features(snapshot) and snapshot.operating.verdict is None
+
+
+def has_features(snapshot: Snapshot) -> bool:
+    """Whether the open dataset's job has anything to judge."""
+    data = snapshot.dataset
+    return data is not None and any(feature.has_place for feature in data.job.features)
+
+
+def _content(snapshot: Snapshot) -> str:
+    verdict = snapshot.operating.verdict
+    if not has_features(snapshot) or snapshot.scanning:
+        return ""
+    if verdict is None:
+        return words.waiting(snapshot.operating.judging)
+    return words.card(verdict) + words.dies(verdict) + words.features(verdict) + '<div style="height:8px"></div>'

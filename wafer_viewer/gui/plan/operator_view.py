@@ -1,0 +1,110 @@
+"""What the operator of a released job sees of the plan: which wafer, align it, start; all else is folded away."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Any
+
+from wafer_viewer.draw.number_format import duration
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.plan.align_section import Aligning, AlignSection
+from wafer_viewer.gui.presenters import preflight
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, Field, duo, set_prop
+from wafer_viewer.gui.widgets.debounce import Edits
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.planning.preflight import Check
+from wafer_viewer.session.state.snapshot import Snapshot
+
+FAILED = "The names were not changed"
+FOCUS = (
+    '<img src="data:," alt="" hidden onerror="setTimeout(()=>document.querySelector('
+    "'div:has(>.wv-scan)+div input')?.focus(),300)\">"
+)
+"""Puts the cursor into the wafer's id, once, so that a barcode reader, which is a keyboard, needs no click before."""
+
+
+class OperatorView:
+    """Three of the four actions; the fourth, the verdict, follows in Acquire."""
+
+    def __init__(self, page: Page, aligning: Aligning) -> None:
+        self._page = page
+        self._edits = Edits(self._commit, guarded(page, FAILED))
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._title = Cell(page.gui)
+            self._notes = Cell(page.gui)
+            self._build_wafer()
+            self._align = AlignSection(aligning, "2 · Align")
+            self._checks = Cell(page.gui)
+        page.on_pick("everything", lambda key: page.change(everything=key == "yes"))
+
+    def show(self, snapshot: Snapshot, view: View, checks: tuple[Check, ...]) -> None:
+        """Bring the view up to date; it stands only where the plan is a released job and nobody unfolded the rest."""
+        job = snapshot.draft.job
+        there = view.step == "plan" and folded(snapshot, view)
+        set_prop(self._folder, "visible", there)
+        self._align.show(snapshot, there)
+        if job is None or not there:
+            self._focus.show("")
+            return
+        self._title.show(_title(snapshot, job))
+        self._notes.show(self._page.notes(snapshot))
+        self._focus.show(FOCUS if not job.sample.wafer_id else "")
+        if not self._edits.under_way:
+            self._wafer_id.show(job.sample.wafer_id)
+            self._lot.show(job.sample.lot)
+            self._operator.show(job.sample.operator)
+        self._checks.show(preflight.section(checks, "3 · Start"))
+
+    def _build_wafer(self) -> None:
+        gui = self._page.gui
+        Cell(gui, html.head("1 · Wafer", "type the id or scan its barcode"))
+        gui.add_html('<div class="wv-scan"></div>')
+        self._wafer_id = self._field(gui.add_text("Wafer id", ""))
+        duo(gui)
+        self._lot, self._operator = self._field(gui.add_text("Lot", "")), self._field(gui.add_text("Operator", ""))
+        self._focus = Cell(gui, padded=False)
+
+    def _field(self, handle: Any) -> Field[str]:
+        return Field(handle, lambda _: self._edits.made(), self._page, FAILED)
+
+    def _commit(self) -> Future[Any] | None:
+        page, job = self._page, self._page.session.snapshot.draft.job
+        if job is None:
+            return None
+        names = {"wafer_id": self._wafer_id.value, "lot": self._lot.value, "operator": self._operator.value}
+        named = replace(job, sample=replace(job.sample, **{key: text.strip() for key, text in names.items()}))
+        if named == job:
+            page.redraw()
+            return None
+        answer = page.session.edit_job(named)
+        page.ask(FAILED, answer)
+        return answer
+
+
+def folded(snapshot: Snapshot, view: View) -> bool:
+    """Whether a released job shows its few actions alone."""
+    job = snapshot.draft.job
+    return job is not None and job.released and not view.everything
+
+
+def _title(snapshot: Snapshot, job: Job) -> str:
+    plan = snapshot.draft.plan
+    n = len(job.all_fields())
+    takes = f" · {duration(plan.predicted_s)}" if plan is not None else ""
+    below = f"Revision {job.revision}, released · {n} field{'s' if n > 1 else ''}{takes}"
+    return html.title(job.product, below, _other_job() + unfold(True))
+
+
+def unfold(more: bool) -> str:
+    """The way to all that is folded away, or back."""
+    name = "Show everything" if more else "Show less"
+    return f'<span class="wv-action" {html.pick("everything", "yes" if more else "no")}>{name}</span>'
+
+
+def _other_job() -> str:
+    return f'<span class="wv-action" {html.pick("jobs")}>Another job…</span>'

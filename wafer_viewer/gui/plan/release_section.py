@@ -1,0 +1,112 @@
+"""What an engineer adds to a plan so that operators can run it: corners, features with limits, and its release."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.plan.dies_dialog import dies_dialog
+from wafer_viewer.gui.plan.feature_dialog import feature_dialog
+from wafer_viewer.gui.plan.job_dialogs import (
+    corners_dialog,
+    edit,
+    release_dialog,
+    required_job,
+    trial_dialog,
+    trial_is_old,
+)
+from wafer_viewer.gui.presenters.revision_trial import trial
+from wafer_viewer.gui.presenters.verdict import RULES, limits
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.acquisition.alignment import Marks
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.measurement.feature import Dies, Feature
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.session.measurement.measurement_numbers import title_of
+from wafer_viewer.session.state.snapshot import Snapshot
+
+
+class ReleaseSection:
+    """Corners and features as tables, folded away until somebody wants them; of a released job to be read only."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        gui = page.gui
+        self._folder = gui.add_folder("For operators", expand_by_default=False, visible=False)
+        with self._folder:
+            self._words = Cell(gui)
+            self._buttons = [
+                self._button("Corners…", viser.Icon.MAP_PIN, corners_dialog),
+                self._button("Feature…", viser.Icon.STAIRS_UP, feature_dialog),
+                self._button("Release…", viser.Icon.LOCK, release_dialog),
+            ]
+            in_a_row(gui, self._buttons, 34)
+            self._tried = Cell(gui)
+            self._try = self._button("Try on wafers…", viser.Icon.HISTORY, trial_dialog)
+            self._dies = self._button("Dies…", viser.Icon.GRID_DOTS, dies_dialog)
+            in_a_row(gui, [self._dies, self._try], 34)
+            self._copy = self._button("Copy to a new plan", viser.Icon.COPY, self._to_copy)
+            in_a_row(gui, [self._copy], 34)
+        page.on_pick("feature", lambda key: feature_dialog(page, int(key)))
+        page.on_pick("no-feature", lambda key: self._drop(int(key)))
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Bring the section up to date."""
+        job = snapshot.draft.job
+        set_prop(self._folder, "visible", job is not None)
+        if job is None:
+            return
+        self._words.show(_corners(job.marks) + _dies(job.dies) + _features(job))
+        self._tried.show(trial(snapshot.operating.trial, snapshot.operating.trying, trial_is_old(snapshot)))
+        for handle in (*self._buttons, self._dies, self._try):
+            set_prop(handle, "visible", not job.released)
+        set_prop(self._copy, "visible", job.released)
+
+    def _button(self, name: str, icon: Any, ask: Any) -> Any:
+        return button(
+            self._page.gui, name, icon, guarded(self._page, "The plan was not changed")(lambda _: ask(self._page))
+        )
+
+    def _to_copy(self, page: Page) -> None:
+        page.ask("The job was not changed", page.session.jobs.copy(), lambda _: page.change(everything=False))
+
+    def _drop(self, n: int) -> None:
+        features = required_job(self._page).features
+        edit(self._page, features=(*features[:n], *features[n + 1 :]))
+
+
+def _corners(marks: Marks | None) -> str:
+    if marks is None:
+        return html.head("Alignment") + html.empty("Two corners of dies to align wafers by.")
+    rows = [html.row([html.safe(m.name), number(m.x_um, 1), number(m.y_um, 1)], " nn") for m in marks.places]
+    head = html.head("Alignment", f"residual at most {number(marks.limit_um, 1)} µm")
+    return head + html.table(["Corner, wafer µm", "x", "y"], rows, " nn")
+
+
+def _dies(dies: Dies | None) -> str:
+    """How many there are, and how large; nothing where no feature can be repeated over any."""
+    if dies is None:
+        return ""
+    told = f"{len(dies.all())} of {number(dies.width_um, 0)} × {number(dies.height_um, 0)} µm"
+    return html.head("Dies", told)
+
+
+def _features(job: Job) -> str:
+    if not job.features:
+        return html.head("Features") + html.empty("Any quantity of a tool, with its limits, gives a verdict.")
+    rows = [_feature(n, feature, job.released) for n, feature in enumerate(job.features)]
+    return html.head("Features") + html.table(["Name", "Nominal", "Limits", ""], rows, " nn ")
+
+
+def _feature(n: int, feature: Feature, released: bool) -> str:
+    where = " · on every die" if feature.per_die else "" if feature.has_place else " · no place"
+    what = " · ".join(part for part in (TOOLS[feature.tool].title, title_of(feature.quantity)) if part)
+    name = f"{html.safe(feature.name)}<small>{what}{where}<br>{RULES[feature.decision_rule]}</small>"
+    away = f'<span class="wv-link" title="Remove" {html.pick("no-feature", n)}>{html.icon(viser.Icon.X, 14)}</span>'
+    cells = [name, number(feature.nominal, 2), limits(feature), "" if released else away]
+    return html.row(cells, " nn ", "" if released else html.pick("feature", n))

@@ -1,0 +1,1 @@
+"""Text and HTML for the page, made of results and settings."""

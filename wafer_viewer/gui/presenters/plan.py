@@ -1,0 +1,140 @@
+"""What the plan's panel says: heads, warnings, the priced strategies. Pure: snapshot in, HTML out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.number_format import THIN, duration, number, size, with_unit
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.acquisition.plan import Price
+from wafer_viewer.session.state.snapshot import Draft, Snapshot
+
+_GAP = '<div style="height:8px"></div>'
+
+
+def history(draft: Draft) -> str:
+    """Undo and redo, beside the title."""
+
+    def action(what: str, name: str, sign: Any, possible: bool) -> str:
+        state = html.pick(what) if possible else 'aria-disabled="true"'
+        return (
+            f'<span class="wv-action{"" if possible else " off"}" title="{name}" {state}>{html.icon(sign, 17)}</span>'
+        )
+
+    return action("undo", "Undo · Ctrl + Z", viser.Icon.ARROW_BACK_UP, draft.can_undo) + action(
+        "redo", "Redo · Ctrl + Shift + Z", viser.Icon.ARROW_FORWARD_UP, draft.can_redo
+    )
+
+
+def grid(snapshot: Snapshot) -> str:
+    """The head of the grid, or what it waits for."""
+    job = snapshot.draft.job
+    if job is None:
+        return html.head("Field grid") + html.empty("Waits for the size of the sample.") + _on_stage(snapshot)
+    if job.grid is None:
+        return html.head("Fields", f"{len(job.fields)} fields from the plan's list")
+    grid = job.grid
+    n = grid.rows * grid.cols
+    extent = f"{number(grid.width_um, 0)} × {with_unit(grid.height_um, 0)}"
+    return html.head("Field grid", f"{n} field{'s' if n > 1 else ''} · {extent}")
+
+
+def _on_stage(snapshot: Snapshot) -> str:
+    """The short way to a grid, where the rig has a picture of what is on its stage."""
+    if snapshot.overview is None:
+        return ""
+    return f'<div class="wv-why"><span class="wv-link" {html.pick("cover")}>Use the sample on the stage</span></div>'
+
+
+def sweep(draft: Draft) -> str:
+    """The head of the focus sweep."""
+    if draft.job is None:
+        return ""
+    sweep = draft.job.sweep
+    return html.head("Focus sweep", f"{sweep.n_frames} frames · {with_unit(sweep.range_um, 1)}")
+
+
+def depth(snapshot: Snapshot, draft: Draft) -> str:
+    """A warning when the step is coarse for the depth of field ."""
+    limits = snapshot.rig.limits
+    if draft.job is None or limits is None:
+        return ""
+    half_um, step_um = limits.depth_of_field_um / 2, draft.job.sweep.z_step_um
+    if step_um <= half_um + 1e-9:
+        return ""
+    fact = f"{with_unit(step_um, 2)} is over half the depth of field, {with_unit(half_um, 1)}"
+    sign = html.icon(viser.Icon.ALERT_TRIANGLE, 18)
+    return html.note("attention", "The step is coarse", f"{fact}: heights become less certain.", sign=sign)
+
+
+def strategies(snapshot: Snapshot, draft: Draft) -> str:
+    """Every strategy with its price, and what the chosen one costs."""
+    if draft.job is None:
+        waiting = html.empty("Every strategy is listed here with its time", "as soon as there is a grid.")
+        return html.head("Strategy") + waiting + _GAP
+    if draft.plan is None:
+        return (
+            html.head("Strategy")
+            + html.empty(
+                html.micro(draft.problem) if draft.problem else "The time of every strategy is being estimated."
+            )
+            + _GAP
+        )
+    plan, limits = draft.plan, snapshot.rig.limits
+    rate = f" at {number(limits.camera.frame_rate_hz, 0)} frames/s" if limits else ""
+    best_s = min((p.predicted_s for p in plan.prices if p.predicted_s), default=0.0)
+    rows = [_price_row(price, best_s, price.strategy == plan.strategy) for price in _by_price(plan.prices)]
+    free = draft.free_bytes
+    figures = [
+        html.figure("Predicted time", duration(plan.predicted_s)),
+        _size_figure("On disk", plan.bytes_on_disk),
+        _size_figure("Free", free, "fault" if free is not None and free < plan.bytes_on_disk else "good"),
+    ]
+    return (
+        html.head("Strategy", f"for {number(plan.n_frames, 0)} frames{rate}")
+        + html.table(["", "Time", "Motions", "× best"], rows, " nnn")
+        + _by_hand(draft.job.strategy)
+        + _GAP
+        + html.columns(figures)
+        + _GAP
+    )
+
+
+def foot(draft: Draft, why_not: str | None) -> str:
+    """The line over the button: why it cannot be pressed; in a low window what the scan costs, else out of sight."""
+    if why_not is not None:
+        return f'<div class="wv-why wv-at-foot">Not yet: {html.safe(html.micro(why_not))}</div>'
+    if draft.plan is None:
+        return ""
+    free = f", {size(draft.free_bytes)} free" if draft.free_bytes is not None else ""
+    cost = f"<b>{duration(draft.plan.predicted_s)}</b> · {size(draft.plan.bytes_on_disk)} on disk{free}"
+    return f'<div class="wv-why wv-at-foot wv-low-only">{cost}</div>'
+
+
+def _by_price(prices: tuple[Price, ...]) -> list[Price]:
+    return sorted(prices, key=lambda p: (p.ruled_out is not None, p.predicted_s or 0.0))
+
+
+def _price_row(price: Price, best_s: float, chosen: bool) -> str:
+    name = html.safe(price.title)
+    if price.ruled_out is not None or price.predicted_s is None:
+        why = html.safe(html.micro(price.ruled_out or "not estimated"))
+        return f'<tr class="off"><td colspan="4">{name}<small>{why}</small></td></tr>'
+    ratio = price.predicted_s / best_s if best_s else 1.0
+    cells = [name, duration(price.predicted_s), number(price.motions, 0), number(ratio, 2 if ratio < 9.95 else 1)]
+    return html.row(cells, " nnn", html.pick("strategy", price.strategy), "sel" if chosen else "")
+
+
+def _by_hand(strategy: str) -> str:
+    """The way back from a strategy chosen by hand."""
+    if strategy == "auto":
+        return ""
+    link = f'<span class="wv-link" {html.pick("strategy", "auto")}>Use the fastest</span>'
+    return f'<div class="wv-lab" style="padding:4px 6px">Chosen by hand. {link}</div>'
+
+
+def _size_figure(label: str, n_bytes: int | None, tone: Any = None) -> str:
+    value, _, unit = size(n_bytes).rpartition(THIN)
+    return html.figure(label, value or unit, unit if value else "", tone=tone)

@@ -1,0 +1,184 @@
+"""Where a result comes from, in the panel's words: its regions, its other numbers, the surface and the zero it has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from wafer_viewer.draw.number_format import number, share, with_unit
+from wafer_viewer.gui.presenters import shapes, steps
+from wafer_viewer.gui.presenters.gauge import told as gauge_told
+from wafer_viewer.gui.presenters.measurement import averaging, whole
+from wafer_viewer.gui.presenters.site_range import sites
+from wafer_viewer.gui.presenters.texture import roughness, texture
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
+from wafer_viewer.model.measurement.levelling import LevelBy
+from wafer_viewer.model.measurement.measurements import (
+    AnyFinding,
+    AreaVolume,
+    Distance,
+    FaceAngle,
+    Flatness,
+    PointHeight,
+    Profile,
+    Radius,
+    StepHeight,
+    StepProfile,
+)
+from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.texture import Roughness, Texture
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+
+ZERO: dict[LevelBy, str] = {
+    "stage": "the stage's zero",
+    "three points": "the plane through three points",
+    "plane": "the plane of the whole surface",
+    "region": "the plane of a region",
+    "form": "the form of the whole surface",
+}
+"""What heights are read from, by the way of levelling."""
+Pairs = list[tuple[str, str]]
+
+
+def source(finding: AnyFinding) -> str:
+    """Where a result comes from: its regions, its points, the surface it was measured on."""
+    body = next((tell(finding) for kind, tell in _TOLD.items() if isinstance(finding, kind)), "")
+    return html.head("Where it comes from", "µm") + body + _measured_on(finding)
+
+
+def where(finding: AnyFinding) -> str:
+    """The surface a result was measured on."""
+    return f"field {finding.show}" if finding.show > 0 else "comparison" if finding.show < 0 else "stitched surface"
+
+
+def _profile(finding: Profile) -> str:
+    return html.pairs(
+        [
+            ("Length", with_unit(finding.length_um, 1)),
+            ("Averaged over", averaging(finding)),
+            ("Rise, first to last point", whole(finding.rise.quantity, signed=True)),
+            ("Angle", with_unit(_angle(finding), 2, "°", signed=True)),
+            ("Measured", share(finding.measured_fraction)),
+        ]
+    )
+
+
+def _point(finding: PointHeight) -> str:
+    return html.pairs([_place("Place", finding.place), ("Pixels, their median", number(finding.points, 0))])
+
+
+def _distance(finding: Distance) -> str:
+    return html.pairs(
+        [
+            ("On the map", whole(finding.lateral.quantity)),
+            ("Rise", whole(finding.dz.quantity, signed=True)),
+            ("Slope", whole(finding.slope)),
+            _place("From", finding.start),
+            _place("To", finding.end),
+        ]
+    )
+
+
+def _face_angle(finding: FaceAngle) -> str:
+    faces = (
+        ("First face", finding.first_tilt_deg, finding.first_sq_um, finding.first_points),
+        ("Second face", finding.second_tilt_deg, finding.second_sq_um, finding.second_points),
+    )
+    rows = [html.row([name, number(tilt, 2), number(sq, 2), number(n, 0)], " nnn") for name, tilt, sq, n in faces]
+    return html.table(["Face", "Tilt, °", "Sq", "Points"], rows, " nnn")
+
+
+def _radius(finding: Radius) -> str:
+    over = "Top over its surroundings" if finding.kind == "bump" else "Bottom under its surroundings"
+    return html.pairs(
+        [
+            (over, whole(finding.top.quantity)),
+            ("Centre x, y", f"{number(finding.center.x_um, 1)}, {number(finding.center.y_um, 1)}"),
+            ("Sq from the sphere", number(finding.sq_um, 2)),
+            ("Points", number(finding.points, 0)),
+        ]
+    )
+
+
+def _volume(finding: AreaVolume) -> str:
+    plane = "the plane through the region's border" if finding.reference == "border" else "the zero of heights"
+    pairs = [
+        ("Volume above", whole(finding.volume_above)),
+        ("Volume below", whole(finding.volume_below)),
+        ("Area above", whole(finding.area_above)),
+        ("Area below", whole(finding.area_below)),
+        ("Area of the region", whole(finding.area)),
+        ("Highest", whole(finding.highest.quantity, signed=True)),
+        ("Lowest", whole(finding.lowest.quantity, signed=True)),
+        ("Measured", share(finding.measured_fraction)),
+    ]
+    noise = f"Within {with_unit(finding.noise_um, 2)} of it a height counts neither as above nor as below."
+    return html.pairs(pairs) + _small([f"Above and below {plane}.", noise])
+
+
+def _flatness(finding: Flatness) -> str:
+    plane = {"least_squares": "least-squares plane", "minimum_zone": "minimum zone"}[finding.reference]
+    zone = finding.flt_t_minimum_zone
+    return html.pairs(
+        [
+            *([("FLTt, minimum zone", whole(zone.quantity))] if zone is not None else []),
+            ("FLTq", whole(finding.flt_q.quantity)),
+            ("Band with 99.73 %", number(finding.band_9973_um, 2)),
+            ("Reference", plane),
+            ("Points", number(finding.points, 0)),
+            ("Measured", share(finding.measured_fraction)),
+        ]
+    )
+
+
+_TOLD: dict[type, Callable[..., str]] = {
+    Profile: _profile,
+    PointHeight: _point,
+    Distance: _distance,
+    StepHeight: steps.step,
+    StepProfile: steps.groove,
+    FaceAngle: _face_angle,
+    Radius: _radius,
+    AreaVolume: _volume,
+    Flatness: _flatness,
+    Texture: texture,
+    Roughness: roughness,
+    KerfWidth: shapes.kerf,
+    DieSize: shapes.die,
+    CircleSize: shapes.circle,
+    Chipping: shapes.chipping,
+    Coplanarity: shapes.coplanarity,
+    SiteRanges: sites,
+    GaugeCheck: gauge_told,
+}
+_ON_PICTURE = (KerfWidth, DieSize, CircleSize, Chipping)
+"""Heights have no part in these."""
+
+
+def _place(name: str, place: Region) -> tuple[str, str]:
+    point = place.points[0]
+    return f"{name} x, y", f"{number(point.x_um, 1)}, {number(point.y_um, 1)}"
+
+
+def _angle(profile: Profile) -> float:
+    return math.degrees(math.atan2(profile.rise.value_um, profile.length_um)) if profile.length_um else math.nan
+
+
+def _measured_on(finding: AnyFinding) -> str:
+    lines = [
+        f"On the {where(finding)}: {LAYER_TITLES[finding.surface]}, filter: {finding.filter}.",
+        f"Heights are read from {ZERO[finding.levelling.by]}.",
+    ]
+    if isinstance(finding, _ON_PICTURE):
+        lines = [f"On the {where(finding)}."]
+    if finding.simulated:
+        lines.append("SIMULATED: not a measurement of a real sample.")
+    lines.extend(finding.notes)
+    return _small(lines)
+
+
+def _small(lines: list[str]) -> str:
+    return "".join(f'<div class="wv-lab" style="margin-top:4px">{html.safe(html.micro(line))}</div>' for line in lines)

@@ -1,0 +1,1 @@
+"""Text and HTML of the review of defects and results."""

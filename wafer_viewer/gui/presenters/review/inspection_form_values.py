@@ -1,0 +1,145 @@
+"""The form of an inspection and the recipe behind it: what each widget on the page means, there and back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of
+from wafer_viewer.gui.widgets.number_field import PLACE, Pair, pair_of, pair_text
+from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.inspection.defect import DefectRecipe, Evidence, Inspection
+from wafer_viewer.model.inspection.die_grid import DieGrid
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace as changed
+from wafer_viewer.session.inspection.inspection_job import Against, Dies
+
+DIE, GOLDEN, FORM = "Die to die", "Die to golden die", "With the fitted form"
+AGAINST = (DIE, GOLDEN, FORM)
+EVIDENCE: dict[str, Evidence] = {"Height and picture": "both", "Height": "height", "Picture": "picture"}
+OF_JOB, FOUND, GIVEN = "The job's, or found", "Found", "Given"
+DIES = (OF_JOB, FOUND, GIVEN)
+
+
+@dataclass(frozen=True, slots=True)
+class DefectForm:
+    """What stands on the form; golden is the name of the golden die that is chosen, '' none."""
+
+    sensitivity: float = DefectRecipe().sensitivity
+    compare: str = DIE
+    evidence: str = "Height and picture"
+    golden: str = ""
+    dies: str = OF_JOB
+    pitch_um: str = ""
+    corner_um: str = ""
+    size_um: str = ""
+    angle_deg: float = 0.0
+    product: str = ""
+    scales_px: str = ""
+    excluded: tuple[Region, ...] = ()
+    max_per_die: str = ""
+    max_per_mm2: str = ""
+
+
+def form_of(recipe: DefectRecipe, inspection: Inspection | None, before: DefectForm = DefectForm()) -> DefectForm:
+    """What the form shows of a recipe, and of the dies of an inspection; how dies are come by stays as it was."""
+    by_form = inspection is not None and inspection.grid is None
+    compare = GOLDEN if recipe.golden else FORM if by_form else DIE
+    grid = inspection.grid if inspection is not None else None
+    per_die, per_mm2 = text_of(recipe.limits)
+    made = DefectForm(
+        sensitivity=recipe.sensitivity,
+        compare=compare,
+        evidence=next(name for name, evidence in EVIDENCE.items() if evidence == recipe.evidence),
+        golden=recipe.golden,
+        dies=before.dies,
+        product=recipe.product,
+        scales_px=", ".join(f"{scale:g}" for scale in recipe.scales_px),
+        excluded=recipe.excluded,
+        max_per_die=per_die,
+        max_per_mm2=per_mm2,
+    )
+    lattice = before if grid is None else replace(made, **_shown(grid))
+    places = {name: getattr(lattice, name) for name in ("pitch_um", "corner_um", "size_um", "angle_deg")}
+    return replace(made, **places)
+
+
+def recipe_of(form: DefectForm, old: DefectRecipe) -> DefectRecipe:
+    """The recipe that a filled-in form asks for, keeping of the old one what the form does not show.
+
+    Raises MeasureError with the sentence to show when it makes none.
+    """
+    if form.compare == GOLDEN and not form.golden:
+        raise MeasureError(
+            f"No golden die is chosen: choose one where the list has any, or compare {FORM[0].lower()}{FORM[1:]}."
+        )
+    return changed(
+        old,
+        sensitivity=form.sensitivity,
+        evidence=EVIDENCE[form.evidence],
+        product=form.product.strip(),
+        golden=form.golden if form.compare == GOLDEN else "",
+        scales_px=_scales(form.scales_px),
+        excluded=form.excluded,
+        limits=limits_of(form.max_per_die, form.max_per_mm2),
+    )
+
+
+def against_of(form: DefectForm) -> Against:
+    """What is compared."""
+    return "form" if form.compare == FORM else "dies"
+
+
+def dies_of(form: DefectForm) -> Dies:
+    """Where the dies lie; those that are given are as large as their pitch where no size is.
+
+    Raises MeasureError where the pitch or the corner is missing, or dies are larger than their pitch.
+    """
+    if form.dies != GIVEN or form.compare == FORM:
+        return "found" if form.dies == FOUND else None
+    pitch, corner = _pair(form.pitch_um, "Pitch, µm", over=0), _pair(form.corner_um, "Corner, µm")
+    if pitch is None:
+        raise MeasureError("The pitch of the dies is not given: type it, such as 300 × 200, or have the dies found.")
+    if corner is None:
+        raise MeasureError("The corner of the dies is not given: type stage x, y of the lower left one of die 0,0.")
+    pitch_x, pitch_y = pitch
+    width, height = _pair(form.size_um, "Die, µm", over=0) or pitch
+    if width > pitch_x or height > pitch_y:
+        raise MeasureError(
+            f"The dies are {width:g} x {height:g} um and their pitch {pitch_x:g} x {pitch_y:g} um: "
+            "a die is at most as large as the pitch."
+        )
+    return DieGrid(
+        pitch_x_um=pitch_x,
+        pitch_y_um=pitch_y,
+        width_um=width,
+        height_um=height,
+        x0_um=corner[0],
+        y0_um=corner[1],
+        angle_rad=math.radians(form.angle_deg),
+    )
+
+
+def _shown(grid: DieGrid) -> dict[str, Any]:
+    """The fields of a lattice as they stand on the form, whole nanometres."""
+    return {
+        "pitch_um": pair_text((round(grid.pitch_x_um, 3), round(grid.pitch_y_um, 3))),
+        "corner_um": pair_text((round(grid.x0_um, 3), round(grid.y0_um, 3)), PLACE),
+        "size_um": pair_text((round(grid.width_um, 3), round(grid.height_um, 3))),
+        "angle_deg": round(math.degrees(grid.angle_rad), 5),
+    }
+
+
+def _pair(text: str, name: str, over: float | None = None) -> Pair | None:
+    try:
+        return pair_of(text, name, over=over)
+    except WaferViewerError as fault:
+        raise MeasureError(str(fault)) from fault
+
+
+def _scales(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.replace(";", ",").split(",") if part.strip())
+    except ValueError as fault:
+        raise MeasureError(f"The scales {text!r} are not numbers: write them as 0, 1.5, 4, 10.") from fault

@@ -1,0 +1,162 @@
+"""What is under review: defects, the features of a job's verdict, the gravest first, results, all as one kind.
+
+Another kind of thing to be judged joins by a function in `SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from wafer_viewer.gui.presenters.measurement import letter, list_text, of_what, sign_colour, value_texts
+from wafer_viewer.gui.presenters.result_regions import Box, bounds_of
+from wafer_viewer.gui.presenters.review.defect_items import defect_item, defect_items
+from wafer_viewer.gui.presenters.review.review_item import ReviewItem, Row
+from wafer_viewer.gui.presenters.verdict import in_short
+from wafer_viewer.gui.state.defect_list_state import DefectListing
+from wafer_viewer.gui.state.view_state import ReviewFilter
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
+from wafer_viewer.model.job.verdict import Judged, Word
+from wafer_viewer.model.measurement.feature import on_die
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.model.quantity import Length, Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.height_map import LAYER_TITLES
+from wafer_viewer.session.measurement.measurement_numbers import title_of
+from wafer_viewer.session.state.snapshot import Snapshot
+
+FILTERS: tuple[tuple[ReviewFilter, str], ...] = (
+    ("all", "All"),
+    ("open", "Open"),
+    ("accepted", "Accepted"),
+    ("rejected", "Rejected"),
+)
+EVERYTHING = DefectListing()
+GRAVEST: tuple[Word, ...] = ("fail", "inconclusive", "no verdict", "pass")
+"""What a person has to look at first."""
+
+
+def review_items(
+    snapshot: Snapshot, only: ReviewFilter = "all", listing: DefectListing = EVERYTHING
+) -> tuple[ReviewItem, ...]:
+    """Everything under review, of which `only` what is still open, or was judged so; defects as they are listed."""
+    items = (item for source in SOURCES for item in source(snapshot, listing))
+    return tuple(item for item in items if only in ("all", item.judgement.verdict))
+
+
+def chosen_item(snapshot: Snapshot, key: str | None, listing: DefectListing = EVERYTHING) -> ReviewItem | None:
+    """The item of a key; the first one where none was chosen or it is gone."""
+    known = defect_item(snapshot, key)
+    if known is not None:
+        return known
+    items = review_items(snapshot, "all", listing)
+    return next((item for item in items if item.key == key), items[0] if items else None)
+
+
+def neighbour(
+    snapshot: Snapshot,
+    key: str | None,
+    by: int,
+    only: ReviewFilter = "all",
+    listing: DefectListing = EVERYTHING,
+) -> ReviewItem | None:
+    """Where one goes from the item of a key, round the ends of the list: on, to the next that is open, or back by one.
+
+    Where no other is open one goes on to the next of those listed, which are `only` some of all.
+    """
+    items = review_items(snapshot, "all", listing)
+    at = next((k for k, item in enumerate(items) if item.key == key), -1 if by > 0 else 0)
+    round_trip = (items[(at + by * n) % len(items)] for n in range(1, len(items) + 1))
+    ahead = [item for item in round_trip if only in ("all", item.judgement.verdict)]
+    still_open = (item for item in ahead if by > 0 and item.key != key and item.judgement.verdict == "open")
+    return next(still_open, next(iter(ahead), None))
+
+
+def _results(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
+    for finding in snapshot.findings:
+        key = key_of_result(finding.number)
+        yield ReviewItem(
+            key=key,
+            sign=letter(finding),
+            colour=sign_colour(finding),
+            title=finding.name or letter(finding),
+            below=_kind(finding),
+            value=list_text(finding),
+            rows=tuple(_rows(finding)),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=bounds_of(finding),
+            show=finding.show,
+            levelling=finding.levelling,
+            number=finding.number,
+            word=finding.verdict if isinstance(finding, GaugeCheck) else None,
+            said=finding.why if isinstance(finding, GaugeCheck) else "",
+        )
+
+
+def _features(snapshot: Snapshot, _: DefectListing) -> Iterator[ReviewItem]:
+    verdict, data = snapshot.operating.verdict, snapshot.dataset
+    if verdict is None or data is None:
+        return
+    keyed = enumerate(zip(keys_of_features(verdict), verdict.items, strict=True), 1)
+    for n, (key, judged) in sorted(keyed, key=lambda of: GRAVEST.index(of[1][1].word)):
+        places = _places(judged, data.job)
+        yield ReviewItem(
+            key=key,
+            sign=f"F{n}",
+            colour="",
+            title=judged.name,
+            below="Feature of the released job" if verdict.released else "Feature of the job",
+            value=in_short(judged),
+            rows=_feature_rows(judged),
+            judgement=snapshot.notebook.book.judgement(key),
+            box_um=_box_on_stage(places, data.job.alignment),
+            word=judged.word,
+            said=judged.why,
+        )
+
+
+SOURCES: tuple[Callable[[Snapshot, DefectListing], Iterable[ReviewItem]], ...] = (defect_items, _features, _results)
+
+
+def _kind(finding: AnyFinding) -> str:
+    titles = {tool: made.title for tool, made in TOOLS.items()}
+    tag = {"step_height": "step"}.get(str(finding.__struct_config__.tag), str(finding.__struct_config__.tag))
+    words = (titles.get(tag, tag.replace("_", " ").capitalize()), of_what(finding), LAYER_TITLES[finding.surface])
+    return " · ".join(word for word in words if word)
+
+
+def _rows(finding: AnyFinding) -> Iterator[Row]:
+    for name in finding.__struct_fields__:
+        held = getattr(finding, name)
+        if isinstance(held, Length | Quantity):
+            quantity = held.quantity if isinstance(held, Length) else held
+            yield (title_of(name), *value_texts(quantity))
+
+
+def _feature_rows(judged: Judged) -> tuple[Row, ...]:
+    feature, what = judged.feature, judged.feature.quantity or TOOLS[judged.feature.tool].title
+    measured = ((title_of(what), *value_texts(judged.measured)),) if judged.measured else ()
+    named = (("Nominal", feature.nominal), ("Lower limit", feature.lower_limit), ("Upper limit", feature.upper_limit))
+    given = [(name, Quantity(value=value, unit=feature.unit)) for name, value in named if value is not None]
+    texts = [(name, *value_texts(quantity)) for name, quantity in given]
+    return (*measured, *((name, value, "", unit) for name, value, _, unit in texts))
+
+
+def _places(judged: Judged, job: Job) -> list[Region]:
+    """Where a feature was measured, in wafer um."""
+    dies = job.dies.all() if job.dies is not None and judged.die else ()
+    die = next((die for die in dies if die.name == judged.die), None)
+    return [place if die is None else on_die(place, die) for place in judged.feature.places]
+
+
+def _box_on_stage(places: list[Region], alignment: Alignment | None) -> Box | None:
+    """The upright rectangle on the stage round places on the wafer; None round no places."""
+    boxes = [place.bounds_um for place in places]
+    corners = [(x, y) for x0, y0, x1, y1 in boxes for x in (x0, x1) for y in (y0, y1)]
+    if alignment is not None:
+        corners = [alignment.to_stage(x, y) for x, y in corners]
+    xs, ys = [x for x, _ in corners], [y for _, y in corners]
+    return (min(xs), min(ys), max(xs), max(ys)) if corners else None

@@ -1,0 +1,120 @@
+"""How a verdict reads: the word that is seen across the room, why, what to do next, every feature. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.charts.die_map import die_map_svg
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.gui.presenters.measurement import reading, value_texts, with_unit_sign
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict, Word
+from wafer_viewer.model.measurement.feature import DecisionRule, Feature
+from wafer_viewer.model.quantity import Quantity
+
+LOOKS: dict[Word, tuple[str, Any, html.Tone]] = {
+    "pass": ("PASS", viser.Icon.CIRCLE_CHECK, "good"),
+    "fail": ("FAIL", viser.Icon.CIRCLE_X, "fault"),
+    "inconclusive": ("INCONCLUSIVE", viser.Icon.HELP_CIRCLE, "attention"),
+    "no verdict": ("NO VERDICT", viser.Icon.CIRCLE_DASHED, "busy"),
+}
+"""Word, sign and tone: each alone tells them apart."""
+RULES: dict[DecisionRule, str] = {"guard_band": "guard band, ISO 14253-1", "simple_acceptance": "simple acceptance"}
+
+
+def card(verdict: WaferVerdict) -> str:
+    """The word in the largest type of the page, with wafer and job, and what to do next."""
+    word, sign, tone = LOOKS[verdict.word]
+    simulated = '<em class="wv-sim">SIMULATED</em>' if verdict.simulated else ""
+    trial = "" if verdict.released else "a trial: the job is not released"
+    wafer = " · ".join(part for part in (verdict.wafer_id, verdict.lot, verdict.job, trial) if part)
+    size = ' class="long"' if len(word) > 6 else ""
+    return (
+        f'<div class="wv-verdict {tone}" role="status" aria-label="Verdict">'
+        f"<div{size}>{html.icon(sign, 46)}<b>{word}</b></div>"
+        f"<p>{html.safe(wafer)}{simulated}</p><p><strong>{html.safe(html.micro(verdict.next))}</strong></p></div>"
+    )
+
+
+def features(verdict: WaferVerdict) -> str:
+    """Every feature: value ± U, limits, word; below each that is not good, why."""
+    if not verdict.items:
+        return ""
+    rules = dict.fromkeys(RULES[item.feature.decision_rule] for item in verdict.items)
+    rows = [*_on_dies(verdict), *(_row(item) for item in verdict.items if not (item.die and item.word == "pass"))]
+    return html.head("Features", f"U: k = 2 · {', '.join(rules)}") + html.table(
+        ["", "Value ± U", "Limits", ""], rows, " nn "
+    )
+
+
+def dies(verdict: WaferVerdict) -> str:
+    """The wafer with its dies coloured by their word, and how many have each."""
+    if not verdict.dies:
+        return ""
+    counts = ", ".join(f"{n} {word}" for word, n in verdict.die_counts.items())
+    return html.head("Dies", counts) + f'<div class="wv-map">{die_map_svg(verdict.dies)}</div>'
+
+
+def in_short(item: Judged) -> str:
+    """A feature as a list shows it: its value ± U, and its limits below."""
+    return f"{value_and_its_u(item)}<small>{limits(item.feature)}</small>"
+
+
+def state(word: Word) -> str:
+    """The instrument's word with its sign, in its colour."""
+    name, sign, tone = LOOKS[word]
+    return f'<b style="color:var(--{tone})">{html.icon(sign, 14)} {name}</b>'
+
+
+def limits(feature: Feature) -> str:
+    """Between which values a feature is good, with their unit."""
+    low, high = feature.lower_limit, feature.upper_limit
+    if low is not None and high is not None:
+        told = f"{_plain(low)} … {_plain(high)}"
+    else:
+        told = f"≤ {_plain(high)}" if high is not None else f"≥ {_plain(low)}"
+    return with_unit_sign(told, reading(Quantity(value=0.0, unit=feature.unit)).unit)
+
+
+def value_and_its_u(item: Judged) -> str:
+    """What was measured of a feature, HTML."""
+    if item.measured is None:
+        return "not measured"
+    value, u, _ = value_texts(item.measured)
+    return f"<b>{value}</b> ± {u}" if item.measured.expanded is not None else f"{value}<small>no U</small>"
+
+
+def waiting(judging: bool) -> str:
+    """What stands there until there is a verdict."""
+    doing = "The features are being measured." if judging else "The verdict follows when the surface is whole."
+    return html.empty(doing)
+
+
+def _on_dies(verdict: WaferVerdict) -> Iterator[str]:
+    """Of each feature that is repeated over dies, on how many it is good; the others have rows of their own."""
+    words: dict[str, list[Word]] = {}
+    for item in verdict.items:
+        if item.die:
+            words.setdefault(item.feature.name, []).append(item.word)
+    first = {item.feature.name: item.feature for item in verdict.items if item.die}
+    for name, of_dies in words.items():
+        dies = "1 die passes" if len(of_dies) == 1 else f"{len(of_dies)} dies pass"
+        good = f"{of_dies.count('pass')} of {dies}"
+        yield html.row([html.safe(name), good, limits(first[name]), ""], " nn ")
+
+
+def _row(item: Judged) -> str:
+    feature, (word, sign, tone) = item.feature, LOOKS[item.word]
+    why = "" if item.word == "pass" else f"<small>{html.safe(html.micro(item.why))}</small>"
+    told = (
+        f'<span style="color:var(--{tone})" title="{word}" role="img" aria-label="{word}">{html.icon(sign, 17)}</span>'
+    )
+    return html.row([f"{html.safe(item.name)}{why}", value_and_its_u(item), limits(feature), told], " nn ")
+
+
+def _plain(value: float | None) -> str:
+    value = value or 0.0
+    return number(value, max(0, len(f"{value:g}".partition(".")[2])))

@@ -1,0 +1,185 @@
+"""The step Report: what goes in, what each part holds, and the one file that is written."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import viser
+
+from wafer_viewer.gui.page.import_export_dialogs import save_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.preconditions import no_surface
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.controls import Cell, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.model.report import PART_TITLES, PARTS, Contents, Holds, Part, ReportOrder
+from wafer_viewer.session.files.documents import REPORT, free_path, newest_report
+from wafer_viewer.session.state.snapshot import Snapshot
+
+UNKNOWN = Holds("…")
+
+
+class ReportPanel:
+    """Title and parts; the button writes the report beside the dataset and offers it for download."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._contents: Contents = {}
+        self._left_out: set[Part] = set()
+        """What a person does not want; that a part holds nothing now says nothing of what it may hold."""
+        self._of: object = None
+        self._written: tuple[Path, Path] | None = None
+        """The report that was written last, after its dataset."""
+        self._writing: Future[Any] | None = None
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        set_prop(self._folder, "visible", view.step == "report")
+        data = snapshot.dataset
+        if view.step != "report" or data is None:
+            self._of = None
+            return
+        self._ask_contents(snapshot)
+        self._title.show(html.title("Report", "A self-contained HTML file that prints on A4."))
+        self._notes.show(self._page.notes(snapshot))
+        chosen = self._chosen()
+        for part, told in self._told.items():
+            holds = self._contents.get(part, UNKNOWN)
+            self._boxes[part].show(part in chosen)
+            self._boxes[part].enable(not holds.nothing)
+            told.show(_line(holds, part in chosen))
+        self._outcome.show(
+            _newest(self._last(data.path)) if chosen else '<div class="wv-why">Not yet: no section is selected.</div>'
+        )
+        for act in (self._elsewhere, self._write):
+            set_prop(act, "disabled", self._busy or not chosen)
+
+    def commands(self) -> list[Command]:
+        """Writing it, with and without a question."""
+        write = Command("Write report", None, self.write, viser.Icon.FILE_TEXT, group="Report")
+        ask = Command("Save report as…", None, self.ask_where, viser.Icon.DEVICE_FLOPPY, group="Report")
+        return unless(self._why_not, write, ask)
+
+    def _why_not(self, snapshot: Snapshot, view: View) -> str | None:
+        if (missing := no_surface(snapshot, view)) is not None:
+            return missing
+        if self._busy:
+            return "a report is being written."
+        return None if self._chosen() else "no section is selected."
+
+    def write(self) -> None:
+        """Write the report beside the dataset, under a name that is free."""
+        page = self._page
+        if self._why_not(page.session.snapshot, page.view) is None:
+            page.ask("The report was not written", self._begin(None), self._hand_out)
+
+    def ask_where(self) -> None:
+        """Ask for folder and name, and write the report."""
+        page, data = self._page, self._page.session.snapshot.dataset
+        if data is not None and self._why_not(page.session.snapshot, page.view) is None:
+            name = free_path(data.path, REPORT, ".html").name
+            save_dialog(page, "Save the report", name, self._begin, "Report saved", "The report was not written")
+
+    def _begin(self, path: Path | None) -> Future[Path]:
+        """Write to a path, or beside the dataset."""
+        page, data = self._page, self._page.session.snapshot.dataset
+        order = ReportOrder(title=self._name.value, parts=self._chosen())
+        self._writing = page.session.papers.write_report(order, path)
+        self._writing.add_done_callback(lambda done: self._take(data.path if data is not None else None, done))
+        page.redraw()
+        return self._writing
+
+    def _take(self, dataset: Path | None, done: Future[Path]) -> None:
+        if dataset is not None and not done.cancelled() and done.exception() is None:
+            self._written = dataset, done.result()
+        self._page.redraw()
+
+    def _build(self) -> None:
+        page, gui = self._page, self._page.gui
+        self._title, self._notes = Cell(gui), Cell(gui)
+        self._name = gui.add_text("Title", "", hint="Heading of the report; without one the dataset's name")
+        Cell(gui, html.head("Contents"))
+        self._boxes: dict[Part, Field[bool]] = {}
+        self._told: dict[Part, Cell] = {}
+        for part in PARTS:
+            hint = f"Include the section {PART_TITLES[part]}"
+            box = gui.add_checkbox(PART_TITLES[part], True, hint=hint)
+            self._boxes[part] = Field(
+                box, lambda event, p=part: self._tick(p, event.target.value), page, "The report was not changed"
+            )
+            self._told[part] = Cell(gui)
+        failed = guarded(page, "The report was not written")
+        self._elsewhere = button(gui, "Save report as…", viser.Icon.DEVICE_FLOPPY, failed(lambda _: self.ask_where()))
+        in_a_row(gui, [self._elsewhere], 34)
+        self._outcome = Cell(gui)
+        self._write = button(
+            gui,
+            "Write report",
+            viser.Icon.FILE_TEXT,
+            failed(lambda _: self.write()),
+        )
+        leading(gui, self._write)
+
+    @property
+    def _busy(self) -> bool:
+        return self._writing is not None and not self._writing.done()
+
+    def _chosen(self) -> tuple[Part, ...]:
+        """Contents: all that holds something, without what a person left out."""
+        nothing = {part for part, holds in self._contents.items() if holds.nothing}
+        return tuple(part for part in PARTS if part not in self._left_out and part not in nothing)
+
+    def _tick(self, part: Part, wanted: bool) -> None:
+        (self._left_out.discard if wanted else self._left_out.add)(part)
+        self._page.redraw()
+
+    def _ask_contents(self, snapshot: Snapshot) -> None:
+        """Have what each part holds found out when something of it may have changed."""
+        data, book = snapshot.dataset, snapshot.notebook.book
+        papers, verdict = self._page.session.papers, snapshot.operating.verdict
+        of = (data.path if data else None, snapshot.findings, book.judgements, snapshot.surface, verdict)
+        of = (*of, papers.pictures_kept, self._written)
+        if of == self._of:
+            return
+        self._of = of
+
+        def found(contents: Contents) -> None:
+            self._contents = contents
+            self._page.redraw()
+
+        self._page.ask("The contents were not read", papers.contents(), found)
+
+    def _last(self, dataset: Path) -> Path | None:
+        """The report of a dataset that was written last: from here, or beside it."""
+        written = self._written[1] if self._written is not None and self._written[0] == dataset else None
+        return written if written is not None and written.exists() else newest_report(dataset)
+
+    def _hand_out(self, path: Path) -> None:
+        self._page.client.send_file_download(path.name, path.read_bytes())
+
+
+def report_address(report: Path) -> str:
+    """The address under which the page's own server shows a report."""
+    return f"/reports/{quote(report.name)}"
+
+
+def _newest(path: Path | None) -> str:
+    """The report that was written last, to be opened in the browser."""
+    if path is None:
+        return ""
+    link = f'<a class="wv-link" href="{report_address(path)}" target="_blank" rel="noopener">Open the report</a>'
+    words = f'<div><b>The report is written.</b><p>{html.safe(path)}</p><p class="wv-foot">{link}</p></div>'
+    return f'<div class="wv-note good" role="status">{words}</div>'
+
+
+def _line(holds: Holds, chosen: bool) -> str:
+    look = " none" if holds.nothing else "" if chosen else " off"
+    return f'<div class="wv-part{look}">{html.safe(html.micro(holds.words))}</div>'

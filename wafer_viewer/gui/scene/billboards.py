@@ -1,0 +1,66 @@
+"""Words on plates in the scene: they face the camera, keep their size on the screen, and nothing hides them."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.draw.raster_text import tag
+from wafer_viewer.draw.surface import mesh
+from wafer_viewer.draw.surface.glb import painted
+from wafer_viewer.gui.scene.camera.camera_presets import Vector
+from wafer_viewer.gui.scene.heightfield import Land
+from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.model.region import Region
+
+_FINER = 2
+"""Texels for a pixel of the screen: sharp on a dense screen, and halved without loss on another."""
+_WHITE: Rgb = (255, 255, 255)
+_SPARE_PX = 2.0
+
+
+class Sign:
+    """A word on a plate so many pixels high, beside a place."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, text: str, plate: Rgb, high_px: int) -> None:
+        picture = tag(text, _WHITE, plate, _FINER * high_px)
+        self._wide_px, self._high_px = picture.shape[1] / _FINER, high_px
+        flat = mesh.flat(-self._wide_px, -high_px / 2, 0.0, high_px / 2)
+        data = painted(flat, picture, blend=True)
+        self._node = scene.add_glb(f"/tools/{name}", data, cast_shadow=False, receive_shadow=False)
+
+    def place(self, by: Vector, land: Land, gaze: Gaze, right_px: float, up_px: float = 0.0) -> None:
+        """Stand so many pixels right (left: below 0) and above a scene point, as far before it as nothing hides it."""
+        pixel = gaze.pixel_at(by)
+        right, up, _ = gaze.axes.T * pixel
+        at = by + right * (right_px + (self._wide_px if right_px > 0 else 0)) + up * up_px
+        foot = at - right * self._wide_px - up * self._high_px / 2
+        corners = np.stack([foot, foot + right * self._wide_px, foot + up * self._high_px])
+        share = gaze.before(land, corners, _SPARE_PX * pixel)
+        self._node.wxyz = gaze.wxyz
+        self._node.scale = pixel * (1 - share)
+        self._node.position = tuple((at + (gaze.eye - at) * share).tolist())
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._node.remove()
+
+
+def corner_on_screen(region: Region, land: Land, gaze: Gaze, right: float, up: float) -> Vector:
+    """A place at the edge of a region as it is on the screen, in scene mm.
+
+    right, up: from -1 (its left or lower edge) to 1.
+    """
+    x0, y0, x1, y1 = region.bounds_um
+    x, y = np.array([x0, x1, x1, x0]), np.array([y0, y0, y1, y1])
+    corners = np.stack([x * 1e-3, y * 1e-3, land.seen_z_mm(x * 1e-3, y * 1e-3)], axis=1)
+    middle = corners.mean(axis=0)
+    across, along, _ = gaze.axes.T
+    reach_x, reach_y = ((corners - middle) @ axis for axis in (across, along))
+    return middle + across * _between(reach_x, right) + along * _between(reach_y, up)
+
+
+def _between(values: Vector, share: float) -> float:
+    low, high = float(values.min()), float(values.max())
+    return low + (high - low) * (share + 1) / 2

@@ -1,0 +1,1 @@
+"""Camera presets, frustum and animated transitions."""

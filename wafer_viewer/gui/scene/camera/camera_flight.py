@@ -1,0 +1,178 @@
+"""How the camera goes from one place to another: a short flight, given up at once when a hand moves the camera."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from wafer_viewer.gui.scene.camera.camera_presets import Pose, Vector
+
+FLIGHT_S, STEP_S = 0.35, 0.04
+LATE_S = 0.2
+"""A browser that has not told of a step after so long is too slow to fly in."""
+REST_S = 60.0
+"""So long it is not tried again."""
+LAND_S = 0.1
+"""After so long it is looked whether the camera stands where it should."""
+_SAME = 1e-3
+"""Places this close, as a share of the distance looked over, are the same."""
+
+
+def between(start: Pose, goal: Pose, share: float) -> Pose:
+    """Where the camera is after a share of a flight; the goal itself at its end.
+
+    It turns about the upright axis the shorter way round and nears by the logarithm of its distance; the point looked
+    at moves as fast as the distance shrinks, so that the goal does not leave the picture on the way.
+    """
+    if share >= 1:
+        return goal
+    eased = share * share * (3 - 2 * share)
+    near, far = _distance(goal), _distance(start)
+    distance = far ** (1 - eased) * near**eased
+    moved = eased if math.isclose(near, far, rel_tol=1e-3) else (far - distance) / (far - near)
+    look_at = start.look_at + (goal.look_at - start.look_at) * moved
+    return Pose(look_at + _direction(start, goal, eased) * distance, look_at)
+
+
+def _distance(pose: Pose) -> float:
+    return float(np.linalg.norm(pose.position - pose.look_at))
+
+
+def _direction(start: Pose, goal: Pose, share: float) -> Vector:
+    (turn, rise), (last_turn, last_rise) = _angles(start.direction), _angles(goal.direction)
+    turn += share * math.remainder(last_turn - turn, 2 * math.pi)
+    rise += share * (last_rise - rise)
+    return np.array([math.cos(turn) * math.cos(rise), math.sin(turn) * math.cos(rise), math.sin(rise)])
+
+
+def _angles(direction: Vector) -> tuple[float, float]:
+    x, y, z = (float(v) for v in direction)
+    return math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+
+
+class Flight:
+    """One flight. Times are seconds of any clock; what the browser tells is compared with what it was told."""
+
+    def __init__(self, start: Pose, goal: Pose, now_s: float) -> None:
+        self.start, self.goal = start, goal
+        self.over, self.late = False, False
+        self._began_s = now_s
+        self._sent: list[tuple[float, Pose]] = []
+        self._known = 0
+
+    def step(self, now_s: float) -> Pose | None:
+        """Where the camera is to stand now; None when the flight is over."""
+        if self.over:
+            return None
+        self.late = self._known < len(self._sent) and now_s - self._sent[self._known][0] > LATE_S
+        share = 1.0 if self.late else (now_s - self._began_s + STEP_S) / FLIGHT_S
+        pose = between(self.start, self.goal, share)
+        self._sent.append((now_s, pose))
+        self.over = share >= 1
+        return pose
+
+    def heard(self, position: Vector) -> bool:
+        """Whether the browser tells of a place where the flight has been; any other means that a hand moved it."""
+        for number in range(len(self._sent), 0, -1):
+            sent = self._sent[number - 1][1]
+            if np.linalg.norm(sent.position - position) < _SAME * _distance(sent):
+                self._known = max(self._known, number)
+                return True
+        # Before the first step has come back the browser may still tell of what it did on its own before.
+        return self._known == 0
+
+
+class Pilot:
+    """Flies one camera on a thread of its own; `stand` puts the camera somewhere.
+
+    able: whether the browser draws fast enough, and its user wants things to move.
+    """
+
+    def __init__(
+        self, stand: Callable[[Pose], None], pose: Callable[[], Pose], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.able = False
+        self._stand, self._pose, self._clock = stand, pose, clock
+        self._flight: Flight | None = None
+        self._rests_until_s = -math.inf
+        self._due = threading.Condition()
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def goal(self) -> Pose | None:
+        """Where it is going; None when it is not."""
+        with self._due:
+            return self._flight.goal if self._flight is not None else None
+
+    def fly(self, start: Pose, goal: Pose) -> bool:
+        """Begin a flight in place of another; whether there is one: a slow browser had better jump."""
+        with self._due:
+            if not self.able or self._clock() < self._rests_until_s or start.is_near(goal):
+                self._flight = None
+                return False
+            self._flight = Flight(start, goal, self._clock())
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="flight", daemon=True)
+                self._thread.start()
+            self._due.notify_all()
+            return True
+
+    def drop(self) -> None:
+        """Leave the camera where it is."""
+        with self._due:
+            self._flight = None
+            self._due.notify_all()
+
+    def heard(self, position: Vector) -> None:
+        """The browser told where its camera stands."""
+        with self._due:
+            if self._flight is not None and not self._flight.heard(position):
+                self._flight = None
+                self._due.notify_all()
+
+    def close(self) -> None:
+        """Let the thread go."""
+        with self._due:
+            self._closed, self._flight = True, None
+            self._due.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._due:
+                self._due.wait_for(lambda: self._flight is not None or self._closed)
+                flight = self._flight
+            if self._closed or flight is None:
+                return
+            self._carry_out(flight)
+
+    def _carry_out(self, flight: Flight) -> None:
+        """All steps of a flight, until it is over or another has taken its place."""
+        while (pose := self._step(flight)) is not None:
+            self._stand(pose)
+            with self._due:
+                self._due.wait_for(lambda: self._flight is not flight, LAND_S if flight.over else STEP_S)
+        self._land(flight)
+
+    def _step(self, flight: Flight) -> Pose | None:
+        with self._due:
+            if self._flight is not flight:
+                return None
+            pose = flight.step(self._clock())
+            if flight.late:
+                self._rests_until_s = self._clock() + REST_S
+            return pose
+
+    def _land(self, flight: Flight) -> None:
+        """A report that came in between may have left the camera looking elsewhere: then once more."""
+        with self._due:
+            if self._flight is not flight:
+                return
+            self._flight = None
+        pose, goal = self._pose(), flight.goal
+        if not (np.allclose(pose.position, goal.position) and np.allclose(pose.look_at, goal.look_at)):
+            self._stand(goal)

@@ -1,0 +1,203 @@
+"""The coarse heights of the surface on show: what a click hits, how a line lies on it, what of it is in sight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.session.rendering.render_request import Relief
+
+Floats = NDArray[np.float64]
+Place = tuple[float, float]
+"""Stage x, y in um."""
+Box = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
+LEAST_IN_SIGHT_PX = 40
+"""Fewer coarse heights across than this show too little to find a place in."""
+
+_RAY_STEPS = 1500
+_HALVINGS = 14
+_ROUND_PIECES = 160
+
+
+class Land:
+    """Heights of one surface, and how they are drawn. Places are stage um, rays are scene mm.
+
+    holes: whether the ground is seen where nothing is measured.
+    """
+
+    def __init__(self, relief: Relief, on_show: OnShow, holes: bool = True) -> None:
+        self._relief, self.on_show, self._holes = relief, on_show, holes
+        shape = (relief.rows, relief.cols)
+        self._z_um = np.frombuffer(relief.z_um, "<f4").reshape(shape)
+        self._there = np.frombuffer(relief.there, bool).reshape(shape)
+
+    @property
+    def bounds_um(self) -> tuple[float, float, float, float]:
+        """(x low, y low, x high, y high)."""
+        r = self._relief
+        return r.x0_um, r.y0_um - (r.rows - 1) * r.pixel_um, r.x0_um + (r.cols - 1) * r.pixel_um, r.y0_um
+
+    @property
+    def holes(self) -> bool:
+        """Whether the ground is seen where nothing is measured."""
+        return self._holes
+
+    @property
+    def pixel_um(self) -> float:
+        """From one coarse height to the next."""
+        return self._relief.pixel_um
+
+    @property
+    def heights(self) -> Floats:
+        """The coarse heights [row, col] in um, gaps at their nearest neighbour's."""
+        return self._z_um.astype(float)
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Which of them are measured."""
+        return self._there
+
+    def place(self, row: Any, col: Any) -> tuple[Any, Any]:
+        """x, y in um of coarse pixels: of numbers, numbers; of arrays, arrays."""
+        return self._relief.x0_um + col * self.pixel_um, self._relief.y0_um - row * self.pixel_um
+
+    def within(self, box: Box) -> Land:
+        """What of the surface lies in a box (um); all of it where that is next to nothing."""
+        r, (x0, y0, x1, y1) = self._relief, box
+        left, right = (round((x - r.x0_um) / r.pixel_um) for x in (x0, x1))
+        top, foot = (round((r.y0_um - y) / r.pixel_um) for y in (y1, y0))
+        rows, cols = slice(max(0, top), max(0, foot + 1)), slice(max(0, left), max(0, right + 1))
+        z, there = self._z_um[rows, cols], self._there[rows, cols]
+        if min(z.shape) < LEAST_IN_SIGHT_PX or not there.any():
+            return self
+        x, y = self.place(rows.start, cols.start)
+        part = Relief(z.shape[0], z.shape[1], r.pixel_um, x, y, z.tobytes(), there.tobytes())
+        return Land(part, self.on_show, self._holes)
+
+    def clamped(self, place: Place) -> Place:
+        """The place, or the nearest on the surface; to a hundredth of a micrometre."""
+        x0, y0, x1, y1 = self.bounds_um
+        return round(min(max(place[0], x0), x1), 2), round(min(max(place[1], y0), y1), 2)
+
+    def z_um(self, x_um: Floats, y_um: Floats) -> Floats:
+        """Heights at places, bilinear; outside, those of the edge."""
+        r = self._relief
+        col = np.clip((np.asarray(x_um) - r.x0_um) / r.pixel_um, 0, r.cols - 1.001)
+        row = np.clip((r.y0_um - np.asarray(y_um)) / r.pixel_um, 0, r.rows - 1.001)
+        c, f = np.floor(col).astype(int), np.floor(row).astype(int)
+        u, v, z = col - c, row - f, self._z_um
+        return (z[f, c] * (1 - u) + z[f, c + 1] * u) * (1 - v) + (z[f + 1, c] * (1 - u) + z[f + 1, c + 1] * u) * v
+
+    def measured(self, x_um: Floats, y_um: Floats) -> NDArray[np.bool_]:
+        """Whether the pixel nearest to each place has a height."""
+        r = self._relief
+        col = np.clip(np.round((np.asarray(x_um) - r.x0_um) / r.pixel_um), 0, r.cols - 1).astype(int)
+        row = np.clip(np.round((r.y0_um - np.asarray(y_um)) / r.pixel_um), 0, r.rows - 1).astype(int)
+        return self._there[row, col]
+
+    def nearest_measured(self, place: Place) -> Place:
+        """The place, or the nearest that has a height."""
+        x, y = self.clamped(place)
+        if self.measured(np.array([x]), np.array([y]))[0] or not self._there.any():
+            return x, y
+        row, col = np.nonzero(self._there)
+        xs, ys = self.place(row.astype(float), col.astype(float))
+        best = int(np.argmin(np.hypot(xs - x, ys - y)))
+        return self.clamped((float(xs[best]), float(ys[best])))
+
+    def seen_um(self, x_um: Floats, y_um: Floats) -> Floats:
+        """What is seen at places: the surface, or the ground through a hole in it."""
+        z = self.z_um(x_um, y_um)
+        return np.where(self.measured(x_um, y_um), z, self.on_show.z0_um) if self._holes else z
+
+    def seen_z_mm(self, x_mm: Floats, y_mm: Floats) -> Floats:
+        """Scene z of what is seen at scene places: the surface, in its holes and beside it the ground."""
+        z_mm = (self.seen_um(x_mm * 1e3, y_mm * 1e3) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch
+        return np.where(self._inside(x_mm, y_mm), z_mm, 0.0)
+
+    def scene_points(self, x_um: Floats, y_um: Floats, lift_mm: float = 0.0) -> NDArray[np.float32]:
+        """Places on the drawn surface as scene points, float32 [n, 3]."""
+        z = (self.z_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
+        return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
+
+    def seen_points(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """Places on what is seen there, through a hole the ground, as scene points, float32 [n, 3]."""
+        z = (self.seen_um(x_um, y_um) - self.on_show.z0_um) * 1e-3 * self.on_show.stretch + lift_mm
+        return np.stack([np.asarray(x_um) * 1e-3, np.asarray(y_um) * 1e-3, z], axis=1).astype(np.float32)
+
+    def draped(self, a: Place, b: Place, lift_mm: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """A line from a to b on the surface as points [n, 3], and which of its pieces [n - 1] are measured."""
+        t = np.linspace(0, 1, 480)
+        x, y = a[0] + (b[0] - a[0]) * t, a[1] + (b[1] - a[1]) * t
+        there = self.measured(x, y)
+        return self.laid(x, y, lift_mm), there[:-1] & there[1:]
+
+    def laid(self, x_um: Floats, y_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """A way on the surface as points [n, 3]; it runs over narrow pits instead of diving through their walls."""
+        points = self.scene_points(x_um, y_um, lift_mm)
+        padded = np.pad(points[:, 2], 2, mode="edge")
+        points[:, 2] = np.max([padded[k : k + len(points)] for k in range(5)], axis=0)
+        return points
+
+    def laid_round(self, corners_um: Floats, lift_mm: float) -> NDArray[np.float32]:
+        """The outline through corners [n, 2] on the surface, as pieces [m, 2, 3]."""
+        ends = np.roll(corners_um, -1, axis=0)
+        t = np.linspace(0, 1, max(1, _ROUND_PIECES // len(corners_um)), endpoint=False)[:, None]
+        way = np.concatenate([a + (b - a) * t for a, b in zip(corners_um, ends, strict=True)])
+        points = self.laid(way[:, 0], way[:, 1], lift_mm)
+        return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
+
+    def hit(self, origin: Floats, direction: Floats) -> Place | None:
+        """Where a ray meets the surface first, or the ground through a hole in it; None when it passes by."""
+        share = self.reached(origin, direction)
+        if share is None:
+            return None
+        x, y, _ = origin + direction * share
+        return self.clamped((float(x) * 1e3, float(y) * 1e3))
+
+    def reached(self, origin: Floats, direction: Floats) -> float | None:
+        """How many times `direction` a ray goes until it meets what is seen; None when it passes by."""
+        span = self._crossing(origin, direction)
+        if span is None:
+            return None
+        t = np.linspace(*span, _RAY_STEPS)
+        below = np.flatnonzero(self._depth(origin, direction, t) <= 0)
+        if below.size == 0:
+            return None
+        low, high = float(t[max(0, below[0] - 1)]), float(t[below[0]])
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            low, high = (low, middle) if self._depth(origin, direction, np.array([middle]))[0] <= 0 else (middle, high)
+        x, y, _ = origin + direction * high
+        return high if self._inside(np.array([x]), np.array([y]))[0] else None
+
+    def _crossing(self, origin: Floats, direction: Floats) -> tuple[float, float] | None:
+        """The part of a ray between the highest height drawn and the ground."""
+        if abs(direction[2]) < 1e-9:
+            return None
+        top, foot = (
+            self.on_show.scene_z(float(self._z_um.max())),
+            min(0.0, self.on_show.scene_z(float(self._z_um.min()))),
+        )
+        ends = sorted(((top - origin[2]) / direction[2], (foot - origin[2]) / direction[2]))
+        return (max(0.0, float(ends[0])), float(ends[1]) * (1 + 1e-9) + 1e-9) if ends[1] > 0 else None
+
+    def _depth(self, origin: Floats, direction: Floats, t: Floats) -> Floats:
+        """Height of the ray's points over the surface, in um; beside the surface they never meet it."""
+        x, y, z = (origin[k] + direction[k] * t for k in range(3))
+        over = z * 1e3 / self.on_show.stretch + self.on_show.z0_um - self.seen_um(x * 1e3, y * 1e3)
+        return np.where(self._inside(x, y), over, np.inf)
+
+    def _inside(self, x_mm: Floats, y_mm: Floats) -> NDArray[np.bool_]:
+        x0, y0, x1, y1 = (v * 1e-3 for v in self.bounds_um)
+        return (x_mm >= x0) & (x_mm <= x1) & (y_mm >= y0) & (y_mm <= y1)
+
+    def inner(self, near: Place) -> Place:
+        """The place, drawn into the inner half of the surface."""
+        x0, y0, x1, y1 = self.bounds_um
+        x = min(max(near[0], x0 + 0.25 * (x1 - x0)), x1 - 0.25 * (x1 - x0))
+        return x, min(max(near[1], y0 + 0.25 * (y1 - y0)), y1 - 0.25 * (y1 - y0))

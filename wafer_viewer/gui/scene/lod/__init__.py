@@ -1,0 +1,1 @@
+"""Level of detail: quadtree, tiles and their caches."""

@@ -1,0 +1,325 @@
+"""The surface as items: tiles of the pyramid by what the camera sees, or of one level, with walls round them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.colormaps import DIVERGING
+from wafer_viewer.draw.surface.display_style import Light, Look
+from wafer_viewer.gui.scene.camera.frustum import Sight
+from wafer_viewer.gui.scene.lod.quadtree import DRAFT_LEVELS, Ground, Heights, Leaf, Span, leaves, roots
+from wafer_viewer.gui.scene.reconciler import Cover, Handle, Item
+from wafer_viewer.gui.state.view_state import Look as Way
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.session.rendering.render_request import Facts, Kind, PaintRequest, Scale, Source, unpack_points
+
+Box = tuple[float, float, float, float]
+"""x low, y low, x high, y high in um."""
+VERTICES = 200_000
+"""Of a surface that is cut at one level."""
+SHARP_PX: dict[Way, float] = {"surface": 1.5, "points": 2.6, "plan": 1.5}
+MOST_TILES: dict[Way, int] = {"surface": 34, "points": 9, "plan": 34}
+"""No texel in sight is larger on the screen, as far as so many tiles go."""
+_STEP, _FLAT_STEP = 8, 64
+"""Pixels from vertex to vertex, of a tile in its own level."""
+OWN_COLOURS = {"grey": "grey", "difference": DIVERGING, "confidence": "cividis"}
+"""The map of a quantity that has one of its own."""
+LIGHT_ON = {"origin": 0.25, "overlap": 0.6}
+"""How much of the hillshade falls on colours that are looked up one by one, and on those that are far apart."""
+_TILE_PX = 320
+_DRAWN_LARGER = 2.0
+"""viser draws points so many times as large as it is told, and larger by the mean of what their node is stretched."""
+_NEARLY = 0.96, 1.04
+"""Points are given another size where it differs by more than that."""
+READ_AROUND_PX = 16
+"""The painter reads a little more than a tile, for light to go on across its edge."""
+_SHAPES: dict[Way, Kind] = {"surface": "tile", "points": "points", "plan": "flat"}
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Cut:
+    """A level, the window of its lattice that holds anything, and the step from vertex to vertex."""
+
+    level: int
+    rows: Span
+    cols: Span
+    step: int
+
+    def tiles(self) -> Iterator[tuple[Span, Span]]:
+        """[first, end) rows and columns of each tile; neighbours share a line of pixels, so that they meet."""
+        for rows in _spans(*self.rows, self.step):
+            for cols in _spans(*self.cols, self.step):
+                yield rows, cols
+
+
+def _spans(first: int, end: int, step: int) -> list[Span]:
+    length = max(step, _TILE_PX // step * step)
+    starts = range(first, max(end - 1, first + 1), length)
+    return [(start, min(start + length + 1, end)) for start in starts]
+
+
+def cut(facts: Facts, texture_pixels: int) -> Cut:
+    """The finest level within a budget of texture pixels, with at most `VERTICES` vertices."""
+    rows, cols = facts.end_row - facts.first_row, facts.end_col - facts.first_col
+    level = max(0, math.ceil(math.log2(max(1.0, rows * cols / texture_pixels)) / 2))
+    scale = 2**level
+    step = max(1, math.ceil(math.sqrt(rows * cols / scale**2 / VERTICES)))
+    rows_there, cols_there = (_at_level(window, level) for window in _window(facts))
+    return Cut(level, rows_there, cols_there, step)
+
+
+def _at_level(window: Span, level: int) -> Span:
+    """Pixels of level 0 as those of a coarser level, at least two."""
+    first, end = window
+    return first >> level, max((first >> level) + 2, -(-end >> level))
+
+
+def _window(facts: Facts) -> tuple[Span, Span]:
+    return (facts.first_row, facts.end_row), (facts.first_col, facts.end_col)
+
+
+def bounds_mm(facts: Facts) -> tuple[float, float, float, float]:
+    """(x low, y low, x high, y high) of what is measured."""
+    pixel = facts.pixel_um * 1e-3
+    x, y = facts.x0_um * 1e-3, facts.y0_um * 1e-3
+    return (
+        x + facts.first_col * pixel, y - (facts.end_row - 1) * pixel,
+        x + (facts.end_col - 1) * pixel, y - facts.first_row * pixel,
+    )  # fmt: skip
+
+
+def look_of(view: View, scale: Scale) -> Look:
+    """What the operator chose, with the range the colours span; origins in little light, to be found in the legend."""
+    colours = OWN_COLOURS.get(view.colour_by, view.colours)
+    light = LIGHT_ON.get(view.colour_by, 1.0)
+    points = view.look == "points"
+    return Look(
+        view.colour_by,
+        colours,
+        scale.low,
+        scale.high,
+        hillshade=0.0 if points else view.hillshade * light,
+        all_in_focus=view.all_in_focus,
+        depth_shade=view.depth_shade * light if points else 0.0,
+        brush_um=view.brush,
+    )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Shown:
+    """A surface to be drawn: `facts` with the window that is cut into tiles, and `measured`, where walls stand.
+
+    stamp_of: by box in um, the stamp by which that part became what it is; None: the source's own.
+    datum: what counts as zero height; None: the stage's zero.
+    """
+
+    source: Source
+    facts: Facts
+    measured: Facts
+    stamp_of: Callable[[Box], int] | None = None
+    datum: Datum | None = None
+
+    def at(self, level: int, rows: Span, cols: Span) -> Source:
+        """The source of a part: an older stamp where nothing has changed since."""
+        if self.stamp_of is None:
+            return self.source
+        return dataclasses.replace(self.source, stamp=self.stamp_of(_box_um(self.facts, level, rows, cols)))
+
+
+def surface_items(shown: Shown, look: Look, view: View, z0_um: float, texture_pixels: int, prefix: str) -> list[Item]:
+    """A surface at one level and its walls, whatever the camera sees; with ``plan`` it lies flat and has none."""
+    facts = shown.facts
+    part = cut(facts, texture_pixels)
+    base = _base(shown, look, view, z0_um)
+    items = [
+        _tile(
+            f"{prefix}/{part.level}/{rows[0]}_{cols[0]}",
+            dataclasses.replace(base, level=part.level, step=part.step, rows=rows, cols=cols),
+            shown,
+        )
+        for rows, cols in part.tiles()
+    ]
+    whole = dataclasses.replace(base, level=part.level, step=part.step)
+    return items + (_walls(f"{prefix}/{part.level}/walls", whole, shown) if view.look == "surface" else [])
+
+
+def _base(shown: Shown, look: Look, view: View, z0_um: float) -> PaintRequest:
+    """What all tiles of a surface have in common."""
+    return PaintRequest(
+        shown.source, _SHAPES[view.look], look=look, light=shown.facts.light, z0_um=z0_um, dark=view.dark,
+        datum=shown.datum, clip=view.clipped,
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TiledSurface:
+    """A surface drawn by what the camera sees. heights_mm: of a part of it, as drawn; see `quadtree`."""
+
+    shown: Shown
+    look: Look
+    view: View
+    z0_um: float
+    heights_mm: Heights
+    prefix: str = "surface"
+
+    def first_items(self) -> list[Item]:
+        """The whole of it at a glance."""
+        return self._items([Leaf(node, True) for node in roots(self._ground)])
+
+    def items(self, sight: Sight, finer: float = 1.0) -> list[Item]:
+        """What a camera needs, the middle of its view first; so many pixels for one of its screen."""
+        way = self.view.look
+        return self._items(leaves(self._ground, sight, SHARP_PX[way] / finer, round(MOST_TILES[way] * finer**2)))
+
+    @property
+    def _ground(self) -> Ground:
+        facts = self.shown.facts
+        rows, cols = _window(facts)
+        pixel = facts.pixel_um * 1e-3
+        x0, y0 = facts.x0_um * 1e-3 - pixel / 2, facts.y0_um * 1e-3 + pixel / 2
+        return Ground(rows, cols, x0, y0, pixel, self.heights_mm)
+
+    def _items(self, cover: list[Leaf]) -> list[Item]:
+        base = _base(self.shown, self.look, self.view, self.z0_um)
+        base = dataclasses.replace(base, refused=self.view.draws_refused)
+        return [item for leaf in cover for item in self._of(leaf, base)]
+
+    def _of(self, leaf: Leaf, base: PaintRequest) -> Iterator[Item]:
+        """The tile of a leaf, and the walls where the surface ends in it."""
+        node, shown = leaf.node, self.shown
+        request = _cut_out(base, leaf, shown.facts)
+        place = f"{node.level}/{node.row}_{node.col}"
+        yield _tile(f"{self.prefix}/{place}", request, shown, Cover(self.prefix, *node.spans))
+        if self.view.look == "surface":
+            for side, edge in _edges_in(request, shown.measured):
+                wall = dataclasses.replace(_wall(edge, shown), side=side)
+                layer = f"{self.prefix}/wall-{side}"
+                yield Item(f"{layer}/{place}", wall, add_glb, wall, True, Cover(layer, *node.spans))
+
+
+def _cut_out(base: PaintRequest, leaf: Leaf, facts: Facts) -> PaintRequest:
+    """The request for a leaf: its pixels and one more on each side, so that tiles of all levels overlap a little.
+
+    Points have no seams to hide, and each is drawn once.
+    """
+    node = leaf.node
+    level = max(0, node.level if leaf.seen else node.level + DRAFT_LEVELS)
+    side = node.side_px >> level
+    step = max(1, _STEP >> max(0, -node.level)) if leaf.seen else _STEP
+    window = [_at_level(span, level) for span in _window(facts)]
+    more = 0 if base.what == "points" else 1
+    rows, cols = (
+        (max(first, at * side - more), max(min(end, (at + 1) * side + more), max(first, at * side - more) + 1 + more))
+        for at, (first, end) in zip((node.row, node.col), window, strict=True)
+    )
+    inner = (rows[1] < window[0][1], rows[0] > window[0][0], cols[0] > window[1][0], cols[1] < window[1][1])
+    step = _FLAT_STEP if base.what == "flat" else step
+    return dataclasses.replace(base, level=level, step=step, rows=rows, cols=cols, skirts=inner)
+
+
+def _edges_in(request: PaintRequest, measured: Facts) -> Iterator[tuple[int, PaintRequest]]:
+    """The edges of what is measured that lie in a tile, each by the number of its side: see `mesh.walls`."""
+    rows, cols = (_at_level(window, request.level) for window in _window(measured))
+    across = max(rows[0], request.rows[0]), min(rows[1], request.rows[1])
+    along = max(cols[0], request.cols[0]), min(cols[1], request.cols[1])
+    for side, line in enumerate((rows[1] - 1, rows[0])):
+        if request.rows[0] <= line < request.rows[1] and along[0] + 1 < along[1]:
+            yield side, dataclasses.replace(request, rows=(line, line + 1), cols=along)
+    for side, line in enumerate((cols[0], cols[1] - 1), 2):
+        if request.cols[0] <= line < request.cols[1] and across[0] + 1 < across[1]:
+            yield side, dataclasses.replace(request, rows=across, cols=(line, line + 1))
+
+
+def _box_um(facts: Facts, level: int, rows: Span, cols: Span) -> Box:
+    """A window of a level's lattice with what is read round it."""
+    pixel, spare = facts.pixel_um * 2**level, READ_AROUND_PX * facts.pixel_um * 2**level
+    x0, y0 = facts.x0_um - spare, facts.y0_um + spare
+    return (
+        x0 + cols[0] * pixel,
+        y0 - rows[1] * pixel - 2 * spare,
+        x0 + cols[1] * pixel + 2 * spare,
+        y0 - rows[0] * pixel,
+    )
+
+
+def _tile(name: str, request: PaintRequest, shown: Shown, cover: Cover | None = None) -> Item:
+    request = dataclasses.replace(request, source=shown.at(request.level, request.rows, request.cols))
+    if request.what != "points":
+        return Item(name, request, add_glb, request, request.what == "tile", cover)
+    facts = shown.facts
+    return Item(
+        name, request, lambda scene, node, data: _add_points(scene, node, data, request, facts), request, True, cover
+    )
+
+
+def _walls(name: str, base: PaintRequest, shown: Shown) -> list[Item]:
+    """All four walls of a surface at one level."""
+    rows, cols = (_at_level(window, base.level) for window in _window(shown.measured))
+    request = _wall(dataclasses.replace(base, rows=rows, cols=cols), shown)
+    return [Item(name, request, add_glb, request, stretched=True)]
+
+
+def _wall(window: PaintRequest, shown: Shown) -> PaintRequest:
+    """The walls round a window. They do not depend on how the surface is coloured: the request has no look."""
+    (top, foot), (left, right) = window.rows, window.cols
+    edges = (
+        (window.rows, (left, left)), (window.rows, (right, right)),
+        ((top, top), window.cols), ((foot, foot), window.cols),
+    )  # fmt: skip
+    source = max((shown.at(window.level, *edge) for edge in edges), key=lambda edge: edge.stamp)
+    none = (False, False, False, False)
+    return dataclasses.replace(window, source=source, what="walls", look=Look(), light=Light(), skirts=none)
+
+
+def add_glb(scene: viser.SceneApi, name: str, data: bytes) -> Handle:
+    """An unlit mesh; shadows would darken what is baked."""
+    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
+
+
+class PointTile:
+    """Points of a tile, of one size on the screen at the point looked at. size_px: what they are to be."""
+
+    def __init__(self, handle: Any, n_points: int) -> None:
+        self._handle, self.n_points, self.size_px = handle, n_points, 3.0
+
+    def settle(self, mm_per_pixel: float) -> None:
+        """Be so large that a point has its size for a pixel of this size."""
+        stretch = float(np.cbrt(np.prod(np.broadcast_to(self._handle.scale, 3))))
+        size = self.size_px * mm_per_pixel / _DRAWN_LARGER / stretch
+        if not _NEARLY[0] < size / self._handle.point_size < _NEARLY[1]:
+            self._handle.point_size = size
+
+    @property
+    def scale(self) -> Any:
+        """How it is stretched."""
+        return self._handle.scale
+
+    @scale.setter
+    def scale(self, scale: Any) -> None:
+        self._handle.scale = scale
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._handle.remove()
+
+
+def _add_points(scene: viser.SceneApi, name: str, data: bytes, request: PaintRequest, facts: Facts) -> Handle:
+    """Points stand relative to the middle of their window: float16 would be too coarse from the stage's origin."""
+    places, colours = unpack_points(data)
+    pixel = facts.pixel_um * 2**request.level * 1e-3
+    first = (2**request.level - 1) / 2 * facts.pixel_um * 1e-3
+    x = facts.x0_um * 1e-3 + first + (sum(request.cols) - 1) / 2 * pixel
+    y = facts.y0_um * 1e-3 - first - (sum(request.rows) - 1) / 2 * pixel
+    shades = colours if len(places) else np.zeros(3, np.uint8)  # the browser complains of a cloud without any colour
+    cloud = scene.add_point_cloud(
+        name, places, shades, point_size=pixel * 1.15, point_shape="square", point_shading="flat",
+        precision="float16", position=(x, y, 0.0),
+    )  # fmt: skip
+    return PointTile(cloud, len(places))

@@ -1,0 +1,37 @@
+"""Between which heights parts of a surface lie: the nearer the camera, the more it matters for the tiles it needs."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from wafer_viewer.gui.scene.lod.quadtree import Heights, Span
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.session.rendering.render_request import Relief
+
+_KEPT = 4096
+
+
+def heights_of(on_show: OnShow, relief: Relief | None) -> Heights:
+    """Lowest and highest, scene mm, of parts of the surface on show; roughly where its relief is not known yet."""
+    facts = on_show.facts
+    whole = on_show.scene_z(facts.low_um), on_show.scene_z(facts.high_um)
+    if relief is None:
+        return lambda rows, cols: whole
+    z_um = np.frombuffer(relief.z_um, "<f4").reshape(relief.rows, relief.cols)
+    scale = relief.pixel_um / facts.pixel_um
+
+    @lru_cache(maxsize=_KEPT)
+    def heights(rows: Span, cols: Span) -> tuple[float, float]:
+        (r0, r1), (c0, c1) = (_part(span, scale, n) for span, n in zip((rows, cols), z_um.shape, strict=True))
+        part = z_um[r0:r1, c0:c1]
+        return on_show.scene_z(float(part.min())), on_show.scene_z(float(part.max()))
+
+    return heights
+
+
+def _part(span: Span, scale: float, n: int) -> Span:
+    """Pixels of level 0 as those of the relief, at least one."""
+    first = min(max(0, int(span[0] / scale)), n - 1)
+    return first, max(first + 1, min(n, int(np.ceil(span[1] / scale))))

@@ -1,0 +1,62 @@
+"""What of a surface is in view, and between which values its colours run there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+
+import msgspec
+
+from wafer_viewer.draw.surface.display_style import Look
+from wafer_viewer.gui.scene.lod.quadtree import Span
+from wafer_viewer.gui.scene.reconciler import Paint
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Scale
+
+Corners = tuple[tuple[float, float], ...]
+Range = tuple[float, float]
+_PIXELS = 400_000
+"""As many are looked at for a range."""
+_LEAST_PX = 8
+
+
+def range_in_view(paint: Paint, on_show: OnShow, corners_um: Corners | None, then: Callable[[Range], None]) -> None:
+    """Call back, on another thread, with the middle 99 % of what colours the surface within some corners; None: all.
+
+    A surface that cannot be read leaves the range as it was: the scene tells of that itself.
+    """
+    quantity, facts = on_show.scale.quantity, on_show.facts
+    level, rows, cols = _window(facts, corners_um)
+    request = PaintRequest(on_show.source, "scale", light=facts.light, datum=on_show.datum)
+    request = replace(request, look=Look(colour_by=quantity), level=level, rows=rows, cols=cols)  # pyright: ignore[reportArgumentType]
+
+    def told(done: Future[bytes]) -> None:
+        if not done.cancelled() and done.exception() is None:
+            scale = msgspec.msgpack.decode(done.result(), type=Scale)
+            then((scale.own_low, max(scale.own_high, scale.own_low + 1e-3)))
+
+    paint(request).add_done_callback(told)
+
+
+def _window(facts: Facts, corners_um: Corners | None) -> tuple[int, Span, Span]:
+    """The part of the surface within corners: the finest level of few enough pixels, its rows and columns."""
+    rows, cols = (facts.first_row, facts.end_row), (facts.first_col, facts.end_col)
+    if corners_um is not None:
+        x, y = zip(*corners_um, strict=True)
+        cols = _clipped((min(x) - facts.x0_um, max(x) - facts.x0_um), facts.pixel_um, cols)
+        rows = _clipped((facts.y0_um - max(y), facts.y0_um - min(y)), facts.pixel_um, rows)
+    n_pixels = (rows[1] - rows[0]) * (cols[1] - cols[0])
+    level = max(0, math.ceil(math.log2(max(1.0, n_pixels / _PIXELS)) / 2))
+    return level, _at_level(rows, level), _at_level(cols, level)
+
+
+def _clipped(ends_um: tuple[float, float], pixel_um: float, within: Span) -> Span:
+    """Pixels between two places, some at least, within those that there are."""
+    first = min(max(within[0], round(ends_um[0] / pixel_um)), max(within[0], within[1] - _LEAST_PX))
+    return first, max(min(within[1], round(ends_um[1] / pixel_um)), min(within[1], first + _LEAST_PX))
+
+
+def _at_level(span: Span, level: int) -> Span:
+    return span[0] >> level, max((span[0] >> level) + 1, -(-span[1] >> level))

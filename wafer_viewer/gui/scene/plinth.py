@@ -1,0 +1,122 @@
+"""What the surface stands on: its plinth, shadow, figures in um, and the hatch that shows through holes."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.number_format import number
+from wafer_viewer.draw.surface import ground_plane, mesh
+from wafer_viewer.draw.surface.glb import painted
+from wafer_viewer.draw.ticks import ticks
+from wafer_viewer.gui.scene.primitives import Box, lines, lying
+from wafer_viewer.gui.scene.reconciler import Handle, Item
+from wafer_viewer.gui.scene.scene_theme import colours
+
+_PLINTH_SHARE = 0.062
+"""Height of the plinth, as a share of the longer side."""
+_HATCH_SHARE = 1.5e-3
+"""How far the hatch lies below the lowest height and inside of its edges, as a share of the longer side."""
+_HATCH_PX_PER_SIDE = 1100
+
+
+def plinth_mm(box: Box) -> float:
+    """How far the plinth goes down from the lowest height."""
+    return _PLINTH_SHARE * max(box[2] - box[0], box[3] - box[1])
+
+
+def _hatch_mm(box: Box) -> float:
+    return _HATCH_SHARE * max(box[2] - box[0], box[3] - box[1])
+
+
+def block_items(box: Box, dark: bool, *, plinth: bool) -> list[Item]:
+    """Everything round a surface that covers a box, whose lowest height is drawn at 0."""
+    depth = plinth_mm(box) if plinth else 2 * _hatch_mm(box)  # level with what lies flat at 0 it would flicker over it
+    items = [
+        Item("ground/shadow", (box, dark, depth), partial(_shadow, box=box, dark=dark, z=-depth)),
+        Item("ground/hatch", (box, dark), partial(_hatch, box=box, dark=dark)),
+        Item("ground/scale", (box, dark, depth), partial(_scale_lines, box=box, dark=dark, z=-depth)),
+    ]
+    return items + ([Item("ground/plinth", (box, dark), partial(_plinth, box=box, dark=dark))] if plinth else [])
+
+
+def _plinth(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
+    x0, y0, x1, y1 = box
+    sides = [((x0, y0), (x1, y0)), ((x0, y1), (x1, y1)), ((x0, y0), (x0, y1)), ((x1, y0), (x1, y1))]
+    edges = {
+        k: (np.array([a[0], b[0]], np.float32), np.array([a[1], b[1]], np.float32), np.zeros(2, np.float32))
+        for k, (a, b) in enumerate(sides)
+    }
+    data = painted(mesh.walls(edges, -plinth_mm(box)), ground_plane.sides(*ground_plane.PLINTH_TONES[dark]))
+    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
+
+
+def _hatch(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool) -> Handle:
+    """A hair under the lowest height, seen through holes in the surface."""
+    width, height = box[2] - box[0], box[3] - box[1]
+    scale = _HATCH_PX_PER_SIDE / max(width, height)
+    picture = ground_plane.hatch(
+        max(2, round(height * scale)), max(2, round(width * scale)), dark=dark, pitch_px=16, line_px=4
+    )
+    inset = _hatch_mm(box)
+    inner = (box[0] + inset, box[1] + inset, box[2] - inset, box[3] - inset)
+    data = painted(mesh.flat(*inner, -inset), picture)
+    return scene.add_glb(name, data, cast_shadow=False, receive_shadow=False)
+
+
+# ---------------------------------------------------------------- shadow and figures
+
+
+def _pad_mm(box: Box) -> float:
+    return 0.17 * max(box[2] - box[0], box[3] - box[1])
+
+
+def figure_height_mm(box: Box) -> float:
+    """How high figures beside a box are."""
+    return 0.043 * max(box[2] - box[0], box[3] - box[1])
+
+
+def _shadow(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Handle:
+    palette, pad = colours(dark), _pad_mm(box)
+    width, height = box[2] - box[0] + 2 * pad, box[3] - box[1] + 2 * pad
+    corners = [(pad, pad), (width - pad, pad), (width - pad, height - pad), (pad, height - pad)]
+    picture = ground_plane.shadow(
+        corners, width, height, pad / 3,
+        darkness=palette.shadow_strength, shade=palette.shadow, ink=palette.ink, figures=_figures(box, pad),
+    )  # fmt: skip
+    return lying(scene, name, picture, (box[0] - pad, box[1] - pad, box[2] + pad, box[3] + pad), z)
+
+
+def _tick_places(box: Box) -> tuple[list[float], list[float]]:
+    """Round distances in um from the lower left corner, along x and along y."""
+    most = 5
+    step_from = max(box[2] - box[0], box[3] - box[1]) * 1e3
+    along_x = [v for v in ticks(0, step_from, most) if v <= (box[2] - box[0]) * 1e3]
+    along_y = [v for v in ticks(0, step_from, most) if v <= (box[3] - box[1]) * 1e3]
+    return along_x, along_y
+
+
+def _figures(box: Box, pad: float) -> tuple[ground_plane.Figure, ...]:
+    high, gap = figure_height_mm(box), 0.027 * max(box[2] - box[0], box[3] - box[1])
+    foot = pad + box[3] - box[1]
+    along_x, along_y = _tick_places(box)
+    unit = {along_x[-1]: "\u202fµm"} if along_x else {}
+    below = [
+        ground_plane.Figure(number(v, 0) + unit.get(v, ""), pad + v * 1e-3, foot + gap + high / 2, high, "m")
+        for v in along_x
+    ]
+    beside = [ground_plane.Figure(number(v, 0), pad - gap, foot - v * 1e-3, high, "r") for v in along_y]
+    return (*below, *beside)
+
+
+def _scale_lines(scene: viser.SceneApi, name: str, _: bytes, *, box: Box, dark: bool, z: float) -> Handle:
+    """The two edges that carry figures, and their ticks."""
+    long = 0.014 * max(box[2] - box[0], box[3] - box[1])
+    x0, y0, x1, y1 = box
+    along_x, along_y = _tick_places(box)
+    pieces = [[(x0, y0, z), (x1, y0, z)], [(x0, y0, z), (x0, y1, z)]]
+    pieces += [[(x0 + v * 1e-3, y0, z), (x0 + v * 1e-3, y0 - long, z)] for v in along_x]
+    pieces += [[(x0, y0 + v * 1e-3, z), (x0 - long, y0 + v * 1e-3, z)] for v in along_y]
+    return lines(scene, name, np.array(pieces, np.float32), colours(dark).ink, 1.3)

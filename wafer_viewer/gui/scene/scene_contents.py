@@ -1,0 +1,88 @@
+"""What a scene holds: its items, how heights are drawn, and what the camera should take in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wafer_viewer.gui.scene.camera.camera_presets import Clear, Vector
+from wafer_viewer.gui.scene.camera.frustum import Sight
+from wafer_viewer.gui.scene.primitives import Box
+from wafer_viewer.gui.scene.reconciler import Item
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.session.rendering.render_request import Facts, Scale, Source
+
+
+@dataclass(frozen=True, slots=True)
+class OnShow:
+    """The surface in the scene, and how its heights become scene z: (z_um - z0_um) * stretch / 1000.
+
+    datum: what heights are taken from, all of them, those in facts and scale too; None: the stage's zero.
+    """
+
+    source: Source
+    facts: Facts
+    scale: Scale
+    z0_um: float
+    stretch: float
+    datum: Datum | None = None
+
+    def scene_z(self, z_um: float) -> float:
+        """Scene z in mm of a height."""
+        return (z_um - self.z0_um) * 1e-3 * self.stretch
+
+    def height_um(self, scene_z_mm: float) -> float:
+        """Height in um of a scene z in mm: the inverse of `scene_z`."""
+        return scene_z_mm * 1e3 / self.stretch + self.z0_um
+
+    @property
+    def box_um(self) -> Box:
+        """The whole surface in the plane of the stage: x low, y low, x high, y high in um, of its pixels' centres."""
+        facts = self.facts
+        x1, y0 = facts.x0_um + (facts.cols - 1) * facts.pixel_um, facts.y0_um - (facts.rows - 1) * facts.pixel_um
+        return facts.x0_um, y0, x1, facts.y0_um
+
+    @property
+    def heights_um(self) -> tuple[float, float]:
+        """Its lowest and its highest height in um over the datum."""
+        return self.facts.lowest_um, self.facts.highest_um
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """Everything to be drawn. `rough` is shown first when nothing of the same kind is drawn yet.
+
+    seen: further items, by what the camera sees, and how many pixels are drawn for one of the screen.
+    `awaits_more`: what else there is to draw is known only when the painter has answered.
+    place: the camera goes to `preset` when this changes; corners_mm [n, 3]: what it takes in.
+    """
+
+    items: tuple[Item, ...]
+    corners_mm: Vector
+    place: Hashable
+    preset: str = "iso"
+    stretch: float = 1.0
+    rough: tuple[Item, ...] = ()
+    on_show: OnShow | None = None
+    awaits_more: bool = False
+    seen: Callable[[Sight, float], Sequence[Item]] | None = None
+    clear: Clear = field(default_factory=Clear)
+
+
+def corners_of(box: Box, low_mm: float, high_mm: float) -> Vector:
+    """The eight corners of a block, [8, 3]."""
+    x0, y0, x1, y1 = box
+    return np.array([(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (low_mm, high_mm)], float)
+
+
+def corners_over(bounds_um: Box, shown: Contents) -> Vector:
+    """The corners of a block over a rectangle of the stage, as high as what is shown."""
+    x0, y0, x1, y1 = (side * 1e-3 for side in bounds_um)
+    on_show = shown.on_show
+    heights = (0.0, 0.0) if on_show is None else (on_show.facts.low_um, on_show.facts.high_um)
+    low, high = (0.0 if on_show is None else on_show.scene_z(z_um) for z_um in heights)
+    middle = (low + high) / 2
+    half = min((high - low) / 2, 0.1 * max(x1 - x0, y1 - y0))
+    return corners_of((x0, y0, x1, y1), middle - half, middle + half)

@@ -1,0 +1,68 @@
+"""How the camera looks at the sample, for what faces it: axes, the size of a pixel, what stands in the way. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.gui.scene.camera.camera_presets import Pose, Vector, screen_axes
+from wafer_viewer.gui.scene.heightfield import Land
+
+_STEPS = 40
+_ACROSS, _DOWN = np.linspace(0, 1, 5), np.linspace(0, 1, 2)
+_NEAREST = 0.1
+"""What stands before everything is never nearer to the camera than this share of its distance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaze:
+    """eye: the camera, scene mm; towards: unit vector to it from the point looked at, `distance_mm` away, where a pixel
+    is `mm_per_pixel`."""
+
+    eye: Vector
+    towards: Vector
+    distance_mm: float
+    mm_per_pixel: float
+
+    @classmethod
+    def of(cls, pose: Pose, mm_per_pixel: float) -> Gaze:
+        """That of a camera."""
+        distance_mm = float(np.linalg.norm(pose.position - pose.look_at))
+        return cls(pose.position, pose.direction, distance_mm, mm_per_pixel)
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """Right, up and towards the camera, each a column."""
+        right, up = screen_axes(self.towards)
+        return np.stack([right, up, self.towards], axis=1)
+
+    @property
+    def wxyz(self) -> tuple[float, float, float, float]:
+        """The turn that has a picture in the plane of x and y face the camera."""
+        # Euler's rotation as two half turns: about z by the azimuth, then about x by how far the camera looks down.
+        x, y, z = (float(v) for v in self.towards)
+        half_turn, half_fall = np.arctan2(x, -y) / 2, np.arctan2(np.hypot(x, y), z) / 2
+        (s, c), (t, d) = ((float(np.sin(a)), float(np.cos(a))) for a in (half_turn, half_fall))
+        return c * d, c * t, s * t, s * d
+
+    def pixel_at(self, place: Vector) -> float:
+        """How many mm a pixel is there."""
+        return self.mm_per_pixel * max(float((self.eye - place) @ self.towards), 0.0) / max(self.distance_mm, 1e-12)
+
+    def before(self, land: Land, corners: Vector, spare_mm: float) -> float:
+        """What share of the way to the camera a picture has to come, for nothing of the surface to stand before it.
+
+        corners: its lower left, lower right and upper left, [3, 3] in scene mm. It keeps its place on the screen and
+        comes no further than it must: the nearer it is the more it moves while the camera is being turned.
+        """
+        first, right, up = corners[0], corners[1] - corners[0], corners[2] - corners[0]
+        places = (first + _ACROSS[:, None, None] * right + _DOWN[:, None] * up).reshape(-1, 1, 3)
+        top = land.on_show.scene_z(land.on_show.facts.highest_um) + spare_mm
+        climb = self.eye[2] - float(places[..., 2].min())
+        reach = (top - float(places[..., 2].min())) / climb if climb > 0 else 1.0
+        share = np.linspace(0, min(max(reach, 0.0), 1.0 - _NEAREST), _STEPS)
+        ways = places + (self.eye - places) * share[:, None]
+        hidden = (ways[..., 2] < land.seen_z_mm(ways[..., 0], ways[..., 1]) + spare_mm).any(axis=0)
+        return float(share[min(int(np.flatnonzero(hidden)[-1]) + 1, _STEPS - 1)]) if hidden.any() else 0.0

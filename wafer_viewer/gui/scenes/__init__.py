@@ -1,0 +1,1 @@
+"""The contents of the 3D scene at each step."""

@@ -1,0 +1,333 @@
+"""The scene of one browser: draws what the session knows as its view asks for, on a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.scene.camera.camera_controller import Eye
+from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.scene.lod.stable_range import Steady
+from wafer_viewer.gui.scene.lod.surface_cache import Book
+from wafer_viewer.gui.scene.lod.surface_tiles import PointTile
+from wafer_viewer.gui.scene.lod.visible_range import Range, range_in_view
+from wafer_viewer.gui.scene.primitives import Box
+from wafer_viewer.gui.scene.reconciler import NotYet, Stage
+from wafer_viewer.gui.scene.scene_contents import Contents, OnShow, corners_over
+from wafer_viewer.gui.scene.send_window import Gate
+from wafer_viewer.gui.scene.viewport import Viewport
+from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
+from wafer_viewer.gui.scenes.plan_scene import plan_contents
+from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.surface_scene import marked, only_grew, source_of, surface_contents
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.clip_box import Moved
+from wafer_viewer.gui.tools.scene_tools import Tools
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.state.snapshot import Snapshot
+
+_CAMERA_EVERY_S = 0.1
+_FENCE = "wafer-viewer-fence"
+"""What the browser is asked for to hear whether it has taken in what was sent."""
+Wanted = tuple[Snapshot, View]
+Errand = Callable[[Contents], None]
+"""What the camera is to do, given what is on show."""
+
+
+class SceneView:
+    """Draws into ``client.scene``. Every method returns at once; the work is done on the scene's own threads.
+
+    on_fault is told what could not be drawn, on the scene's thread.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        session: Any,
+        on_fault: Callable[[Exception], None] | None = None,
+        poses: PoseBook | None = None,
+        viewport: Viewport | None = None,
+    ) -> None:
+        self._client, self._session = client, session
+        self._on_fault = on_fault or (lambda fault: None)
+        self._due = threading.Condition()
+        self._wanted: Wanted | None = None
+        self._begun: Wanted | None = None
+        self._asked: Hashable = None
+        self._more, self._closed, self._settled = False, False, True
+        self._gate = Gate(lambda: client.local_storage.get_item(_FENCE), self._arrived)
+        self._stage = Stage(client.scene, session.paint, self._arrived, self._gate)
+        self._book = Book(session.paint, self._arrived, lambda levelling, show: session.datum(levelling, show))
+        self._poses = poses or PoseBook(lambda: session.poses(), self._on_fault)
+        self._poses.on_arrival(self._arrived)
+        self._steady = Steady()
+        self._eye = Eye(client, viewport or Viewport(client.camera))
+        self._tools = Tools(client, self._eye, lambda show: session.surface_source(show))
+        self._shown: Contents | None = None
+        self._place: Hashable = None
+        self._stands: Hashable = None
+        self._handled: object = None
+        self._errand: Errand | None = None
+        self._first_pose: Pose | None = None
+        self._print_px: int | None = None
+        self._camera_listener: Callable[[], object] = lambda: None
+        self._moves = Latest("camera")
+        self._scale_listener: Callable[[OnShow | None], None] = lambda on_show: None
+        self._points_listener: Callable[[int], None] = lambda drawn: None
+        self._drawn_points = 0
+        client.scene.add_frame("/WorldAxes", visible=False)  # stands before the axes that viser draws for everyone
+        client.camera.on_update(lambda _: self._moves.ask(self._camera_moved))
+        threading.Thread(target=self._run, name="scene", daemon=True).start()
+
+    # ---------------------------------------------------------------- what the page calls
+
+    def draw(self, snapshot: Snapshot, view: View) -> None:
+        """Show this from now on; calling it again with the same costs nothing."""
+        essence = self._essence(snapshot, view)
+        with self._due:
+            if essence == self._asked:
+                return
+            self._asked, self._wanted, self._more = essence, (snapshot, view), True
+            self._due.notify_all()
+
+    def look_from(self, preset: str) -> None:
+        """Go to ``top``, ``front`` or ``iso``; ``all`` keeps the direction and shows everything."""
+        self._send(lambda shown: self._eye.frame(shown.corners_mm, preset, shown.clear, flying=True))
+
+    def fly_to(self, bounds_um: Box) -> None:
+        """Show a rectangle of the surface, (x low, y low, x high, y high) in stage um, from where the camera stands."""
+        self._send(lambda shown: self._eye.fly(corners_over(bounds_um, shown)))
+
+    @property
+    def pose(self) -> Pose | None:
+        """Where the camera stands, or is flying to; None before there is one."""
+        return self._eye.goal if self._place is not None else None
+
+    def go_to(self, pose: Pose) -> None:
+        """Have the camera stand somewhere, when what is wanted by now is drawn."""
+        self._send(lambda _: self._eye.go(pose, flying=True))
+
+    def let_fly(self, able: bool) -> None:
+        """Whether the camera may fly; else it jumps."""
+        self._eye.let_fly(able)
+
+    def reopen(self, pose: Pose) -> None:
+        """Where the camera is to stand at first, instead of where it shows everything."""
+        self._first_pose = pose
+
+    def range_in_view(self, then: Callable[[Range], None]) -> None:
+        """Call back, on another thread, with the range of what colours the surface where it is in view."""
+        if self._shown is not None and self._shown.on_show is not None:
+            range_in_view(self._session.paint, self._shown.on_show, self.seen_um(), then)
+
+    def seen_um(self) -> tuple[tuple[float, float], ...] | None:
+        """The part of the ground that is in view, as its corners in stage um; None where it reaches the horizon."""
+        return self._eye.sight().ground_um(float(self._eye.goal.look_at[2])) if self._place is not None else None
+
+    def settle(self, width_px: int | None, timeout_s: float) -> bool:
+        """Draw as much as a picture so many pixels wide shows; whether that came about in time. None: as the screen."""
+        with self._due:
+            self._print_px, self._more = width_px, True
+            self._due.notify_all()
+            return self._due.wait_for(lambda: self._closed or not self._busy, timeout_s) and not self._closed
+
+    def um_per_pixel(self) -> float:
+        """How long a pixel is at the point looked at, 0 before there is a camera."""
+        return self._eye.um_per_pixel()
+
+    def on_camera(self, callback: Callable[[], object]) -> None:
+        """Call back when the camera has moved or the canvas has changed its size, at most ten times a second."""
+        self._camera_listener = callback
+
+    def on_scale(self, callback: Callable[[OnShow | None], None]) -> None:
+        """Call back when the colours of the surface on show have changed: what the colour bar shows; None: no bar."""
+        self._scale_listener = callback
+
+    def on_points(self, callback: Callable[[int], None]) -> None:
+        """Call back when another number of points is drawn."""
+        self._points_listener = callback
+
+    def on_pick(self, callback: Callable[[float, float], None]) -> None:
+        """Call back with the stage x, y in um of a click on the surface."""
+        self._tools.on_pick(callback)
+
+    def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
+        """Call back with the profile's line while its handles are dragged, and when one is first laid."""
+        self._tools.on_lines(callback)
+
+    def on_cursor(self, callback: Callable[[int, float], None]) -> None:
+        """Call back with a profile's cursor and its share of the line, while its marker is dragged or put."""
+        self._tools.on_cursor(callback)
+
+    def on_select(self, callback: Callable[[Box], None]) -> None:
+        """Call back with a rectangle of the stage, um, that was dragged over."""
+        self._tools.on_select(callback)
+
+    def on_clip(self, callback: Moved) -> None:
+        """Call back with the clip box while a ball on one of its faces is dragged."""
+        self._tools.on_clip(callback)
+
+    def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
+        """Call back with the places of the tool in use while they are dragged, and when they are first laid."""
+        self._tools.on_places(callback)
+
+    def on_levelling(self, callback: Callable[[Levelling], None]) -> None:
+        """Call back when a place that heights are levelled at was moved and let go."""
+        self._tools.on_levelling(callback)
+
+    def first_levelling(self, by: LevelBy) -> Levelling:
+        """A way of levelling, its first places laid on the surface. Raises MeasureError before there is one."""
+        return self._tools.first_levelling(by)
+
+    @property
+    def busy(self) -> bool:
+        """Whether something that was asked for is not drawn yet, or something that was replaced is still there."""
+        with self._due:
+            return self._busy
+
+    @property
+    def _busy(self) -> bool:
+        return self._more or not self._settled or self._errand is not None
+
+    def close(self) -> None:
+        """Let the threads go; the browser has gone."""
+        with self._due:
+            self._closed = True
+            self._due.notify_all()
+        for part in (self._gate, self._book, self._tools, self._moves, self._poses, self._eye):
+            part.close()
+
+    # ---------------------------------------------------------------- the scene's thread
+
+    def _essence(self, snapshot: Snapshot, view: View) -> Hashable:
+        """What of all this is seen: snapshots come ten times a second, and most change nothing in the scene."""
+        data, latest = snapshot.dataset, self._session.latest_frame
+        if view.step == "plan":
+            draft = snapshot.draft
+            return view.step, view.dark, draft.job, draft.plan, snapshot.overview, snapshot.rig.limits
+        source = source_of(snapshot, view.show) if view.step != "acquire" else None
+        if source is not None:
+            return view, source, snapshot.scanning, snapshot.findings if view.step == "measure" else ()
+        progress = None if data is None else (data.path, *data.states.items(), *data.stamps.items())
+        return view, progress, latest, snapshot.scanning, snapshot.overview, snapshot.draft.plan
+
+    def _camera_moved(self) -> None:
+        """On a thread of its own, which pauses after each: the last move of many is never left out."""
+        pose = self._eye.moved()
+        self._tools.resize()
+        self._arrived()
+        self._camera_listener()
+        time.sleep(_CAMERA_EVERY_S)
+        self._tools.aim(pose)
+
+    def _send(self, errand: Errand) -> None:
+        with self._due:
+            self._errand, self._more = errand, True
+            self._due.notify_all()
+
+    def _arrived(self) -> None:
+        with self._due:
+            self._more = True
+            self._due.notify_all()
+
+    def _run(self) -> None:
+        pause: float | None = None
+        while True:
+            with self._due:
+                self._due.wait_for(lambda: self._more or self._closed, pause)
+                if self._closed:
+                    return
+                self._more, self._settled = False, False
+                self._begun = wanted = self._next()
+            whole = self._turn(wanted)
+            pause = self._stage.tidy()
+            with self._due:
+                if whole:
+                    self._begun = None
+                    self._more |= wanted is not self._wanted
+                self._settled = whole and pause is None
+                self._due.notify_all()
+
+    def _next(self) -> Wanted | None:
+        """What is wanted now; of a surface that grows first what was begun, or fast growth would never be seen."""
+        if self._begun is None or self._wanted is None or not only_grew(self._begun, self._wanted):
+            return self._wanted
+        return self._begun
+
+    def _turn(self, wanted: Wanted | None) -> bool:
+        """Draw and look; whether all there is to draw is drawn."""
+        whole = True
+        try:
+            if wanted is not None:
+                whole = self._draw(*wanted)
+        except NotYet:
+            return False
+        except Exception as fault:  # noqa: BLE001 - this is the guard of the scene's thread: told, and the scene lives on
+            self._on_fault(fault)
+        self._run_errand()
+        return whole
+
+    def _run_errand(self) -> None:
+        """Where the camera was sent, once what is wanted has been placed before it."""
+        with self._due:
+            errand, self._errand = self._errand, None
+            self._more |= errand is not None
+        if errand is not None and self._shown is not None:
+            errand(self._shown)
+
+    def _draw(self, snapshot: Snapshot, view: View) -> bool:
+        """One pass: draws what there is to draw; when the painter has more, there is another pass."""
+        contents = self._contents(snapshot, view)
+        self._place_camera(contents)
+        if contents.rough and self._stands != contents.place and not self._stage.show(contents.rough, contents.stretch):
+            return False
+        self._stands = contents.place
+        self._scale_listener(contents.on_show)
+        seen = () if contents.seen is None else contents.seen(self._eye.sight(), self._finer)
+        whole = self._stage.show((*seen, *contents.items), contents.stretch)
+        self._tell_points(view)
+        self._stage.settle(self._eye.um_per_pixel() * 1e-3)
+        handled = view, marked(snapshot, view), contents.on_show
+        if whole or handled != self._handled:  # handles do not wait for the last tile
+            self._tools.show(view, contents.on_show, self._book, handled[1])
+            self._handled = handled
+        return whole and not contents.awaits_more
+
+    def _tell_points(self, view: View) -> None:
+        """Have all points of one size, and tell how many are drawn."""
+        tiles = self._stage.each(PointTile)
+        for tile in tiles:
+            tile.size_px = view.point_px
+        drawn = sum(tile.n_points for tile in tiles)
+        if drawn != self._drawn_points:
+            self._drawn_points = drawn
+            self._points_listener(drawn)
+
+    @property
+    def _finer(self) -> float:
+        """How many pixels are to be drawn for one of the screen."""
+        return max(1.0, self._print_px / max(1, self._client.camera.image_width)) if self._print_px else 1.0
+
+    def _contents(self, snapshot: Snapshot, view: View) -> Contents:
+        if view.step == "plan":
+            return plan_contents(snapshot, view)
+        source = source_of(snapshot, view.show) if view.step != "acquire" else None
+        if source is not None:
+            return surface_contents(self._book, self._steady, self._poses, snapshot, view, source)
+        return acquire_contents(self._book, snapshot, view, self._session.latest_frame)
+
+    def _place_camera(self, contents: Contents) -> None:
+        if contents.place != self._place:
+            self._eye.frame(contents.corners_mm, contents.preset, contents.clear)
+            if self._first_pose is not None:
+                self._eye.go(self._first_pose)
+                self._first_pose = None
+        else:
+            self._eye.follow(contents.corners_mm, contents.clear)
+        self._place, self._shown = contents.place, contents

@@ -1,0 +1,103 @@
+"""Small pictures of where results were measured, painted when they are first listed."""
+
+from __future__ import annotations
+
+import base64
+import math
+from concurrent.futures import CancelledError, Future
+
+import numpy as np
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.presenters.measurement import sign_colour
+from wafer_viewer.gui.presenters.result_regions import Box, bounds_of, drawn_of
+from wafer_viewer.gui.scenes.surface_scene import source_of
+from wafer_viewer.gui.tools.region_shapes import outline_of
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.errors import WaferViewerError
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.rendering.render_request import PaintRequest
+from wafer_viewer.session.state.snapshot import Snapshot
+
+WIDTH_PX, HEIGHT_PX = 44, 33
+_ROOM, _LEAST_PX = 1.7, 32
+"""How much more than its places a picture takes in, and at least how many pixels of the surface."""
+
+
+class Thumbnails:
+    """Pictures by request; one that is not painted yet is an empty box, and the page is drawn again when it is."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._asked: dict[PaintRequest, Future[bytes]] = {}
+
+    def of(self, finding: AnyFinding, snapshot: Snapshot) -> str:
+        """The picture of a result, its places outlined in its colour, as HTML."""
+        request = picture_of(finding, snapshot)
+        data = self.painted(request) if request is not None else b""
+        return thumbnail(data, outlines(finding, box_of(finding, snapshot)))
+
+    def painted(self, request: PaintRequest) -> bytes:
+        """A picture as JPEG; no bytes until it is painted."""
+        future = self._asked.get(request)
+        if future is None or future.cancelled():
+            future = self._asked[request] = self._page.session.paint(request)
+            future.add_done_callback(lambda _: self._page.redraw())
+        return future.result() if future.done() and future.exception() is None else b""
+
+
+def thumbnail(jpeg: bytes, over: str = "") -> str:
+    """A small picture with what is drawn over it, as HTML."""
+    image = f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(jpeg).decode()}">' if jpeg else ""
+    return f'<span class="wv-thumb">{image}{over}</span>'
+
+
+def painted(page: Page, finding: AnyFinding, wait_s: float) -> bytes | None:
+    """The picture to be kept with a result, as JPEG; None where there is none in time. Never on a page's own thread."""
+    request = picture_of(finding, page.session.snapshot)
+    if request is None:
+        return None
+    try:
+        return page.session.paint(request).result(wait_s) or None
+    except (TimeoutError, CancelledError, WaferViewerError):
+        return None
+
+
+def picture_of(finding: AnyFinding, snapshot: Snapshot) -> PaintRequest | None:
+    """What to ask the painter for; None while the surface that a result was measured on is not there."""
+    source = source_of(snapshot, finding.show)
+    return None if source is None else PaintRequest(source, "picture", box_um=box_of(finding, snapshot))
+
+
+def box_of(finding: AnyFinding, snapshot: Snapshot) -> Box:
+    """What the picture of a result takes in, in um."""
+    return framed(bounds_of(finding, _LEAST_PX * (snapshot.surface.pixel_um if snapshot.surface else 1.0)))
+
+
+def framed(bounds: Box) -> Box:
+    """A box round another, with room to spare, as wide for its height as a picture is."""
+    (x0, y0, x1, y1), aspect = bounds, WIDTH_PX / HEIGHT_PX
+    width = max(x1 - x0, (y1 - y0) * aspect) * _ROOM
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    return x - width / 2, y - width / aspect / 2, x + width / 2, y + width / aspect / 2
+
+
+def outlines(finding: AnyFinding, box: Box) -> str:
+    """The places of a result over the picture of a box, as SVG."""
+    paths = "".join(_path(place, box) for place in drawn_of(finding))
+    style = f'style="--tone:{html.safe(sign_colour(finding))}"'
+    return f'<svg viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" {style}>{paths}</svg>'
+
+
+def _path(place: Region, box: Box) -> str:
+    x0, y0, x1, y1 = box
+    corners = outline_of(place)
+    if len(corners) == 0:
+        corners = np.array([(point.x_um, point.y_um) for point in place.points])
+    x, y = (corners[:, 0] - x0) / (x1 - x0) * WIDTH_PX, (y1 - corners[:, 1]) / (y1 - y0) * HEIGHT_PX
+    if place.kind == "point":
+        return f'<circle cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="3"/>'
+    step = max(1, math.ceil(len(x) / 24))
+    points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x[::step], y[::step], strict=True))
+    return f'<polyline points="{points}"/>' if place.kind == "line" else f'<polygon points="{points}"/>'

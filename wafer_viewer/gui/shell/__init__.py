@@ -1,0 +1,1 @@
+"""The page assembled: layout, shortcuts, palette, maps."""

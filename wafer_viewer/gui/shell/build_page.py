@@ -1,0 +1,269 @@
+"""One page put together: its frame, header, panels, overlays, scene and keys, and who hears of what."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import viser
+
+from wafer_viewer.gui.acquire.acquire_panel import AcquirePanel
+from wafer_viewer.gui.defects.defect_section_dock import DefectDock
+from wafer_viewer.gui.defects.die_stack_view import DefectStack
+from wafer_viewer.gui.defects.reference_view import DefectBeside
+from wafer_viewer.gui.gauge.gauge_dock import GaugeDock
+from wafer_viewer.gui.gauge.gauge_panel import GaugePanel
+from wafer_viewer.gui.gauge.step_readout import GaugeGlass
+from wafer_viewer.gui.measure.live_profiles import Curves
+from wafer_viewer.gui.measure.measure_panel import MeasurePanel
+from wafer_viewer.gui.measure.profile_dock import ProfileDock
+from wafer_viewer.gui.overlays.colour_legend import ColourLegend
+from wafer_viewer.gui.overlays.hud import Legend, ReadOutBox, ScaleBar
+from wafer_viewer.gui.overlays.pose_legend import PoseLegend
+from wafer_viewer.gui.overlays.screenshot import PrintPicture
+from wafer_viewer.gui.overlays.toolbar import Toolbar
+from wafer_viewer.gui.page.bottom_panel import room_px
+from wafer_viewer.gui.page.browser_info import BrowserEar
+from wafer_viewer.gui.page.control_handover import HandsOff, Question
+from wafer_viewer.gui.page.header import TITLES, Header, possible, why_not
+from wafer_viewer.gui.page.page import Page, Part
+from wafer_viewer.gui.page.restart_notice import Reopened
+from wafer_viewer.gui.page.status_bar import StatusStrip
+from wafer_viewer.gui.page.stop import NOT_STOPPED, stop
+from wafer_viewer.gui.page.tooltips import add_hints, add_titles
+from wafer_viewer.gui.page.verdict_section import awaited
+from wafer_viewer.gui.plan.plan_panel import PlanPanel
+from wafer_viewer.gui.report.report_panel import ReportPanel
+from wafer_viewer.gui.review.review_panel import ReviewPanel
+from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.scenes.scene_view import SceneView
+from wafer_viewer.gui.shell.camera_storage import Viewpoint
+from wafer_viewer.gui.shell.command_palette import Palette
+from wafer_viewer.gui.shell.left_panel import LeftPanel
+from wafer_viewer.gui.shell.lost_connection import Contact
+from wafer_viewer.gui.shell.map_clicks import MapClicks
+from wafer_viewer.gui.shell.saved_views import SavedViews
+from wafer_viewer.gui.shell.shortcut_sheet import add_keys_sheet, glossary_command
+from wafer_viewer.gui.shell.shortcuts import Parts, commands_of
+from wafer_viewer.gui.shell.tour_guide import TourGuide
+from wafer_viewer.gui.shell.welcome import Welcome
+from wafer_viewer.gui.state.plot_state import with_cursor
+from wafer_viewer.gui.state.view_state import Step, View
+from wafer_viewer.gui.surface.clip_section import take_faces
+from wafer_viewer.gui.surface.focus_curve_dock import WhyDock
+from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
+from wafer_viewer.gui.surface.point_count import PointCount
+from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
+from wafer_viewer.gui.surface.surface_panel import SurfacePanel
+from wafer_viewer.gui.tools.gauge_regions import in_scene, take_places
+from wafer_viewer.gui.widgets.command import Command, looking
+from wafer_viewer.gui.widgets.controls import Cell, always_there
+from wafer_viewer.gui.widgets.error_guard import guarded, tell_failure
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.gui.widgets.style import BRAND, RIGHT_PX, sheet
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.state.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.session.api import SessionApi
+
+
+class Frame:
+    """The style sheet and viser's theme: light or dark, and the room for the bottom panel."""
+
+    def __init__(self, page: Page) -> None:
+        self._gui = page.gui
+        self._dark: bool | None = None
+        self._sheet = Cell(page.gui, padded=False)
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the frame up to date."""
+        self._sheet.show(sheet(view.dark, room_px(view)))
+        if view.dark != self._dark:
+            self._dark = view.dark
+            self._gui.configure_theme(
+                dark_mode=view.dark,
+                show_logo=False,
+                show_share_button=False,
+                control_width="large",
+                brand_color=BRAND[view.dark],
+            )
+
+
+class Drawing:
+    """The 3D scene as a part of the page."""
+
+    def __init__(self, scene: SceneView, curves: Curves) -> None:
+        self._scene, self._curves = scene, curves
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Have the scene drawn; it works on its own thread. Cursors stand there where they stand on the curve."""
+        plot = replace(view.plot, cursors=self._curves.cursor_shares(view))
+        self._scene.draw(snapshot, in_scene(replace(view, plot=plot), snapshot.surface))
+
+
+class PossibleStep:
+    """Leads back to a step there is something to do in: after a reload, or when a dataset is closed."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Go to Plan where the step shown has nothing to show; a review waits for the verdict that will come."""
+        waits = view.step == "review" and awaited(snapshot)
+        if not (possible(view.step, snapshot) or waits):
+            self._page.change(step="plan")
+
+
+def go_to(page: Page, step: Step) -> None:
+    """Go to a step, or say why there is nothing to do in it yet."""
+    if (why := why_not(step, page.session.snapshot)) is None:
+        page.change(step=step, why=None)
+    else:
+        page.say(TITLES[step], f"Not yet: {why}", "attention")
+
+
+def build_page(client: viser.ClientHandle, session: SessionApi) -> Page:
+    """Make the page of a browser that has just come, and begin to draw it."""
+    page = Page(client, session)
+    page.gui.main_panel.dock_right()
+    page.gui.main_panel.set_width(RIGHT_PX)
+    with always_there(page.gui):
+        frame = Frame(page)
+        page.add_picks()
+        ear = BrowserEar(page)
+        halt = guarded(page, NOT_STOPPED)(lambda: stop(page))
+        header = Header(page.gui, lambda step: go_to(page, step), halt)
+        strip, question, contact, tour = StatusStrip(page), Question(page), Contact(page), TourGuide(page)
+    left = LeftPanel(page)  # docked before anything is drawn: whenever the scene changes its size it is drawn anew
+    hands, reopened = HandsOff(page), Reopened(page)
+    poses = PoseBook(session.poses, lambda fault: tell_failure(page, "The overlaps are not shown", fault))
+    poses.on_arrival(page.redraw)
+    failed = partial(tell_failure, page, "The scene is not complete")
+    scene = SceneView(client, session, failed, poses, page.viewport)
+    ear.on_motion(scene.let_fly)
+    curves = Curves(page)
+    viewpoint, drawing, welcome = Viewpoint(page, scene), Drawing(scene, curves), Welcome(page)
+    page.show_first([frame, header, welcome, viewpoint, drawing])
+    statistics = ShownStatistics(page, scene.seen_um)
+    plan, acquire = PlanPanel(page), AcquirePanel(page)
+    surface, measure = SurfacePanel(page, poses, scene.range_in_view, statistics), MeasurePanel(page, scene, curves)
+    gauge, review, report = GaugePanel(page), ReviewPanel(page, scene), ReportPanel(page)
+    beside, stack = DefectBeside(page), DefectStack(page, review.go_to)
+    why = WhyPanel(page)
+    ear.left = left.panel
+    read_out = ReadOutBox(page)
+    parts: list[Part] = [
+        *(
+            PossibleStep(page),
+            frame,
+            ear,
+            header,
+            statistics,
+            plan,
+            acquire,
+            surface,
+            curves,
+            measure,
+            gauge,
+            review,
+            report,
+            why,
+            left,
+            Toolbar(page),
+            PointCount(page),
+            Legend(page),
+        ),
+        *(
+            ColourLegend(page),
+            PoseLegend(page, poses, scene.um_per_pixel),
+            ScaleBar(page, scene),
+            read_out,
+            ProfileDock(page, curves),
+            WhyDock(page, why),
+            GaugeDock(page),
+            DefectDock(page),
+            beside,
+            stack,
+            GaugeGlass(page, lambda: gauge.live.answer),
+        ),
+        welcome,
+        tour,
+        strip,
+        question,
+        reopened,
+        hands,
+        contact,
+        viewpoint,
+        drawing,
+    ]
+    _listen_to_page(page, scene, left, measure)
+    left.dies.on_chosen(review.go_to)
+    _listen_to_scene(page, scene, read_out, why)
+    _listen_to_lines(page, scene, curves)
+    with_verbs = welcome, tour, gauge, review, report, left.compare, left.defects, left.dies, beside, stack
+    of_parts = [command for part in with_verbs for command in part.commands()]
+    verbs = [*of_parts, *commands_of(page, Parts(plan, acquire, surface, measure, why))]
+    parts.insert(1, _palette(page, scene, verbs))
+    page.on_close(measure.close)
+    page.on_close(scene.close)
+    page.begin(parts)
+    return page
+
+
+def _palette(page: Page, scene: SceneView, of_parts: list[Command]) -> Palette:
+    """Keys, palette, the sheet of keys, and what fields and buttons say of themselves."""
+    views, picture = SavedViews(page, scene), PrintPicture(page, scene)
+    commands = [*looking(scene.look_from), *views.commands(), *picture.commands(), *of_parts, glossary_command(page)]
+    palette = Palette(page, [*commands, add_keys_sheet(page, commands)], views.going)
+    add_titles(page, commands)
+    add_hints(page.gui)
+    return palette
+
+
+def _listen_to_page(page: Page, scene: SceneView, left: LeftPanel, measure: MeasurePanel) -> None:
+    """What is clicked on the left, on the glass over the scene and in the header."""
+    left.results.on_chosen(scene.fly_to)
+    left.defects.on_chosen(scene.fly_to)
+    left.map.on_seen(scene.seen_um)
+    left.map.on_brushed(lambda: page.statistics.brushed if page.statistics is not None else None)
+    left.dies.on_seen(scene.seen_um)
+    MapClicks(page, scene)
+    page.on_pick("dismiss", page.dismiss)
+    page.on_pick("theme", lambda _: page.change(dark=not page.view.dark))
+    page.on_pick("tool", measure.use)
+    page.on_pick("look", scene.look_from)
+    page.on_pick("select", lambda _: page.change(selecting=not page.view.selecting))
+
+
+def _listen_to_lines(page: Page, scene: SceneView, curves: Curves) -> None:
+    def moved(lines: tuple[Region, ...], line: int) -> None:
+        page.change(lines=lines, line=line, selected=None)
+        curves.follow()
+
+    def cursor_moved(number: int, share: float) -> None:
+        page.change(plot=with_cursor(page.view.plot, number, share))
+
+    scene.on_lines(guarded(page, "The surface was not read")(moved))
+    scene.on_cursor(guarded(page, "The cursor was not moved")(cursor_moved))
+
+
+def _listen_to_scene(page: Page, scene: SceneView, read_out: ReadOutBox, why: WhyPanel) -> None:
+    """Handles, clicks and the camera; what takes time is answered on a thread of its own."""
+    clicks = Latest("read-out")
+    page.on_close(clicks.close)
+    failed = "The surface was not read"
+    scene.on_places(guarded(page, failed)(take_places(page)))
+    scene.on_levelling(guarded(page, failed)(lambda levelling: page.change(levelling=levelling, range_um=None)))
+
+    def picked(x_um: float, y_um: float) -> None:
+        why.clicked(x_um, y_um)
+        clicks.ask(lambda: guarded(page, failed)(read_out.at)(x_um, y_um))
+
+    scene.on_pick(picked)
+    scene.on_select(guarded(page, failed)(lambda box: page.change(selection=box, counted="selection", selecting=False)))
+    scene.on_clip(take_faces(page))
+    scene.on_camera(page.redraw)
+    scene.on_scale(page.show_scale)
+    scene.on_points(page.show_points)

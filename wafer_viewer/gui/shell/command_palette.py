@@ -1,0 +1,63 @@
+"""The commands as the browser knows them: those that have something to act on, by the name they have by then.
+
+One that is not possible says why when it is chosen, by its key or in the palette.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets.command import Command
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.html import micro
+from wafer_viewer.session.state.snapshot import Snapshot
+
+Source = Callable[[Snapshot], Sequence[Command]]
+Name = tuple[str, Any, Any]
+"""What a command is called, its key and what is held down with it."""
+
+
+class Palette:
+    """The table of commands, and `more` that depend on what there is."""
+
+    def __init__(self, page: Page, commands: Sequence[Command], more: Source) -> None:
+        self._page, self._commands, self._more = page, commands, more
+        self._known: dict[Name, Any] = {}
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the browser's list up to date."""
+        everything = (*self._commands, *self._more(snapshot))
+        now = {_name(c): c for c in everything if c.here is None or c.here(snapshot, view)}
+        for gone in self._known.keys() - now.keys():
+            self._known.pop(gone).remove()
+        for name, command in now.items():
+            if name not in self._known:
+                self._known[name] = self._add(command)
+
+    def _add(self, command: Command) -> Any:
+        handle = self._page.gui.add_command(
+            command.name,
+            description=command.group,
+            hotkey=command.key,
+            modifier=command.modifier,
+            icon=command.icon,
+        )
+        heard = guarded(self._page, f"{command.name} failed")(lambda _: carry_out(self._page, command))
+        handle.on_trigger(heard)
+        return handle
+
+
+def carry_out(page: Page, command: Command) -> None:
+    """Do what a command stands for, or say why not."""
+    why = command.why_not(page.session.snapshot, page.view) if command.why_not is not None else None
+    if why is None:
+        command.act()
+    else:
+        page.say(command.name.removesuffix("…"), f"Not now: {micro(why)}", "attention")
+
+
+def _name(command: Command) -> Name:
+    return command.name, command.key, command.modifier

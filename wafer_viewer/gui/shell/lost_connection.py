@@ -1,0 +1,115 @@
+"""Contact with the program: what a page shows when it is lost, and when it is back.
+
+The browser's part is contact.js; it is told beforehand what to say, and hears from the program every second.
+"""
+
+from __future__ import annotations
+
+import itertools
+import secrets
+import threading
+import time
+from functools import cache
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.stop import kept
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.static_files import read_static
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
+
+BEAT_S = 1.0
+PROGRAM, SINCE = secrets.token_hex(8), time.strftime("%H:%M:%S")
+"""This run of the program: a page that meets another one says that it was started anew."""
+_STOP_OUT_OF_REACH, _RED_BUTTON = "Stop on this page does not reach the rig.", "Press the red button on the rig."
+
+
+class Contact:
+    """Tells the browser every second that the program is there, and what to say if it were not."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = secrets.token_hex(8)
+        self._beats = itertools.count()
+        self._words = ""
+        self._cell = Cell(page.gui, padded=False)
+        self._closed = threading.Event()
+        self._lock = threading.Lock()
+        page.gui.add_html(f'<img src="data:," alt="" hidden onerror="{html.safe(_script())}">')
+        page.on_pick("contact-look", lambda _: page.change(step=_step_to_look_at(page.session.snapshot), why=None))
+        page.on_close(self._closed.set)
+        threading.Thread(target=self._beat, name="contact", daemon=True).start()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring what the browser is told up to date."""
+        words = {
+            "program": PROGRAM,
+            "page": self._page,
+            "since": SINCE,
+            "state": state(snapshot),
+            "box": out_of_reach(snapshot.rig),
+            "back": meanwhile(snapshot),
+            "anew": kept_over_restart(snapshot),
+            "look": "Look, and confirm the sample" if not snapshot.draft.confirmed else "Look",
+        }
+        self._words = " ".join(f'data-{name}="{html.safe(text)}"' for name, text in words.items())
+        self._tell()
+
+    def _beat(self) -> None:
+        while not self._closed.wait(BEAT_S):
+            self._tell()
+
+    def _tell(self) -> None:
+        if self._words and not self._closed.is_set():
+            with self._lock:
+                look = f"<span {html.pick('contact-look')}></span>"
+                self._cell.show(
+                    f'<div hidden class="wv-contact" {self._words} data-beat="{next(self._beats)}">{look}</div>'
+                )
+
+
+def state(snapshot: Snapshot) -> str:
+    """Return what the rig does, as the last word of a lost connection."""
+    scan = snapshot.scan
+    if snapshot.scanning and scan is not None:
+        return f"{snapshot.rig.state}, field {scan.field.number}"
+    return "at rest" if snapshot.rig.state == "ready" else snapshot.rig.state
+
+
+def out_of_reach(rig: RigStatus) -> str:
+    """Return what to do instead of pressing Stop."""
+    return f"{_STOP_OUT_OF_REACH}\n{'It is simulated: nothing real moves.' if rig.simulated else _RED_BUTTON}"
+
+
+def meanwhile(snapshot: Snapshot) -> str:
+    """Return what went on without the page, and whether anything is to be done."""
+    scan, data = snapshot.scan, snapshot.dataset
+    if snapshot.rig.state in ("fault", "absent"):
+        return f"{snapshot.rig.message or 'The rig does not answer.'}"
+    if snapshot.scanning and scan is not None:
+        missing = f"{scan.frames_missing} missing, taken again later" if scan.frames_missing else "none missing"
+        frames = f"frame {scan.frames_done} of {scan.frames_total}, {missing}"
+        return f"The scan continued without this page: {frames}. Nothing to do."
+    if scan is not None and scan.finished and data is not None:
+        ended = "has ended" if data.finished else "is stopped"
+        return f"The scan {ended}: {kept(data)} Nothing to do."
+    return "Nothing moves. Nothing to do." if snapshot.rig.state == "ready" else f"The rig is {snapshot.rig.state}."
+
+
+def kept_over_restart(snapshot: Snapshot) -> str:
+    """Return what is kept when the program was started anew, and what it waits for."""
+    data = snapshot.dataset
+    what = f"{data.path.stem}: {kept(data)}" if data is not None else "Datasets and results are kept."
+    wait = "" if snapshot.draft.confirmed else " Nothing moves before the sample is confirmed."
+    return f"{what}{wait}"
+
+
+def _step_to_look_at(snapshot: Snapshot) -> str:
+    """Where the question about the sample stands."""
+    data = snapshot.dataset
+    return "acquire" if data is not None and not data.finished else "plan"
+
+
+@cache
+def _script() -> str:
+    return read_static("lost_connection.js")[0]

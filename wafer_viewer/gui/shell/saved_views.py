@@ -1,0 +1,155 @@
+"""Views to come back to: kept with the dataset, so that every browser has them; in the left panel as a list."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+import viser
+
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.preconditions import off_surface
+from wafer_viewer.gui.scene.camera.camera_presets import Pose
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command, spoken, unless
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.job.review_notes import SavedView
+from wafer_viewer.session.state.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from wafer_viewer.gui.scenes.scene_view import SceneView
+
+WITH_KEYS = 9
+"""The first so many views are reached by shift and their number."""
+LOOKED = ("look", "colour_by", "colours", "range_um", "exaggeration", "hillshade", "all_in_focus", "show", "levelling")
+"""What a saved view keeps of how this browser looks at the surface."""
+
+
+class SavedViews:
+    """The verbs of the list: save, go there, rename, delete, undo."""
+
+    def __init__(self, page: Page, scene: SceneView) -> None:
+        self._page, self._scene = page, scene
+        page.on_pick("view", lambda key: self.go_to(int(key)))
+        page.on_pick("view-save", lambda _: self.ask_name())
+        page.on_pick("view-rename", lambda key: self._ask_other_name(int(key)))
+        page.on_pick("view-delete", lambda key: self._delete(int(key)))
+        page.on_pick("view-undo", lambda _: page.ask("Nothing was undone", page.session.notebook.undo()))
+
+    def commands(self) -> list[Command]:
+        """Save a view."""
+        save = Command("Save view…", "0", self.ask_name, viser.Icon.BOOKMARK_PLUS, "shift", "Look")
+        return unless(off_surface, save)
+
+    def going(self, snapshot: Snapshot) -> list[Command]:
+        """To the views there are, by their names; the first ones have their numbers as keys."""
+        return [self._going_to(kept) for kept in snapshot.notebook.book.views] if snapshot.dataset is not None else []
+
+    def _going_to(self, kept: SavedView) -> Command:
+        key, held = (f"{kept.number}", "shift") if kept.number <= WITH_KEYS else (None, None)
+        name = f"Go to view: {kept.name}"
+        return Command(name, key, lambda: self.go_to(kept.number), viser.Icon.BOOKMARK, held, "Look", listed=False)
+
+    def ask_name(self) -> None:
+        """Save where the camera stands and how the surface is drawn, under a name."""
+        page, pose = self._page, self._scene.pose
+        if page.session.snapshot.dataset is None or pose is None or not page.view.on_surface:
+            return
+        dialog = Dialog(page, "Save view", "Kept with the dataset: every browser can come back to it.")
+        with dialog.modal:
+            name = page.gui.add_text("Name", "", hint="Without a name it is called by its number")
+        view = page.view
+
+        def save() -> None:
+            page.ask("The view was not saved", page.session.notebook.save_view(saved(view, pose, name.value)))
+
+        dialog.answers("Save view", viser.Icon.BOOKMARK_PLUS, save, "The view was not saved")
+
+    def go_to(self, number: int) -> None:
+        """Look at the surface as a saved view does."""
+        page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
+        if kept is None:
+            return
+        step = page.view.step if page.view.on_surface else "surface"
+        page.change(step=step, frame_k=None, slice_z_um=None, why=None, **choices(kept, page.session.snapshot))
+        self._scene.draw(page.session.snapshot, page.view)  # before the camera moves: another surface is framed anew
+        self._scene.go_to(Pose(np.array(kept.position_mm), np.array(kept.look_at_mm)))
+
+    def _ask_other_name(self, number: int) -> None:
+        page, kept = self._page, self._page.session.snapshot.notebook.book.view(number)
+        if kept is None:
+            raise DatasetError(f"There is no view {number}: it was deleted.")
+        dialog = Dialog(page, "Rename the view", "The name appears in every browser's list.")
+        with dialog.modal:
+            name = page.gui.add_text("Name", kept.name)
+
+        def rename() -> None:
+            page.ask("The name was not changed", page.session.notebook.rename_view(number, name.value))
+
+        dialog.answers("Rename", viser.Icon.PENCIL, rename, "The name was not changed")
+
+    def _delete(self, number: int) -> None:
+        self._page.ask("The view was not changed", self._page.session.notebook.delete_view(number))
+
+
+def saved(view: View, pose: Pose, name: str) -> SavedView:
+    """What is kept of a browser's view and its camera."""
+    x, y, z = (round(float(mm), 6) for mm in pose.position)
+    at_x, at_y, at_z = (round(float(mm), 6) for mm in pose.look_at)
+    looked = {key: getattr(view, key) for key in LOOKED}
+    return SavedView(name=name, position_mm=(x, y, z), look_at_mm=(at_x, at_y, at_z), **looked)
+
+
+def choices(kept: SavedView, snapshot: Snapshot) -> dict[str, Any]:
+    """The choices of a view that a saved one stands for; words that this program does not know are left out."""
+    looked = {key: getattr(kept, key) for key in LOOKED}
+    data = snapshot.dataset
+    if kept.show > 0 and (data is None or kept.show not in data.stamps):
+        looked["show"] = 0
+    try:
+        known = msgspec.convert({key: looked[key] for key in ("look", "colour_by")}, View)
+    except msgspec.ValidationError:
+        return {**looked, "look": View().look, "colour_by": View().colour_by}
+    return {**looked, "look": known.look, "colour_by": known.colour_by}
+
+
+def views_html(snapshot: Snapshot, view: View) -> str:
+    """The list in the left panel; nothing where there is no surface to look at."""
+    if not view.on_surface or snapshot.dataset is None:
+        return ""
+    state = snapshot.notebook
+    rows = [_row(kept) for kept in state.book.views]
+    listed = html.table([], rows) if rows else ""
+    undone = state.can_undo and view.step != "review"  # where judgements are taken back, too
+    undo = f'<span class="wv-link" {html.pick("view-undo")}>undo</span>' if undone else ""
+    save = f'<span class="wv-link" title="Key Shift + 0" {html.pick("view-save")}>Save view…</span>'
+    told = "3000 px wide, with scale and colours · Key P"
+    picture = f'<span class="wv-link" title="{told}" {html.pick("picture")}>Picture</span>'
+    foot = f'<div style="display:flex;justify-content:space-between;margin:4px 6px 6px">{save}{picture}{undo}</div>'
+    return html.head("Views") + listed + foot
+
+
+def _row(kept: SavedView) -> str:
+    key = f"<kbd>{html.safe(spoken(str(kept.number), 'shift'))}</kbd>" if kept.number <= WITH_KEYS else ""
+    name = (
+        f'<span class="wv-cut wv-short" title="Look from here" {html.pick("view", kept.number)}>'
+        f"{html.safe(kept.name)}</span>"
+    )
+    return html.row(
+        [
+            name,
+            key,
+            _act("view-rename", kept, "Rename", viser.Icon.PENCIL)
+            + _act("view-delete", kept, "Delete", viser.Icon.TRASH),
+        ],
+        "  n",
+    )
+
+
+def _act(what: str, kept: SavedView, word: str, sign: Any) -> str:
+    label = html.safe(f"{word} {kept.name}")
+    told = f'title="{label}" aria-label="{label}"'
+    return f'<span class="wv-act" {told} {html.pick(what, kept.number)}>{html.icon(sign, 14)}</span>'

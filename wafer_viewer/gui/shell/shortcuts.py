@@ -1,0 +1,287 @@
+"""What every key does, and what the command palette lists: the verbs of the page in one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.colormaps import COLOUR_MAPS
+from wafer_viewer.gui.acquire.acquire_panel import AcquirePanel
+from wafer_viewer.gui.measure.measure_panel import MeasurePanel
+from wafer_viewer.gui.measure.profile_line_commands import LineVerbs
+from wafer_viewer.gui.page import judgement
+from wafer_viewer.gui.page.header import TITLES
+from wafer_viewer.gui.page.import_export_dialogs import export_dialog, import_dialog, load_plan_dialog, open_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.preconditions import (
+    no_dataset,
+    no_fields_to_show,
+    no_other_line,
+    no_result,
+    no_room_for_lines,
+    no_surface,
+    no_way_to,
+    nothing_to_redo,
+    nothing_to_undo,
+    off_surface,
+    out_of_sight,
+)
+from wafer_viewer.gui.page.stop import stop
+from wafer_viewer.gui.plan.plan_panel import PlanPanel
+from wafer_viewer.gui.state.view_state import Step, View
+from wafer_viewer.gui.surface.focus_evidence_panel import WhyPanel
+from wafer_viewer.gui.surface.surface_panel import COLOUR_BY, LOOKS, SurfacePanel
+from wafer_viewer.gui.tools.tool_palette import ICONS, TOOL_KEYS
+from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.model.measurement.tools import TOOLS
+from wafer_viewer.session.state.snapshot import Snapshot
+
+ICON = viser.Icon
+STEP_KEYS: dict[Step, str] = {
+    "plan": "P",
+    "acquire": "A",
+    "surface": "S",
+    "measure": "M",
+    "gauge": "G",
+    "review": "R",
+    "report": "O",
+}
+"""Each with shift."""
+EXAGGERATION_STEP, MOST_EXAGGERATED = 1.0, 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """The panels whose verbs have keys."""
+
+    plan: PlanPanel
+    acquire: AcquirePanel
+    surface: SurfacePanel
+    measure: MeasurePanel
+    why: WhyPanel
+
+
+def commands_of(page: Page, parts: Parts) -> list[Command]:
+    """Every verb of the page with its key."""
+    return [
+        *_going(page),
+        *_planning(page, parts),
+        *_acquiring(page, parts),
+        *_looking_at_surface(page, parts),
+        *_measuring(page, parts),
+        *_of_the_page(page, parts),
+    ]
+
+
+def _going(page: Page) -> list[Command]:
+    def go(step: Step) -> None:
+        page.change(step=step, why=None)
+
+    return [
+        Command(TITLES[step], key, lambda s=step: go(s), ICON.ARROW_RIGHT, "shift", "Go to", why_not=no_way_to(step))
+        for step, key in STEP_KEYS.items()
+    ]
+
+
+def _planning(page: Page, parts: Parts) -> list[Command]:
+    session = page.session
+    ask = _asking(page)
+
+    def scan_or_pause() -> None:
+        if session.snapshot.scanning:
+            parts.acquire.pause_or_resume()
+        else:
+            parts.plan.start()
+
+    def why_not(snapshot: Snapshot, _: View) -> str | None:
+        return None if snapshot.scanning else parts.plan.why_not(snapshot)
+
+    close = ask("The dataset was not closed", session.close_dataset)
+    return [
+        Command("Scan, pause, continue", "G", scan_or_pause, ICON.PLAYER_PLAY, group="Plan", why_not=why_not),
+        Command(
+            "Cover the sample",
+            "C",
+            ask("The grid was not changed", session.cover_sample),
+            ICON.ARROWS_MAXIMIZE,
+            "shift",
+            "Plan",
+        ),
+        Command(
+            "Move the grid to the stage",
+            None,
+            ask("The grid was not changed", session.centre_on_stage),
+            ICON.CROSSHAIR,
+            group="Plan",
+        ),
+        Command(
+            "Save plan…",
+            "S",
+            parts.plan.save,
+            ICON.DEVICE_FLOPPY,
+            "cmd/ctrl",
+            "Plan",
+        ),
+        Command("Load plan…", None, lambda: load_plan_dialog(page), ICON.FOLDER_OPEN, group="Plan"),
+        Command("Open a dataset…", "O", lambda: open_dialog(page), ICON.FOLDER_OPEN, "cmd/ctrl", "Plan"),
+        Command("Import images…", "I", lambda: import_dialog(page), ICON.PHOTO_PLUS, "shift", "Plan"),
+        Command("Close the dataset", None, close, ICON.X, group="Plan", why_not=no_dataset),
+    ]
+
+
+def _acquiring(page: Page, parts: Parts) -> list[Command]:
+    go_on = _asking(page)("The scan was not continued", page.session.continue_scan)
+    return [
+        Command("Stop all motion", "escape", lambda: stop(page), ICON.PLAYER_STOP, "shift", "Acquire"),
+        Command("Continue an unfinished scan", None, go_on, ICON.PLAYER_PLAY, group="Acquire", why_not=no_dataset),
+    ]
+
+
+def _looking_at_surface(page: Page, parts: Parts) -> list[Command]:
+    surface = parts.surface
+
+    def exaggerate(by: float) -> None:
+        page.change(exaggeration=min(max(1.0, page.view.exaggeration + by), MOST_EXAGGERATED))
+
+    def set_to(**choices: Any) -> Callable[[], None]:
+        return lambda: page.change(**choices)
+
+    def export() -> None:
+        export_dialog(page)
+
+    return unless(
+        out_of_sight,
+        Command("Hillshade", "H", surface.toggle_hillshade, ICON.SUN, group="Surface"),
+        Command("All-in-focus", "U", surface.toggle_all_in_focus, ICON.FOCUS_2, group="Surface"),
+        *unless(
+            no_fields_to_show,
+            Command("Fields and overlaps", "O", surface.toggle_fields, ICON.GRID_DOTS, group="Surface"),
+        ),
+        *unless(off_surface, Command("Why this height?", "C", parts.why.toggle, ICON.ZOOM_QUESTION, group="Surface")),
+        Command("Higher z", "pageup", lambda: exaggerate(EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"),
+        Command(
+            "Lower z", "pagedown", lambda: exaggerate(-EXAGGERATION_STEP), ICON.ARROWS_VERTICAL, "shift", "Surface"
+        ),
+        Command("Colours from 0.5 to 99.5 %", "J", set_to(range_um=None), ICON.CHART_HISTOGRAM, group="Surface"),
+        Command("Export the surface…", "E", export, ICON.DOWNLOAD, "shift", "Surface", why_not=no_surface),
+        *(
+            Command(f"Draw as {name.lower()}", None, set_to(look=look), ICON.CUBE, group="Surface")
+            for look, name in LOOKS
+        ),
+        *(
+            Command(
+                f"Colour by {name.lower()}", None, set_to(colour_by=by, range_um=None), ICON.PALETTE, group="Surface"
+            )
+            for name, by in COLOUR_BY.items()
+        ),
+        *(
+            Command(f"Colours {name}", None, set_to(colours=key), ICON.PALETTE, group="Surface")
+            for key, name in COLOUR_MAPS.items()
+        ),
+    )
+
+
+def _measuring(page: Page, parts: Parts) -> list[Command]:
+    session = page.session
+
+    def rename() -> None:
+        from wafer_viewer.gui.page.dialogs import rename_dialog
+
+        chosen = next((f for f in session.snapshot.findings if f.number == page.view.selected), None)
+        if chosen is not None:
+            rename_dialog(page, chosen.number, chosen.name)
+
+    def delete() -> None:
+        if page.view.step == "measure" and page.view.selected is not None:
+            deleted = session.delete(page.view.selected)
+            page.ask("The result was not changed", deleted, lambda _: page.change(selected=None))
+
+    tools = [
+        Command(TOOLS[tool].title, key, lambda t=tool: parts.measure.use(t), ICONS[tool], held, "Measure")
+        for tool, (key, held) in TOOL_KEYS.items()
+    ]
+    lines = LineVerbs(page)
+    keep = Command("Keep the result", "enter", parts.measure.keep, ICON.CHECK, "cmd/ctrl", "Measure")
+    return [
+        *unless(
+            no_surface,
+            *tools,
+            Command("Horizontal cut", "H", lambda: lines.cut("row"), ICON.ARROWS_HORIZONTAL, "shift", "Measure"),
+            Command("Vertical cut", "V", lambda: lines.cut("column"), ICON.ARROWS_VERTICAL, "shift", "Measure"),
+        ),
+        *unless(no_room_for_lines, Command("Add a profile line", "L", lines.add, ICON.PLUS, "shift", "Measure")),
+        *unless(
+            no_other_line,
+            Command("Remove the profile line", None, lines.remove, ICON.TRASH, group="Measure"),
+            Command("Next profile line", "N", lines.next, ICON.ARROW_RIGHT, "shift", "Measure"),
+        ),
+        *unless(parts.measure.why_not_keep, keep),
+        *unless(
+            no_result,
+            Command("Rename the result…", None, rename, ICON.PENCIL, group="Measure"),
+            Command("Delete the result", "delete", delete, ICON.TRASH, group="Measure"),
+        ),
+    ]
+
+
+def _of_the_page(page: Page, parts: Parts) -> list[Command]:
+    session = page.session
+
+    def undo() -> None:
+        of_step = {"plan": session.undo, "acquire": session.undo, "measure": session.undo_findings}
+        page.ask("Nothing was undone", of_step.get(page.view.step, lambda: judgement.undo(session, page.view))())
+
+    def redo() -> None:
+        of_step = {"plan": session.redo, "acquire": session.redo, "measure": session.redo_findings}
+        page.ask("Nothing was redone", of_step.get(page.view.step, lambda: judgement.redo(session, page.view))())
+
+    def leave() -> None:
+        """What was opened last is left first."""
+        if page.view.tour is not None:
+            page.change(tour=None)
+        elif page.view.explains:
+            parts.why.close()
+        elif page.view.sheet_over != "none":
+            page.change(sheet="none")
+        elif page.view.lists_some:
+            page.change(defects=page.view.defects.widened)
+        elif page.view.selecting:
+            page.change(selecting=False)
+        elif page.view.step == "surface" and page.view.brush_um is not None:
+            page.change(brush_um=None)
+        elif page.view.step == "surface" and page.view.selection is not None:
+            page.change(selection=None, counted="all")
+        elif page.view.tool == "none" and page.view.selected is None:
+            page.change(brush_um=None)
+        else:
+            page.change(tool="none", selected=None)
+
+    def in_use(_: Snapshot, view: View) -> bool:
+        """Escape is pressed for many things: where there is nothing to leave it is not ours."""
+        selects = view.step == "surface" and (view.selecting or view.selection is not None)
+        narrowed = (
+            view.lists_some or view.tour is not None or view.sheet_over != "none" or selects or view.brush is not None
+        )
+        return view.explains or narrowed or view.tool != "none" or view.selected is not None
+
+    return [
+        Command("Leave the tool", "escape", leave, ICON.X, group="Page", here=in_use),
+        *unless(nothing_to_undo, Command("Undo", "Z", undo, ICON.ARROW_BACK_UP, "cmd/ctrl", "Page")),
+        *unless(nothing_to_redo, Command("Redo", "Z", redo, ICON.ARROW_FORWARD_UP, "cmd/ctrl+shift", "Page")),
+        Command("Light or dark page", "D", lambda: page.change(dark=not page.view.dark), ICON.MOON, "shift", "Page"),
+    ]
+
+
+def _asking(page: Page) -> Callable[..., Callable[[], None]]:
+    """Makes verbs of the session into what a key does: the operator hears of a failure, named by what stopped."""
+
+    def ask(
+        name: str, verb: Callable[[], Future[Any]], then: Callable[[Any], None] | None = None
+    ) -> Callable[[], None]:
+        return lambda: page.ask(name, verb(), then)
+
+    return ask

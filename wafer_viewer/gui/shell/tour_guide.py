@@ -1,0 +1,321 @@
+"""The tour: a note that points at the next button of the page, and a card with the results at its end.
+
+The state of the session and of the view says which steps are done, so that it does not matter how they were done.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import viser
+
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.draw.number_format import duration, number, size, with_unit
+from wafer_viewer.gui.page.import_export_dialogs import import_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.report.report_panel import report_address
+from wafer_viewer.gui.review.review_panel import JUDGEMENTS
+from wafer_viewer.gui.state.view_state import Tour, View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command
+from wafer_viewer.gui.widgets.controls import Cell
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.static_files import read_static
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.session.files.documents import newest_report
+from wafer_viewer.session.planning.guided_tour import is_tour
+from wafer_viewer.session.state.snapshot import Snapshot
+
+N_STEPS = 7
+SCAN, LOOK, MEASURE, KEEP, INSPECT, JUDGE, REPORT = range(N_STEPS)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One note of the tour: `button` is the label of the button it points at, `at` a selector for other elements.
+
+    `text` is HTML of the program's own.
+    """
+
+    title: str
+    text: str
+    button: str = ""
+    at: str = ""
+
+
+class TourGuide:
+    """The note of the present step; Escape ends the tour."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._cell = Cell(page.gui, padded=False)
+        script = read_static("tour.js")[0]
+        page.gui.add_html(f'<img src="data:," alt="" style="display:none" onerror="{html.safe(script)}">')
+        page.on_pick("tour", lambda _: self.begin())
+        page.on_pick("tour-skip", lambda step: self._skip(int(step)))
+        page.on_pick("tour-end", lambda _: self.end())
+        page.on_pick("tour-plan", lambda _: self._plan())
+        page.on_pick("tour-import", lambda _: self._import())
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Show the note of the present step, or the results."""
+        tour = view.tour
+        if tour is None or not is_tour(snapshot.draft.job):
+            self._cell.show("")
+            return
+        report = report_of(snapshot, tour)
+        step = present_step(snapshot, view, report)
+        if step < N_STEPS:
+            self._cell.show(_note_html(note_of(step, snapshot, view), step))
+            return
+        if tour.ended_s is None:
+            tour = replace(tour, ended_s=time.time())
+            self._page.change(tour=tour)
+        self._cell.show(end_card(snapshot, tour, report))
+
+    def commands(self) -> list[Command]:
+        """Begin and end."""
+
+        def why_not(snapshot: Snapshot, _: View) -> str | None:
+            return None if snapshot.rig.simulated else "the tour is for the virtual rig, this one is real."
+
+        def under_way(_: Snapshot, view: View) -> bool:
+            return view.tour is not None
+
+        icon, name = viser.Icon.PLAYER_PLAY, "Take the tour on the virtual rig"
+        return [
+            Command(name, None, self.begin, icon, group="Plan", why_not=why_not),
+            Command("End the tour", None, self.end, viser.Icon.X, group="Page", here=under_way),
+        ]
+
+    def begin(self) -> None:
+        """Fill in the plan of the tour and point at its first button."""
+        page, failed = self._page, "The tour did not begin"
+
+        def lead(_: object) -> None:
+            page.change(step="plan", tour=Tour(since_s=time.time()), tool="none", why=None, selected=None)
+
+        def plan(_: object = None) -> None:
+            page.ask(failed, page.session.take_tour(), lead)
+
+        if page.session.snapshot.dataset is None:
+            plan()
+        else:
+            page.ask(failed, page.session.close_dataset(), plan)
+
+    def end(self) -> None:
+        """Put the note away."""
+        self._page.change(tour=None)
+
+    def _skip(self, step: int) -> None:
+        if (tour := self._page.view.tour) is not None:
+            self._page.change(tour=replace(tour, skipped=step + 1))
+
+    def _plan(self) -> None:
+        """An empty plan over the sample, for a scan of one's own."""
+        page, failed = self._page, "There is no plan"
+        self.end()
+
+        def cover(_: object) -> None:
+            page.ask(failed, page.session.cover_sample(), lambda _: page.change(step="plan"))
+
+        page.ask(failed, page.session.edit_job(None), cover)
+
+    def _import(self) -> None:
+        self.end()
+        guarded(self._page, "Nothing was imported")(import_dialog)(self._page)
+
+
+def report_of(snapshot: Snapshot, tour: Tour) -> Path | None:
+    """The report that was written of the tour's dataset since the tour began."""
+    data = snapshot.dataset
+    path = newest_report(data.path) if data is not None and is_tour(data.job) else None
+    return path if path is not None and path.stat().st_mtime >= tour.since_s else None
+
+
+def present_step(snapshot: Snapshot, view: View, report: Path | None) -> int:
+    """The number of the step to be done, from 0; `N_STEPS` when all are.
+
+    What is kept, inspected, judged or written also vouches for the steps before it.
+    """
+    tour = view.tour or Tour()
+    data, inspection = snapshot.dataset, snapshot.inspection
+    started = data is not None and is_tour(data.job)
+    finished = started and data is not None and data.finished and snapshot.surface is not None
+    kept = started and any(isinstance(finding, StepHeight) for finding in snapshot.findings)
+    found = inspection.inspection.found if started and inspection.inspection is not None else None
+    done = {
+        SCAN: started,
+        LOOK: finished and view.on_surface,
+        MEASURE: finished and view.step == "measure",
+        KEEP: kept,
+        INSPECT: found is not None,
+        JUDGE: found is not None and (not found or any(defect.judgement != "open" for defect in found)),
+        REPORT: report is not None,
+    }
+    lasting = max((step for step in (KEEP, INSPECT, JUDGE, REPORT) if done[step]), default=-1)
+    return next((k for k in range(max(lasting + 1, tour.skipped), N_STEPS) if not done[k]), N_STEPS)
+
+
+def note_of(step: int, snapshot: Snapshot, view: View) -> Note:
+    """What the note of a step says, and the button it points at."""
+    match step:
+        case 0:
+            job = snapshot.draft.job
+            fields = len(job.all_fields()) if job is not None else 0
+            text = f"{number(fields, 0)} fields of a virtual wafer are planned. Press <b>Start scan</b>."
+            here = view.step == "plan"
+            return Note("Scan a wafer", text, "Start scan" if here else "Plan")
+        case 1:
+            return _watch(snapshot, view)
+        case 2:
+            if view.step != "surface":
+                return Note("Turn the surface", "Press <b>Surface</b>.", "Surface")
+            text = "Drag to turn it, turn the wheel to come closer. Then press <b>Measure this surface</b>."
+            return Note("Turn the surface", text, "Measure this surface")
+        case 3:
+            return _measure(view)
+        case 4:
+            return _inspect(snapshot, view)
+        case 5:
+            if view.step != "review":
+                return Note("Judge a defect", "Press <b>Review</b>.", "Review")
+            label = JUDGEMENTS[0][1]
+            text = f"Picture, heights and class are on the right. Is it real? Press <b>{label}</b> or key Y."
+            return Note("Judge a defect", text, label)
+        case _:
+            if view.step != "report":
+                text = "All of it goes into one file. Press <b>Report</b>."
+                return Note("Write the report", text, "Report")
+            text = "Results, defects and the wafer map stand in one HTML file. Press <b>Write report</b>."
+            return Note("Write the report", text, "Write report")
+
+
+def _watch(snapshot: Snapshot, view: View) -> Note:
+    data, title = snapshot.dataset, "Watch the surface grow"
+    if data is not None and not data.finished and not snapshot.scanning and snapshot.rig.state == "ready":
+        if view.step != "acquire":
+            return Note(title, "The scan is unfinished. Press <b>Acquire</b>.", "Acquire")
+        return Note(title, "The scan is unfinished. Press <b>Continue the scan</b>.", "Continue the scan")
+    if data is None or not data.finished:
+        text = "The focus sweeps through each field. Heights appear as soon as a field has all its frames."
+        return Note(title, text)
+    if not snapshot.surface_is_whole:
+        return Note(title, "All frames are taken. The last fields are reconstructed and stitched to the others.")
+    if view.step != "acquire":
+        return Note(title, "The fields are scanned and stitched. Press <b>Surface</b>.", "Surface")
+    return Note(title, "The fields are scanned and stitched. Press <b>Look at the surface</b>.", "Look at the surface")
+
+
+def _measure(view: View) -> Note:
+    title = "Measure a step"
+    if view.step != "measure":
+        return Note(title, "Press <b>Measure</b>.", "Measure")
+    if view.tool != "step":
+        text = "Below is a profile of the surface. Press <b>Step</b> for the height of one face over another."
+        return Note(title, text, at="[data-pick=tool][data-k=step]")
+    text = "Two faces were found. Press <b>Keep result</b>: the height and its uncertainty go into the list."
+    return Note(title, text, "Keep result")
+
+
+def _inspect(snapshot: Snapshot, view: View) -> Note:
+    title, state = "Find the defects", snapshot.inspection
+    if view.step != "review":
+        return Note(title, "Every die can be compared with the others. Press <b>Review</b>.", "Review")
+    if state.work:
+        return Note(title, "The dies are compared with each other …")
+    text = "Every die is compared with the others. Press <b>Inspect</b>: it finds a gel drop, a scratch and particles."
+    return Note(title, text, "Inspect")
+
+
+def _note_html(note: Note, step: int) -> str:
+    dashes = "".join(f'<i class="{"done" if k < step else "now" if k == step else ""}"></i>' for k in range(N_STEPS))
+    aim = f'data-button="{html.safe(note.button)}" data-at="{html.safe(note.at)}"'
+    press = (
+        ""
+        if not (note.button or note.at)
+        else (
+            '<span class="wv-tour-press">or <a role="button" tabindex="0" onclick="wvTourPress()" '
+            "onkeydown=\"if(event.key==='Enter')wvTourPress()\">Press it for me</a></span>"
+        )
+    )
+    skip = f'<a class="wv-tour-skip" {html.pick("tour-skip", step)}>Skip</a>'
+    return (
+        '<div class="wv-tour-ring"></div>'
+        f'<div class="wv-tour" role="dialog" aria-label="Tour, step {step + 1} of {N_STEPS}" {aim}>'
+        '<div class="wv-tour-arrow"></div>'
+        f'<div class="wv-tour-head"><span>Tour · {step + 1} of {N_STEPS}</span>'
+        f"<a {html.pick('tour-end')}>Escape ends it</a></div>"
+        f'<b class="wv-tour-title">{html.safe(note.title)}</b><p>{note.text}</p>'
+        f'<div class="wv-tour-foot"><span class="wv-tour-dashes">{dashes}</span>{press}'
+        f"{skip}</div></div>"
+    )
+
+
+def end_card(snapshot: Snapshot, tour: Tour, report: Path | None) -> str:
+    """Scanned, measured, found and written: four results with numbers, and the ways on."""
+    data = snapshot.dataset
+    took = duration((tour.ended_s or tour.since_s) - tour.since_s)
+    name = html.safe(data.path.stem) if data is not None else ""
+    results = "".join(
+        f'<div class="{"" if there else "none"}"><small>{html.safe(what)}</small><b>{html.safe(value)}</b>'
+        f"<span>{html.safe(below)}</span></div>"
+        for what, value, below, there in (_scanned(snapshot), _stepped(snapshot), _found(snapshot), _written(report))
+    )
+    link = (
+        f'<a class="yes" href="{report_address(report)}" target="_blank" rel="noopener">Open the report</a>'
+        if report is not None
+        else ""
+    )
+    return (
+        '<div class="wv-tour-end" role="dialog" aria-label="Results of the tour">'
+        f"<header><b>Seen, measured, reported</b><span>{N_STEPS} of {N_STEPS} · {took} in all</span></header>"
+        f'<div class="wv-tour-results">{results}</div>'
+        '<p>All of it is <b class="wv-sim">SIMULATED</b>: no sample was there. '
+        f"The dataset stays in the list as <b>{name}</b>.</p>"
+        f'<div class="wv-tour-ways">{link}<a {html.pick("tour-plan")}>Plan a scan of my own</a>'
+        f"<a {html.pick('tour-import')}>Import images…</a><a {html.pick('tour-end')}>Close</a></div></div>"
+    )
+
+
+Result = tuple[str, str, str, bool]
+"""What was done, its number, a line below; whether it was done at all."""
+
+
+def _scanned(snapshot: Snapshot) -> Result:
+    data, scan = snapshot.dataset, snapshot.scan
+    if data is None:
+        return "Scanned", "nothing", "", False
+    frames = len(data.fields) * data.plan.sweep.n_frames
+    took = f" in {duration(scan.seconds_gone)}" if scan is not None else ""
+    return "Scanned", f"{number(len(data.fields), 0)} fields", f"{number(frames, 0)} frames{took}", True
+
+
+def _stepped(snapshot: Snapshot) -> Result:
+    step = next((f for f in reversed(snapshot.findings) if isinstance(f, StepHeight)), None)
+    if step is None:
+        return "Step", "not measured", "skipped", False
+    height = step.height
+    if height.expanded_um is None:
+        return "Step", with_unit(height.value_um, 2), f"{step.name}, U not evaluated", True
+    value = f"{number(height.value_um, 2)} ± {with_unit(height.expanded_um, 2)}"
+    return "Step", value, f"{step.name}, k = 2", True
+
+
+def _found(snapshot: Snapshot) -> Result:
+    inspection = snapshot.inspection.inspection
+    if inspection is None:
+        return "Found", "not inspected", "skipped", False
+    kinds = Counter(KINDS[defect.seen_as].title.lower() for defect in inspection.found)
+    n = len(inspection.found)
+    below = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common(3))
+    return "Found", f"{number(n, 0)} defect{'' if n == 1 else 's'}", below or "on no die", True
+
+
+def _written(report: Path | None) -> Result:
+    if report is None:
+        return "Report", "not written", "skipped", False
+    return "Report", "1 file", f"{size(report.stat().st_size)}, not signed yet", True

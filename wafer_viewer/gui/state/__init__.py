@@ -1,0 +1,1 @@
+"""What one browser looks at: view, plot and list state."""

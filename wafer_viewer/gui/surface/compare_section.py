@@ -1,0 +1,231 @@
+"""The left panel's part for comparing surfaces: what to compare, the comparisons there are, and the one looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+import viser
+
+from wafer_viewer.gui.page.dialogs import Dialog
+from wafer_viewer.gui.page.file_dialog import FileList
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.preconditions import no_comparison, no_surface
+from wafer_viewer.gui.presenters import comparison as words
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.command import Command, unless
+from wafer_viewer.gui.widgets.controls import Cell, Choice, button, in_a_row, set_prop
+from wafer_viewer.gui.widgets.error_guard import guarded
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.surface.comparison import ALIGN_TITLES, Align, Face, SurfaceName, comparison_of, show_of
+from wafer_viewer.session.state.comparison_state import Compared
+from wafer_viewer.session.state.snapshot import Snapshot
+
+NOTHING_TO_COMPARE = "Nothing else yet"
+ICON = viser.Icon
+
+
+class CompareSection:
+    """In sight in the step Surface where there is a surface; a comparison that is looked at is told in numbers."""
+
+    def __init__(self, page: Page) -> None:
+        self._page = page
+        self._pairs: dict[str, tuple[SurfaceName, SurfaceName]] = {}
+        self._asked: Hashable = None
+        self._unfolded = False
+        self._looking = Latest("choices of comparing")
+        page.on_close(self._looking.close)
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+        page.on_pick("compare-new", lambda _: self.unfold())
+        page.on_pick("compare-look", lambda key: self._look(int(key), Face.DIFFERENCE))
+        page.on_pick("compare-remove", lambda key: self._remove(int(key)))
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the section up to date."""
+        there = view.step == "surface" and snapshot.surface is not None
+        set_prop(self._folder, "visible", there)
+        if not there:
+            return
+        known = self._known(snapshot, view)
+        if known is None and view.show < 0:
+            self._page.change(show=0, range_um=None)
+        if self._unfolded:
+            self._ask_choices(snapshot, view)
+        self._show_form(known)
+        self._list.show(_list(snapshot, known, self._unfolded))
+        self._show_known(known, view)
+
+    def commands(self) -> list[Command]:
+        """The verbs of comparing with their keys."""
+        return [
+            *unless(no_surface, Command("Compare surfaces…", None, self.unfold, ICON.ARROWS_DIFF, group="Surface")),
+            *unless(
+                no_comparison,
+                Command("First or second surface", "B", self.blink, ICON.SWITCH_HORIZONTAL, "shift", "Surface"),
+                Command("Close the comparison", None, self.close, ICON.X, group="Surface"),
+            ),
+        ]
+
+    def unfold(self) -> None:
+        """Show the form, or fold it away again."""
+        self._unfolded = not self._unfolded
+        self._page.change(step="surface")
+        self._page.redraw()
+
+    def blink(self) -> None:
+        """From the first surface to the second and back, through the same eye."""
+        if (asked := comparison_of(self._page.view.show)) is not None:
+            self._look(asked[0], Face.FIRST if asked[1] is Face.SECOND else Face.SECOND)
+
+    def close(self) -> None:
+        """Back to the surface."""
+        if self._page.view.show < 0:
+            self._page.change(show=0, range_um=None)
+
+    # --- building
+
+    def _build(self) -> None:
+        gui = self._page.gui
+        self._list = Cell(gui)
+        self._form = gui.add_folder(None, visible=False)
+        with self._form:
+            self._with: Any = gui.add_dropdown("Compare with", (NOTHING_TO_COMPARE,))
+            self._align = gui.add_dropdown("Align", tuple(ALIGN_TITLES.values()))
+            self._keep_z = gui.add_checkbox("Keep height and tilt", False)
+            begin = guarded(self._page, "Nothing was compared")(lambda _: self._begin())
+            self._begin_button = button(gui, "Compare", ICON.ARROWS_DIFF, begin, disabled=True)
+            other = button(gui, "From a file…", ICON.FOLDER_OPEN, lambda _: self._ask_other())
+            in_a_row(gui, [self._begin_button, other], 34)
+            self._why_not = Cell(gui)
+        self._on_show = gui.add_folder(None, visible=False)
+        with self._on_show:
+            self._faces = Choice(gui, "Look at", words.FACES, self._choose_face)
+            close = button(gui, "Close comparison", ICON.X, lambda _: self.close())
+            in_a_row(gui, [close])
+            self._told = Cell(gui)
+
+    # --- what a person does
+
+    def _begin(self) -> None:
+        pair = self._pairs.get(self._with.value)
+        if pair is None:
+            return
+        self._compare(*pair)
+
+    def _ask_other(self) -> None:
+        """Compare with a dataset or a surface file from anywhere."""
+        page = self._page
+        below = "A stitched dataset NAME.wafer, or a surface file: it is laid over what is on show and subtracted."
+        dialog = Dialog(page, "Compare with another surface", below)
+        with dialog.modal:
+            files = FileList(dialog, "surface")
+
+        def begin() -> None:
+            snapshot, path = page.session.snapshot, files.path()
+            if snapshot.dataset is None or snapshot.surface is None:
+                raise DatasetError("Nothing is open to compare with: open a dataset with a surface first.")
+            opened, field = snapshot.dataset, max(page.view.show, 0)
+            first = SurfaceName(path=str(opened.path), result=snapshot.surface.result, field=field)
+            self._compare(first, SurfaceName(path=str(path)))
+
+        dialog.answers("Compare", ICON.ARROWS_DIFF, begin, "Nothing was compared")
+
+    def _compare(self, first: SurfaceName, second: SurfaceName) -> None:
+        page = self._page
+        done = page.session.comparing.begin(first, second, _align(self._align.value), bool(self._keep_z.value))
+        self._unfolded = False
+        page.redraw()
+        page.ask("The surfaces were not compared", done, lambda number: self._look(int(number), Face.DIFFERENCE))
+
+    def _look(self, number: int, face: Face) -> None:
+        self._page.change(show=show_of(number, face), range_um=None, frame_k=None, slice_z_um=None, why=None)
+
+    def _choose_face(self, face: Face) -> None:
+        if (asked := comparison_of(self._page.view.show)) is not None:
+            self._look(asked[0], face)
+
+    def _remove(self, number: int) -> None:
+        page = self._page
+        if (asked := comparison_of(page.view.show)) is not None and asked[0] == number:
+            self.close()
+        page.ask("The comparison was not removed", page.session.comparing.remove(number))
+
+    # --- showing
+
+    def _known(self, snapshot: Snapshot, view: View) -> Compared | None:
+        asked = comparison_of(view.show)
+        return next((c for c in snapshot.comparisons if asked is not None and c.number == asked[0]), None)
+
+    def _show_form(self, known: Compared | None) -> None:
+        set_prop(self._form, "visible", self._unfolded and known is None)
+        titles = tuple(self._pairs) or (NOTHING_TO_COMPARE,)
+        if tuple(self._with.options) != titles:
+            self._with.options = titles
+        set_prop(self._begin_button, "disabled", not self._pairs)
+        why = "" if self._pairs else "Not yet: there is no other surface in the data folder."
+        self._why_not.show(f'<div class="wv-lab">{why}</div>' if why else "")
+
+    def _show_known(self, known: Compared | None, view: View) -> None:
+        set_prop(self._on_show, "visible", known is not None)
+        asked = comparison_of(view.show)
+        if known is None or asked is None:
+            return
+        self._faces.show(asked[1])
+        self._told.show(_told(known, asked[1]))
+
+    def _ask_choices(self, snapshot: Snapshot, view: View) -> None:
+        """What can be compared is read from the disk, on a thread of its own, when that may have changed."""
+        data, info = snapshot.dataset, snapshot.surface
+        asked = (data and (data.path, data.results), info and info.result, snapshot.datasets, view.show)
+        if asked != self._asked:
+            self._asked = asked
+            self._looking.ask(
+                lambda: guarded(self._page, "The surfaces to compare were not listed")(self._take)(view.show)
+            )
+
+    def _take(self, show: int) -> None:
+        pairs = self._page.session.comparing.choices(show)
+        self._pairs = {words.pair_words(first, second): (first, second) for first, second in pairs}
+        self._page.redraw()
+
+
+def _align(title: str) -> Align:
+    return next(key for key, name in ALIGN_TITLES.items() if name == title)
+
+
+def _list(snapshot: Snapshot, known: Compared | None, unfolded: bool) -> str:
+    """The head with the way to a new comparison, and those there are."""
+    link = (
+        "" if known is not None else f'<span class="wv-link" {html.pick("compare-new")}>{_fold_word(unfolded)}</span>'
+    )
+    head = f'<div class="wv-h">Compare<span>{link}</span></div>'
+    rows = [_row(c, chosen=known is not None and c.number == known.number) for c in snapshot.comparisons]
+    return head + (html.table((), rows, " n") + '<div style="height:8px"></div>' if rows else "")
+
+
+def _fold_word(unfolded: bool) -> str:
+    return "Less" if unfolded else "New…"
+
+
+def _row(compared: Compared, chosen: bool) -> str:
+    name = html.safe(words.name_of(compared.comparison))
+    away = f'<span class="wv-link" title="Remove" {html.pick("compare-remove", str(compared.number))}>'
+    cells = (name, f"{away}{html.icon(ICON.X, 14)}</span>")
+    return html.row(cells, " n", html.pick("compare-look", str(compared.number)), "sel" if chosen else "")
+
+
+def _told(known: Compared, face: Face) -> str:
+    comparison: Any = known.comparison
+    beside = f'<div class="wv-lab">{words.BESIDE_SAID}</div>' if face is Face.BESIDE else ""
+    return (
+        f'<div class="wv-lab" style="margin-bottom:8px">{html.safe(words.subtracted(comparison))}</div>'
+        + beside
+        + words.answer(comparison.change)
+        + words.cautions(comparison, known.outdated)
+        + words.numbers(comparison.change)
+        + words.alignment(comparison.registration)
+    )

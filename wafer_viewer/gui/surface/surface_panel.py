@@ -1,0 +1,332 @@
+"""The panel of the third step: how the surface is drawn, what it is like, and how it was reconstructed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from wafer_viewer.draw.colormaps import COLOUR_MAPS
+from wafer_viewer.draw.number_format import number, share, with_unit
+from wafer_viewer.gui.page.import_export_dialogs import export_dialog
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.page.verdict_section import VerdictSection
+from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
+from wafer_viewer.gui.scenes.pose_cache import PoseBook
+from wafer_viewer.gui.state.view_state import ColourBy, Counted, View
+from wafer_viewer.gui.surface.clip_section import ClipSection
+from wafer_viewer.gui.surface.heights_section import HeightsSection
+from wafer_viewer.gui.surface.points_section import PointsSection
+from wafer_viewer.gui.surface.recipe_section import RecipeSection
+from wafer_viewer.gui.surface.shown_statistics import ShownStatistics, name_of
+from wafer_viewer.gui.surface.slice_section import SliceSection
+from wafer_viewer.gui.surface.stitching_section import StitchingSection
+from wafer_viewer.gui.widgets import html
+from wafer_viewer.gui.widgets.controls import Cell, Choice, Field, button, in_a_row, leading, set_prop
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.rendering.render_request import Statistics
+from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
+
+COUNTED: tuple[tuple[Counted, str], ...] = (("all", "All"), ("view", "In view"), ("selection", "Selection"))
+LOOKS = (("surface", "Surface"), ("points", "Points"), ("plan", "Plan"))
+COLOUR_BY: dict[str, ColourBy] = {
+    "Height": "height",
+    "Confidence": "confidence",
+    "Slope": "slope",
+    "Deviation from plane": "deviation",
+    "Deviation from form": "form",
+    "Overlap difference": "overlap",
+    "All-in-focus picture": "grey",
+    "Origin": "origin",
+}
+TITLES_OF_COLOUR_BY: dict[ColourBy, str] = {"difference": "Height", **{key: name for name, key in COLOUR_BY.items()}}
+NEVER_NEGATIVE = ("confidence", "slope", "overlap")
+STITCHED, COMPARED = "Stitched surface", "Comparison"
+FULL_BLEND = 0.4
+"""All-in-focus, when it is switched on."""
+FULL_SHADE = 0.8
+InView = Callable[[Callable[[tuple[float, float]], None]], None]
+"""Calls back with the range of what colours the part of the surface that the camera sees."""
+
+
+class SurfacePanel:
+    """Look, colour, light and depth, one z, numbers, recipe, and the way on to measuring."""
+
+    def __init__(self, page: Page, poses: PoseBook, in_view: InView, statistics: ShownStatistics) -> None:
+        self._page, self._in_view, self._statistics = page, in_view, statistics
+        self._poses = poses
+        self._folder = page.gui.add_folder(None, visible=False)
+        with self._folder:
+            self._build()
+
+    def show(self, snapshot: Snapshot, view: View) -> None:
+        """Bring the panel up to date."""
+        there = view.step == "surface" and not view.explains
+        set_prop(self._folder, "visible", there)
+        if not there:
+            return
+        data, info, told = snapshot.dataset, snapshot.surface, self._page.statistics
+        self._title.show(html.title("Surface", _below(data, info, told, view)))
+        self._notes.show(self._page.notes(snapshot))
+        self._verdict.show(snapshot)
+        self._show_look(data, view)
+        self._points.show(view)
+        self._clip.show(view)
+        self._show_colour(view)
+        self._heights.show(view)
+        self._show_light(view)
+        self._slice.show(snapshot, view)
+        self._counted.show(view.counted)
+        self._head.show(html.head(name_of(view), data.results[0] if data and len(data.results) == 1 else ""))
+        self._numbers.show(self._numbers_of(data, info, view))
+        selected = view.counted == "selection" and view.selection is not None
+        for handle in (self._of_selection, self._deselect):
+            set_prop(handle, "visible", selected)
+        self._stitching.show(snapshot, view)
+        self._recipe.show(snapshot)
+        set_prop(self._measure, "disabled", info is None)
+        set_prop(self._export, "disabled", info is None and view.show == 0)
+
+    def toggle_hillshade(self) -> None:
+        """Light from the north-west on or off."""
+        self._page.change(hillshade=0.0 if self._page.view.hillshade else FULL_SHADE)
+
+    def toggle_fields(self) -> None:
+        """Fields and overlaps over the stitched surface, on or off."""
+        self._page.change(fields=not self._page.view.fields)
+
+    def toggle_all_in_focus(self) -> None:
+        """The all-in-focus picture on or off."""
+        self._page.change(all_in_focus=0.0 if self._page.view.all_in_focus else FULL_BLEND)
+
+    # --- building
+
+    def _build(self) -> None:
+        page, gui = self._page, self._page.gui
+        self._title = Cell(gui)
+        self._notes = Cell(gui)
+        self._verdict = VerdictSection(page)
+        self._look = Choice(gui, "Look", LOOKS, lambda key: page.change(look=key))
+        self._shown = self._field(gui.add_dropdown("Show", (STITCHED,)), lambda text: self._choose_shown(text))
+        self._points = PointsSection(page)
+        self._clip = ClipSection(page, self._statistics.seen_um)
+        self._build_colour()
+        self._heights = HeightsSection(page)
+        self._build_light()
+        self._slice = SliceSection(page)
+        self._head = Cell(gui)
+        self._counted = Choice(gui, "Numbers of", COUNTED, self._count)
+        self._numbers = Cell(gui)
+        self._of_selection = button(
+            gui, "Measure the selection", viser.Icon.RULER_MEASURE, lambda _: self._measure_selection()
+        )
+        self._deselect = button(
+            gui, "No selection", viser.Icon.X, lambda _: page.change(selection=None, counted="all", selecting=False)
+        )
+        in_a_row(gui, [self._of_selection, self._deselect])
+        self._stitching = StitchingSection(page, self._poses)
+        self._recipe = RecipeSection(page)
+        self._export = button(gui, "Export…", viser.Icon.DOWNLOAD, lambda _: export_dialog(page))
+        in_a_row(gui, [self._export], 34)
+        self._measure = button(gui, "Measure this surface", viser.Icon.RULER_MEASURE, lambda _: self._go_measure())
+        leading(gui, self._measure)
+
+    def _build_colour(self) -> None:
+        page, gui = self._page, self._page.gui
+        Cell(gui, html.head("Colour"))
+        by = gui.add_dropdown("Colour by", tuple(COLOUR_BY))
+        self._by = self._field(by, lambda text: page.change(colour_by=COLOUR_BY[text], range_um=None))
+        names = {name: key for key, name in COLOUR_MAPS.items()}
+        colours = gui.add_dropdown("Colours", tuple(names))
+        self._colours = self._field(colours, lambda text: page.change(colours=names[text]))
+        slider = gui.add_multi_slider("Range", -1.0, 1.0, 0.1, (-1.0, 1.0))
+        self._range = self._field(slider, lambda ends: page.change(range_um=(float(ends[0]), float(ends[1]))))
+        by_hand = gui.add_vector2("By hand", (-1.0, 1.0), step=0.1)
+        self._by_hand = self._field(by_hand, self._set_range)
+        usual = button(gui, "0.5 – 99.5 %", viser.Icon.CHART_HISTOGRAM, lambda _: page.change(range_um=None))
+        whole = button(gui, "Whole range", viser.Icon.ARROWS_MAXIMIZE, lambda _: self._whole_range())
+        in_a_row(gui, [usual, whole])
+        seen = button(gui, "What is in view", viser.Icon.EYE, lambda _: self._in_view(self._set_range))
+        in_a_row(gui, [seen])
+
+    def _build_light(self) -> None:
+        page, gui = self._page, self._page.gui
+        Cell(gui, html.head("Light and depth"))
+        self._height = self._field(
+            gui.add_slider("Height, ×", 1.0, 20.0, 0.5, 3.0), lambda times: page.change(exaggeration=float(times))
+        )
+        shade = gui.add_slider("Hillshade, %", 0.0, 100.0, 5.0, 80.0)
+        self._shade = self._field(shade, lambda percent: page.change(hillshade=percent / 100))
+        focus = gui.add_slider("All-in-focus, %", 0.0, 100.0, 5.0, 0.0)
+        self._focus = self._field(focus, lambda percent: page.change(all_in_focus=percent / 100))
+
+    def _field(self, handle: Any, act: Callable[[Any], Any]) -> Field[Any]:
+        return Field(handle, lambda event: act(event.target.value), self._page, "The display was not changed")
+
+    # --- choices
+
+    def _count(self, key: Counted) -> None:
+        """Count all, what is in view, or the selection; without one the next drag over the scene selects."""
+        self._page.change(counted=key, selecting=key == "selection" and self._page.view.selection is None)
+
+    def _choose_shown(self, text: str) -> None:
+        if text == COMPARED:
+            return
+        show = 0 if text == STITCHED else int(text.removeprefix("Field "))
+        self._page.change(show=show, frame_k=None, slice_z_um=None)
+
+    def _measure_selection(self) -> None:
+        """The flatness of what is selected; the other tools are a key away."""
+        box = self._page.view.selection
+        if box is not None:
+            places = (Region.rectangle(*(round(v, 2) for v in box)),)
+            self._page.change(step="measure", tool="flatness", places=places, selected=None)
+
+    def _set_range(self, ends: tuple[float, float]) -> None:
+        low, high = ends
+        if high > low:
+            self._page.change(range_um=(low, high))
+
+    def _whole_range(self) -> None:
+        whole = self._whole(self._page.view)
+        if whole is not None and whole[1] > whole[0]:
+            self._page.change(range_um=whole)
+
+    def _go_measure(self) -> None:
+        tool = self._page.view.tool
+        self._page.change(step="measure", tool="profile" if tool == "none" else tool)
+
+    # --- showing
+
+    def _show_look(self, data: OpenDataset | None, view: View) -> None:
+        self._look.show(view.look)
+        fields = [f"Field {number}" for number in sorted(data.stamps)] if data else []
+        options = (STITCHED, *((COMPARED,) if view.show < 0 else ()), *fields)
+        if tuple(self._shown.handle.options) != options:
+            self._shown.handle.options = options
+        shown = COMPARED if view.show < 0 else f"Field {view.show}" if view.show else STITCHED
+        if shown in options:
+            self._shown.show(shown)
+
+    def _numbers_of(self, data: OpenDataset | None, info: SurfaceInfo | None, view: View) -> str:
+        told = self._page.statistics
+        if told is not None:
+            return _numbers(data, info if view.show == 0 and view.counted == "all" else None, told)
+        if view.counted == "selection" and view.selection is None:
+            return html.empty("Drag a rectangle over the surface:", "its numbers come here.")
+        if self._statistics.problem:
+            return html.empty(html.micro(self._statistics.problem))
+        if info is None and not view.show:
+            return html.empty("The numbers of the surface come", "when its fields are stitched.")
+        return html.empty("Counting …")
+
+    def _show_colour(self, view: View) -> None:
+        scale, by = self._page.scale, self._page.coloured_by(view)
+        set_prop(self._by.handle, "options", _quantities(self._page.has_overlaps))
+        self._by.show(TITLES_OF_COLOUR_BY[by])
+        self._colours.show(COLOUR_MAPS[view.colours])
+        in_colours = view.colour_by not in ("grey", "origin")
+        self._colours.enable(in_colours and by not in OWN_COLOURS)
+        whole = self._whole(view)
+        ranged = in_colours and whole is not None and scale is not None
+        for widget in (self._range, self._by_hand):
+            widget.enable(ranged)
+        if not ranged or whole is None or scale is None:
+            return
+        low, high = view.range_um or (scale.low, scale.high)
+        step = _slider_step(*whole)
+        set_prop(self._range.handle, "step", step)
+        set_prop(self._range.handle, "min", _down(min(whole[0], low), 10 * step))
+        set_prop(self._range.handle, "max", _up(max(whole[1], high), 10 * step))
+        self._range.show((round(round(low / step) * step, 6), round(round(high / step) * step, 6)))
+        self._show_by_hand(low, high, step)
+
+    def _show_by_hand(self, low: float, high: float, step: float) -> None:
+        decimals = max(0, -math.floor(math.log10(step)))
+        set_prop(self._by_hand.handle, "step", step)
+        set_prop(self._by_hand.handle, "precision", decimals)
+        self._by_hand.show((round(low, decimals) + 0.0, round(high, decimals) + 0.0))  # no zero has a sign
+
+    def _whole(self, view: View) -> tuple[float, float] | None:
+        """Between which ends the range can be set: all heights; of other quantities a little more than is usual."""
+        scale, told = self._page.scale, self._page.statistics
+        if self._page.coloured_by(view) == "height" and told is not None and told.lowest_um is not None:
+            return min(told.lowest_um, told.span_um[0]), max(told.highest_um or 0.0, told.span_um[1])
+        if scale is None:
+            return None
+        spare = (scale.own_high - scale.own_low) / 2
+        low = scale.own_low - spare
+        return max(0.0, low) if scale.quantity in NEVER_NEGATIVE else low, scale.own_high + spare
+
+    def _show_light(self, view: View) -> None:
+        self._height.show(view.exaggeration)
+        self._height.enable(view.look != "plan")
+        self._shade.show(round(100 * view.hillshade, 3))
+        set_prop(self._shade.handle, "visible", view.look != "points")
+        self._focus.show(round(100 * view.all_in_focus, 3))
+
+
+def _quantities(overlaps: bool) -> tuple[str, ...]:
+    """What a surface can be coloured by; overlaps are known of a stitched one."""
+    return tuple(name for name, key in COLOUR_BY.items() if overlaps or key != "overlap")
+
+
+def _below(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics | None, view: View) -> str:
+    """What is shown, in a line: its name, how many points it has, and what of it is measured."""
+    if data is None:
+        return "Open a dataset, or scan one."
+    calibrated = "" if data.calibration_problem is None else " · uncalibrated"
+    if view.show == 0 and info is None:
+        return f"{len(data.stamps)} of {len(data.fields)} fields reconstructed{calibrated}"
+    name = name_of(view)
+    if view.show == 0 and view.counted == "all" and info is not None:
+        name = "From a file" if not data.fields else "1 field" if info.n_fields == 1 else f"{info.n_fields} fields"
+    if told is None:
+        return f"{name}{calibrated}"
+    size = f"{number(told.cols, 0)} × {number(told.rows, 0)} points"
+    return f"{name} · {size} · {share(told.measured_fraction)} measured{calibrated}"
+
+
+def _numbers(data: OpenDataset | None, info: SurfaceInfo | None, told: Statistics) -> str:
+    """The numbers of what is counted; `info`: of the whole stitched surface, where that is it."""
+    rows = [
+        ("Highest", with_unit(told.highest_um, 2, signed=True)),
+        ("Lowest", with_unit(told.lowest_um, 2, signed=True)),
+    ]
+    if told.mean_um is not None:
+        rows.append(("Mean", with_unit(told.mean_um, 2, signed=True)))
+        rows.append(("Spread (1 σ)", with_unit(told.spread_um, 2)))
+    if told.counts and told.n_points != told.n_heights:
+        rows.append(("Points drawn", f"{share(told.n_points / max(1, told.n_heights))} of {number(told.n_heights, 0)}"))
+    elif told.counts:
+        rows.append(("Points", number(told.n_heights, 0)))
+    rows += [
+        ("Not measured", share(1 - told.measured_fraction - told.filled_fraction)),
+        *((f"– {words}", share(part)) for words, part in told.unmeasured if part > 0),
+        ("Filled", share(told.filled_fraction)),
+    ]
+    if info is not None and info.overlap_rms_um is not None and info.stitching is None:
+        rows.append(("Height difference in overlaps, rms", with_unit(info.overlap_rms_um, 2)))
+    blocks = f"Heights are means of {told.block_px} × {told.block_px} points." if told.block_px > 1 else ""
+    note = f'<div class="wv-lab">{blocks}</div>' if blocks else ""
+    problem = data.calibration_problem if data else None
+    why = f'<div class="wv-lab" style="margin-top:5px">uncalibrated: {html.safe(problem)}</div>' if problem else ""
+    return html.pairs(rows) + note + why
+
+
+def _slider_step(low: float, high: float) -> float:
+    """A step that cuts the range into some hundreds of parts."""
+    for step in (0.001, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0):
+        if (high - low) / step <= 600:
+            return step
+    return 5.0
+
+
+def _down(value: float, step: float) -> float:
+    return round((value // step) * step, 6)
+
+
+def _up(value: float, step: float) -> float:
+    return round(-((-value) // step) * step, 6)

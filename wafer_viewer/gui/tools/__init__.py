@@ -1,0 +1,1 @@
+"""Regions and lines that are placed on the surface with handles."""

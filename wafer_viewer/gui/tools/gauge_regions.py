@@ -1,0 +1,71 @@
+"""The faces of the gauge blocks in the scene: places of the step tool, on blocks that are drawn in their true shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from wafer_viewer.gui.page.page import Page
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.tool_options import ToolOptions
+from wafer_viewer.model.region import Region
+from wafer_viewer.session.state.snapshot import SurfaceInfo
+
+_SHARE = 0.28
+"""Side of a face laid without a look at the surface, of the surface's own."""
+
+
+def in_scene(view: View, surface: SurfaceInfo | None = None) -> View:
+    """A view as the scene has it; only that of Gauge check is another than the page's.
+
+    surface: what is drawn, in colours that keep off both ends of their scale: a face is neither black nor white.
+    """
+    if view.step != "gauge":
+        return view
+    dragged = bool(view.faces) and view.check is None
+    return replace(
+        view,
+        show=max(0, view.show),
+        tool="step" if dragged else "none",
+        places=view.faces,
+        options=ToolOptions(),
+        levelling=Levelling(),
+        exaggeration=1.0,
+        colour_by="height",
+        range_um=_colours_of(surface) if surface is not None else None,
+        frame_k=None,
+        slice_z_um=None,
+        selected=None,
+    )
+
+
+def _colours_of(surface: SurfaceInfo) -> tuple[float, float]:
+    low, high = surface.low_um, surface.high_um
+    span = max(high - low, 1e-6)
+    return low - 0.55 * span, high + 0.25 * span
+
+
+def take_places(page: Page) -> Callable[[tuple[Region, ...]], None]:
+    """What a page does with places that were dragged: in Gauge check they are the faces, else those of the tool."""
+
+    def take(places: tuple[Region, ...]) -> None:
+        if page.view.step == "gauge":
+            page.change(faces=places)
+        else:
+            page.change(places=places, selected=None)
+
+    return take
+
+
+def by_hand(surface: SurfaceInfo) -> tuple[Region, Region]:
+    """Two faces side by side, to be dragged where they belong."""
+    width, height = surface.cols * surface.pixel_um, surface.rows * surface.pixel_um
+    y = surface.y0_um - height / 2
+
+    def face(share: float) -> Region:
+        x = surface.x0_um + share * width
+        half_x, half_y = _SHARE * width / 2, _SHARE * height / 2
+        return Region.rectangle(*(round(um, 2) for um in (x - half_x, y - half_y, x + half_x, y + half_y)))
+
+    return face(0.72), face(0.28)

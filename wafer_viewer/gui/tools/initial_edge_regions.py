@@ -1,0 +1,174 @@
+"""Where the tools for edges begin: round the die nearest to what is looked at, across the street beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.gui.scene.heightfield import Box, Floats, Land, Place
+from wafer_viewer.gui.tools.surface_landmarks import bump, plateaus, span_um
+from wafer_viewer.model.region import Region
+
+LEAST_SHARE, FILLED, LEAST_PX = 0.01, 0.75, 8
+"""A die has this share of what is in sight, fills its box, and is so many coarse heights wide at least."""
+ROUND, OVER, ALONG, INSIDE = 0.4, 0.3, 0.7, 0.04
+"""Of the street beside a die: how far a region reaches round it, over its edge; of the die: how much of an edge, and
+how far inside of it bumps are looked for."""
+STANDS_OUT, ROUND_FILL, ASPECT, ROOM = 0.05, (0.6, 0.9), 0.75, 1.24
+"""Of the range of heights: how far a round thing stands out; how much of its box it fills, how long its box may be; how
+much larger the circle round it is drawn."""
+NO_STREET = 0.15
+"""Of a die that stands alone: the street beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Die:
+    """The outline of a die in um, and the street at each side: left, lower, right, upper; None: nothing beyond."""
+
+    box: Box
+    streets: tuple[float | None, float | None, float | None, float | None]
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height."""
+        x0, y0, x1, y1 = self.box
+        return x1 - x0, y1 - y0
+
+    def away(self, at: Place) -> float:
+        """From its middle to a place."""
+        x0, y0, x1, y1 = self.box
+        return float(np.hypot((x0 + x1) / 2 - at[0], (y0 + y1) / 2 - at[1]))
+
+    @property
+    def street(self) -> float:
+        """The narrowest street."""
+        return min((street for street in self.streets if street), default=NO_STREET * min(self.size))
+
+
+def die_box(land: Land, near: Place) -> tuple[Region, ...]:
+    """Round a die, into the streets."""
+    die = _die(land, near)
+    by = ROUND * die.street
+    x0, y0, x1, y1 = die.box
+    return (_rectangle(land, (x0 - by, y0 - by, x1 + by, y1 + by)),)
+
+
+def kerf_box(land: Land, near: Place) -> tuple[Region, ...]:
+    """Across a street, the one below where there is one; across the die that stands alone."""
+    die = _die(land, near)
+    (x0, y0, x1, y1), by = die.box, OVER * die.street
+    left, lower, right, upper = die.streets
+    x_half, y_half = ALONG * (x1 - x0) / 2, ALONG * (y1 - y0) / 2
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    if lower or upper:
+        low, high = (y0 - lower, y0) if lower else (y1, y1 + (upper or 0.0))
+        return (_rectangle(land, (x - x_half, low - by, x + x_half, high + by)),)
+    if right or left:
+        low, high = (x1, x1 + right) if right else (x0 - (left or 0.0), x0)
+        return (_rectangle(land, (low - by, y - y_half, high + by, y + y_half)),)
+    return (_rectangle(land, (x - x_half, y0 - by, x + x_half, y1 + by)),)
+
+
+def edge_box(land: Land, near: Place) -> tuple[Region, ...]:
+    """Along the lower edge of a die."""
+    die = _die(land, near)
+    (x0, y0, x1, _), by = die.box, OVER * die.street
+    half = ALONG * (x1 - x0) / 2
+    return (_rectangle(land, ((x0 + x1) / 2 - half, y0 - by, (x0 + x1) / 2 + half, y0 + by)),)
+
+
+def bumps_box(land: Land, near: Place) -> tuple[Region, ...]:
+    """Inside of a die."""
+    die = _die(land, near)
+    x0, y0, x1, y1 = die.box
+    x_in, y_in = (INSIDE * side for side in die.size)
+    return (_rectangle(land, (x0 + x_in, y0 + y_in, x1 - x_in, y1 - y_in)),)
+
+
+def round_thing(land: Land, near: Place) -> tuple[Region, ...]:
+    """Round the nearest of what stands round on the upper level; round what stands out most elsewhere."""
+    _, high = _levels(land, near)
+    out = _evened(land) > high + STANDS_OUT * span_um(land)
+    found = [_in_um(land, out, *box) for box in _boxes(out, 0.0) if ROUND_FILL[0] <= _fill(out, *box) <= ROUND_FILL[1]]
+    disc = [die for die in found if min(die.size) >= ASPECT * max(die.size)]
+    if not disc:
+        middle, radius_um = bump(land, near)
+        return (Region.circle(*land.clamped(middle), round(radius_um, 2)),)
+    at = land.inner(near)
+    nearest = min(disc, key=lambda die: die.away(at))
+    (x0, y0, x1, y1), radius_um = nearest.box, ROOM * max(nearest.size) / 2
+    return (Region.circle(*land.clamped(((x0 + x1) / 2, (y0 + y1) / 2)), round(radius_um, 2)),)
+
+
+def _rectangle(land: Land, box: Box) -> Region:
+    x0, y0, x1, y1 = box
+    return Region.rectangle(*land.clamped((x0, y0)), *land.clamped((x1, y1)))
+
+
+def _die(land: Land, near: Place) -> Die:
+    """The whole die nearest to a place; the middle half of what is in sight where there is none."""
+    low, high = _levels(land, near)
+    over = _evened(land) > (low + high) / 2
+    found = [_in_um(land, over, *box) for box in _boxes(over, LEAST_SHARE) if _fill(over, *box) >= FILLED]
+    if not found:
+        x0, y0, x1, y1 = land.bounds_um
+        x, y, half_x, half_y = (x0 + x1) / 2, (y0 + y1) / 2, (x1 - x0) / 4, (y1 - y0) / 4
+        return Die((x - half_x, y - half_y, x + half_x, y + half_y), (None, None, None, None))
+    at = land.inner(near)
+    return min(found, key=lambda die: die.away(at))
+
+
+def _evened(land: Land) -> Floats:
+    """Heights without the tilt that most of the surface has."""
+    z = land.heights
+    along_x, along_y = (float(np.median(np.diff(z, axis=axis))) for axis in (1, 0))
+    row, col = np.indices(z.shape)
+    return z - along_x * col - along_y * row
+
+
+def _levels(land: Land, near: Place) -> tuple[float, float]:
+    """The lower and the upper level of a surface, its tilt apart."""
+    upper, lower, _ = plateaus(land, near)
+    z, (x0, y0, x1, y1) = _evened(land), land.bounds_um
+    rows, cols = z.shape
+    found = [
+        float(z[round((y1 - y) / (y1 - y0) * (rows - 1)), round((x - x0) / (x1 - x0) * (cols - 1))])
+        for x, y in (land.clamped(lower), land.clamped(upper))
+    ]
+    return found[0], found[1]
+
+
+def _boxes(over: NDArray[np.bool_], share: float) -> list[tuple[slice, slice]]:
+    """Boxes round what stands out and is not cut by the border, that large at least."""
+    from scipy.ndimage import binary_fill_holes, binary_opening, find_objects, label
+
+    numbers = np.zeros(over.shape, np.int32)
+    label(binary_opening(binary_fill_holes(over), np.ones((3, 3), bool)), output=numbers)
+    found: list[tuple[slice, slice]] = []
+    for rows, cols in find_objects(numbers):
+        whole = rows.start > 0 and cols.start > 0 and rows.stop < over.shape[0] and cols.stop < over.shape[1]
+        sides = rows.stop - rows.start, cols.stop - cols.start
+        if whole and min(sides) >= LEAST_PX and sides[0] * sides[1] >= share * over.size:
+            found.append((rows, cols))
+    return found
+
+
+def _fill(over: NDArray[np.bool_], rows: slice, cols: slice) -> float:
+    """How much of a box stands out."""
+    return float(over[rows, cols].mean())
+
+
+def _in_um(land: Land, over: NDArray[np.bool_], rows: slice, cols: slice) -> Die:
+    x0, y1 = land.place(rows.start - 0.5, cols.start - 0.5)
+    x1, y0 = land.place(rows.stop - 0.5, cols.stop - 0.5)
+    row, col = (rows.start + rows.stop) // 2, (cols.start + cols.stop) // 2
+    ways = (
+        over[row, : cols.start][::-1],
+        over[rows.stop :, col],
+        over[row, cols.stop :],
+        over[: rows.start, col][::-1],
+    )
+    left, lower, right, upper = (float(np.argmax(way)) * land.pixel_um if way.any() else None for way in ways)
+    return Die((float(x0), float(y0), float(x1), float(y1)), (left, lower, right, upper))

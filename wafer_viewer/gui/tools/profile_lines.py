@@ -1,0 +1,186 @@
+"""The lines of profiles in the scene: up to four, each in its colour with its letter, two handles at its ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.colormaps import PROFILE_COLOURS, rgb
+from wafer_viewer.gui.scene.billboards import Sign
+from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, Knob
+from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.surface_landmarks import first_line
+from wafer_viewer.gui.widgets.echo_filter import Echoes
+from wafer_viewer.model.measurement.section_lines import LETTERS
+from wafer_viewer.model.region import Region
+
+_CURSOR = rgb("15202B")
+_CURSOR_PX = 6.0
+_SIGN_PX, _BESIDE_PX = 26, 15
+CursorMoved = Callable[[int, float], None]
+"""Called with a cursor's number and the share of the active line's length at which it is wanted."""
+Told = Callable[[tuple[Region, ...], int], None]
+"""Called with all lines and the number of the active one."""
+
+
+class LineTool:
+    """One line, draped over the surface, with a handle at each end and its letter beside the first."""
+
+    def __init__(self, scene: viser.SceneApi, place: int, line: Region, dragged: Dragged) -> None:
+        colour = rgb(PROFILE_COLOURS[place][1:])
+        self.line = line
+        self._line = CasedLine(scene, f"profile/{place}", colour, 3.4)
+        self._knobs = [Knob(scene, f"profile/{place}/{end}", colour, 8.5, dragged) for end in (0, 1)]
+        self._sign = Sign(scene, f"profile/{place}/sign", LETTERS[place], colour, _SIGN_PX)
+
+    def drag(self, end: int, to: Place) -> None:
+        """Move one end."""
+        places = [(p.x_um, p.y_um) for p in self.line.points]
+        places[end] = to
+        self.line = Region.line(*places[0], *places[1], self.line.width_um)
+
+    def draw(self, land: Land, gaze: Gaze) -> None:
+        """Lie on the surface as it is drawn now."""
+        mm_per_pixel = gaze.mm_per_pixel
+        first, last = ((p.x_um, p.y_um) for p in self.line.points)
+        points, measured = land.draped(first, last, 1.5 * mm_per_pixel)
+        self._line.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.8 * mm_per_pixel)
+        up = np.array([0, 0, 5 * mm_per_pixel], np.float32)
+        for knob, at in zip(self._knobs, (points[0], points[-1]), strict=True):
+            knob.place(at + up, mm_per_pixel, gaze.towards)
+        outwards = -1 if float((points[-1] - points[0]) @ gaze.axes[:, 0]) >= 0 else 1
+        self._sign.place(np.asarray(points[0] + up, float), land, gaze, outwards * _BESIDE_PX)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._line, *self._knobs, self._sign):
+            part.remove()
+
+
+class Cursors:
+    """The plot's cursors on the active line, dragged along it; one that stands at an end is that end's handle."""
+
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged) -> None:
+        self._scene, self._dragged = scene, dragged
+        self._knobs: dict[int, Knob] = {}
+        self.line, self.shares = 0, (0.0, 1.0)
+
+    def draw(self, line: Region, land: Land, gaze: Gaze) -> None:
+        """Stand on the surface as it is drawn now."""
+        first, last = ((p.x_um, p.y_um) for p in line.points)
+        points, _ = land.draped(first, last, 6.5 * gaze.mm_per_pixel)
+        for number, share in enumerate(self.shares):
+            if not 0 < share < 1:
+                self._take_away(number)
+                continue
+            if number not in self._knobs:
+                self._knobs[number] = Knob(self._scene, f"cursor/{number}", _CURSOR, _CURSOR_PX, self._dragged)
+            self._knobs[number].place(points[round(share * (len(points) - 1))], gaze.mm_per_pixel, gaze.towards)
+
+    def remove(self) -> None:
+        """Take them out of the scene."""
+        for number in list(self._knobs):
+            self._take_away(number)
+
+    def _take_away(self, number: int) -> None:
+        if (knob := self._knobs.pop(number, None)) is not None:
+            knob.remove()
+
+
+class LineTools:
+    """All lines. What a view asks for is laid, unless it is only an echo of what was told from here."""
+
+    def __init__(self, scene: viser.SceneApi, dragged: Dragged, told: Told) -> None:
+        self._scene, self._dragged, self._tell = scene, dragged, told
+        self._tools: list[LineTool] = []
+        self._had_lines = False
+        self._echoes = Echoes[tuple[Region, ...]]()
+        self._cursors = Cursors(scene, dragged)
+        self._cursor_moved: CursorMoved = lambda number, share: None
+
+    def show(self, view: View, land: Land, near: Place) -> None:
+        """Have the lines of a view; one that has none gets a first one near a place."""
+        if view.lines:
+            if not self._echoes.is_echo(view.lines):
+                self._lay(view.lines)
+        elif self._had_lines or not self._tools:
+            first, last = first_line(land, near)
+            self._lay((Region.line(*first, *last),))
+            self._told(0)
+        self._had_lines = bool(view.lines)
+        self._cursors.line, self._cursors.shares = view.line, view.plot.cursors
+
+    def drag(self, name: str, to: Place) -> None:
+        """Move the end of the handle of that name, ``profile/LINE/END``."""
+        _, place, end = name.split("/")[:3]
+        if int(place) < len(self._tools):
+            self._tools[int(place)].drag(int(end), to)
+            self._told(int(place))
+
+    def on_cursor(self, callback: CursorMoved) -> None:
+        """Call back when a cursor was moved in the scene."""
+        self._cursor_moved = callback
+
+    def drag_cursor(self, name: str, to: Place) -> None:
+        """Move the cursor of that name, ``cursor/NUMBER``, to the place of the active line nearest to another."""
+        line = self._active
+        if line is not None:
+            self._cursor_moved(int(name.split("/")[1]), nearest_share(line, to)[0])
+
+    def put_cursor(self, at: Place, within_um: float) -> bool:
+        """Put the cursor that stands nearer to a place on the active line there; whether the place lies on it."""
+        line = self._active
+        if line is None:
+            return False
+        share, away_um = nearest_share(line, at)
+        if away_um > within_um:
+            return False
+        first, second = (abs(share - stands) for stands in self._cursors.shares)
+        self._cursor_moved(0 if first <= second else 1, share)
+        return True
+
+    @property
+    def _active(self) -> Region | None:
+        place = self._cursors.line
+        return self._tools[place].line if place < len(self._tools) else None
+
+    def draw(self, land: Land, gaze: Gaze) -> None:
+        """Lie on the surface as it is drawn now, all of them."""
+        for tool in self._tools:
+            tool.draw(land, gaze)
+        if self._cursors.line < len(self._tools):
+            self._cursors.draw(self._tools[self._cursors.line].line, land, gaze)
+
+    def remove(self) -> None:
+        """Take them all out of the scene."""
+        self._cursors.remove()
+        for tool in self._tools:
+            tool.remove()
+        self._tools, self._had_lines = [], False
+        self._echoes.forget()
+
+    def _lay(self, lines: tuple[Region, ...]) -> None:
+        for tool in self._tools[len(lines) :]:
+            tool.remove()
+        del self._tools[len(lines) :]
+        for tool, line in zip(self._tools, lines, strict=False):
+            tool.line = line
+        for place in range(len(self._tools), len(lines)):
+            self._tools.append(LineTool(self._scene, place, lines[place], self._dragged))
+
+    def _told(self, active: int) -> None:
+        self._tell(self._echoes.tell(tuple(tool.line for tool in self._tools)), active)
+
+
+def nearest_share(line: Region, to: Place) -> tuple[float, float]:
+    """The place of a line nearest to another: its share of the line's length, 0 ... 1, and how far away it is in um."""
+    a, b = line.points
+    dx, dy = b.x_um - a.x_um, b.y_um - a.y_um
+    along = ((to[0] - a.x_um) * dx + (to[1] - a.y_um) * dy) / max(dx * dx + dy * dy, 1e-12)
+    share = min(max(along, 0.0), 1.0)
+    return share, math.hypot(to[0] - a.x_um - share * dx, to[1] - a.y_um - share * dy)

@@ -1,0 +1,135 @@
+"""Places in the scene that are dragged over the surface: an outline, handles to pull it by, and its name beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import viser
+
+from wafer_viewer.draw.colormaps import Rgb
+from wafer_viewer.gui.scene.billboards import Sign, corner_on_screen
+from wafer_viewer.gui.scene.drag_handles import CasedLine, Dragged, Knob
+from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.tools.region_shapes import SHAPES, WHOLE
+from wafer_viewer.model.region import Region
+
+_WHOLE_PX, _EDGE_PX, _POINT_PX = 7.5, 5.5, 8.5
+_SIGN_PX, _BESIDE_PX = 26, 12
+_ROOMY_PX, _LEAST_KNOB = 60, 0.4
+"""A region of so many pixels on the screen has knobs of full size; they never get smaller than that share of it."""
+_ENDS_OF_A_WAY = ("point", "point")
+"""Two points and no more are joined by a line."""
+
+
+class PlaceHandle:
+    """One place. Its handles are called NAME/HOLD."""
+
+    def __init__(
+        self, scene: viser.SceneApi, name: str, title: str, region: Region, colour: Rgb, dragged: Dragged
+    ) -> None:
+        self.region = region
+        self._shape = SHAPES[region.kind]
+        outlined = len(self._shape.outline(region)) > 0
+        self._outline = CasedLine(scene, name, colour, 2.6) if outlined else None
+        whole_px = _WHOLE_PX if outlined else _POINT_PX
+        self._knobs = {
+            hold: Knob(scene, f"{name}/{hold}", colour, whole_px if hold == WHOLE else _EDGE_PX, dragged)
+            for hold in self._shape.holds(region)
+        }
+        self._sign = Sign(scene, f"{name}/sign", title, colour, _SIGN_PX)
+
+    def pull(self, hold: str, to: Place, land: Land) -> None:
+        """One of its handles was moved."""
+        self.region = self._shape.pulled(self.region, hold, to, land)
+
+    def draw(self, land: Land, gaze: Gaze) -> None:
+        """Lie on the surface as it is drawn now."""
+        mm_per_pixel = gaze.mm_per_pixel
+        if self._outline is not None:
+            pieces = land.laid_round(self._shape.outline(self.region), 2 * mm_per_pixel)
+            self._outline.lay(pieces, None, 1.6 * mm_per_pixel)
+        for hold, (x, y) in self._shape.holds(self.region).items():
+            at = land.seen_points(np.array([x]), np.array([y]), 3 * mm_per_pixel)[0]
+            self._knobs[hold].place(at, mm_per_pixel * self._knob_share(mm_per_pixel), gaze.towards)
+        self._place_sign(land, gaze)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        for part in (self._outline, *self._knobs.values(), self._sign):
+            if part is not None:
+                part.remove()
+
+    def _knob_share(self, mm_per_pixel: float) -> float:
+        """Knobs of a region that is small on the screen are smaller, or they would hide it."""
+        x0, y0, x1, y1 = self.region.bounds_um
+        side_um = max(x1 - x0, y1 - y0) if self.region.kind == "line" else min(x1 - x0, y1 - y0)
+        side_px = side_um * 1e-3 / max(mm_per_pixel, 1e-12)
+        return 1.0 if self._outline is None else min(1.0, max(_LEAST_KNOB, side_px / _ROOMY_PX))
+
+    def _place_sign(self, land: Land, gaze: Gaze) -> None:
+        """The sign stands beside the place, left of it on the screen."""
+        left = corner_on_screen(self.region, land, gaze, -1, 0)
+        self._sign.place(left, land, gaze, -_BESIDE_PX)
+
+
+class Places:
+    """A row of places under one name; their handles are called NAME/NUMBER/HOLD."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, dragged: Dragged) -> None:
+        self._scene, self._name, self._dragged = scene, name, dragged
+        self._titles: tuple[str, ...] = ()
+        self._kinds: tuple[str, ...] = ()
+        self._colour: Rgb | None = None
+        self._handles: list[PlaceHandle] = []
+        self._way: CasedLine | None = None
+
+    @property
+    def regions(self) -> tuple[Region, ...]:
+        """Where they are now."""
+        return tuple(handle.region for handle in self._handles)
+
+    def become(self, titles: Sequence[str], regions: Sequence[Region], colour: Rgb) -> None:
+        """Be these places; handles of the same kinds are moved, others made anew."""
+        kinds = tuple(region.kind for region in regions)
+        if (tuple(titles), kinds, colour) == (self._titles, self._kinds, self._colour):
+            self.move(regions)
+            return
+        self.remove()
+        self._titles, self._kinds, self._colour = tuple(titles), kinds, colour
+        self._handles = [
+            PlaceHandle(self._scene, f"{self._name}/{k}", title, region, colour, self._dragged)
+            for k, (title, region) in enumerate(zip(titles, regions, strict=True))
+        ]
+        if kinds == _ENDS_OF_A_WAY:
+            self._way = CasedLine(self._scene, f"{self._name}/way", colour, 2.0)
+
+    def move(self, regions: Sequence[Region]) -> None:
+        """Be where these regions, of the same kinds, are."""
+        for handle, region in zip(self._handles, regions, strict=True):
+            handle.region = region
+
+    def pull(self, name: str, to: Place, land: Land) -> None:
+        """A handle of this row, NAME/NUMBER/HOLD, was moved."""
+        _, number, hold = name.split("/")
+        if int(number) < len(self._handles):
+            self._handles[int(number)].pull(hold, to, land)
+
+    def draw(self, land: Land, gaze: Gaze) -> None:
+        """Lie on the surface as it is drawn now."""
+        for handle in self._handles:
+            handle.draw(land, gaze)
+        if self._way is not None:
+            start, end = ((r.points[0].x_um, r.points[0].y_um) for r in self.regions)
+            points, measured = land.draped(start, end, 1.5 * gaze.mm_per_pixel)
+            self._way.lay(np.stack([points[:-1], points[1:]], axis=1), measured, 1.6 * gaze.mm_per_pixel)
+
+    def remove(self) -> None:
+        """Take them out of the scene."""
+        for handle in self._handles:
+            handle.remove()
+        if self._way is not None:
+            self._way.remove()
+            self._way = None
+        self._handles, self._titles, self._kinds, self._colour = [], (), (), None

@@ -1,0 +1,265 @@
+"""The tools on the surface, each of a file of its own: which of them a view shows, and what hands do to them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import viser
+
+from wafer_viewer.gui.scene.camera.camera_controller import Eye
+from wafer_viewer.gui.scene.camera.camera_presets import Pose, pixel_ray
+from wafer_viewer.gui.scene.drag_handles import DrapedOutline, PlaceMark
+from wafer_viewer.gui.scene.fine_picking import Read, land_nearby
+from wafer_viewer.gui.scene.heightfield import Land, Place
+from wafer_viewer.gui.scene.lod.surface_cache import Book
+from wafer_viewer.gui.scene.scene_contents import OnShow
+from wafer_viewer.gui.scene.scene_theme import colours
+from wafer_viewer.gui.scene.view_axes import Gaze
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.gui.tools.clip_box import NAME as CLIP
+from wafer_viewer.gui.tools.clip_box import ClipBox, Moved
+from wafer_viewer.gui.tools.initial_regions import first_levelling
+from wafer_viewer.gui.tools.profile_lines import CursorMoved, LineTools
+from wafer_viewer.gui.tools.region_tools import LevelTools, PlaceTools
+from wafer_viewer.gui.tools.result_markers import KeptMarks
+from wafer_viewer.gui.widgets.latest_only import Latest
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
+from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import Box
+
+_ON_LINE_PX = 9.0
+"""A click so near to the active line puts a cursor there."""
+
+
+class Tools:
+    """Handles are moved on a thread of their own, so that a drag is followed while tiles are still coming."""
+
+    def __init__(self, client: viser.ClientHandle, eye: Eye, read: Read) -> None:
+        self._client, self._eye, self._read = client, eye, read
+        self._land: Land | None = None
+        scene = client.scene
+        self._lines = LineTools(scene, self._dragged, lambda lines, line: self._lined(lines, line))
+        self._places = PlaceTools(scene, self._dragged, lambda places: self._placed(places), self._in_sight)
+        self._level = LevelTools(scene, self._dragged, lambda levelling: self._levelled(levelling))
+        self._clip = ClipBox(scene, self._dragged, lambda faces, key: self._clipped(faces, key))
+        self._kept = KeptMarks(scene)
+        self._mark: PlaceMark | None = None
+        self._lock = threading.RLock()
+        self._drags, self._clicks = Latest("drag"), Latest("pick")
+        self._picked: Callable[[float, float], None] | None = None
+        self._lined: Callable[[tuple[Region, ...], int], None] = lambda lines, line: None
+        self._placed: Callable[[tuple[Region, ...]], None] = lambda places: None
+        self._selected: Callable[[Box], None] = lambda box: None
+        self._selecting = False
+        self._outline: DrapedOutline | None = None
+        self._levelled: Callable[[Levelling], None] = lambda levelling: None
+        self._clipped: Moved = lambda faces, key: faces
+
+    def on_pick(self, callback: Callable[[float, float], None]) -> None:
+        """Call back with where the surface was clicked."""
+        if self._picked is None:
+            self._client.scene.on_click()(self._clicked)
+        self._picked = callback
+
+    def on_lines(self, callback: Callable[[tuple[Region, ...], int], None]) -> None:
+        """Call back with the profiles' lines and the number of the one that was moved."""
+        self._lined = callback
+
+    def on_cursor(self, callback: CursorMoved) -> None:
+        """Call back when a cursor of the profile was moved in the scene."""
+        self._lines.on_cursor(callback)
+
+    def on_select(self, callback: Callable[[Box], None]) -> None:
+        """Call back with the rectangle of the stage that was dragged over, um."""
+        self._selected = callback
+        self._client.scene.on_rect_select(modifier="shift")(self._rectangle)
+
+    def on_clip(self, callback: Moved) -> None:
+        """Call back with the clip box while a ball on one of its faces is dragged."""
+        self._clipped = callback
+
+    def on_places(self, callback: Callable[[tuple[Region, ...]], None]) -> None:
+        """Call back with the places of the tool in use."""
+        self._placed = callback
+
+    def on_levelling(self, callback: Callable[[Levelling], None]) -> None:
+        """Call back when a place that heights are levelled at was moved and let go."""
+        self._levelled = callback
+
+    def first_levelling(self, by: LevelBy) -> Levelling:
+        """A way of levelling, its first places laid on the surface. Raises MeasureError before there is one."""
+        land = self._land
+        if land is None:
+            raise MeasureError("The surface is not drawn yet: level it when it is.")
+        return first_levelling(by, land, self._looked_at())
+
+    def _listen_to_rectangles(self, wanted: bool) -> None:
+        """Whether a drag selects without a key; else it turns the camera."""
+        if wanted == self._selecting:
+            return
+        self._selecting = wanted
+        scene = self._client.scene
+        if wanted:
+            scene.on_rect_select()(self._rectangle)
+        else:
+            scene.remove_rect_select_callback("all")
+            scene.on_rect_select(modifier="shift")(self._rectangle)
+
+    def _rectangle(self, event: viser.SceneRectSelectEvent) -> None:
+        corners = event.screen_min, event.screen_max
+        self._clicks.ask(lambda: self._select(*corners))
+
+    def _select(self, low: Place, high: Place) -> None:
+        """What of the surface lies under a rectangle of the screen; its corners may lie beside the surface."""
+        land = self._land
+        if land is None:
+            return
+        pose, camera = self._eye.pose, self._client.camera
+        places: list[Place] = []
+        for u, v in ((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])):
+            ray = pixel_ray(pose, camera.fov, camera.image_width / max(1, camera.image_height), u, v)
+            places.append(land.hit(pose.position, ray) or self._level_place(pose.position, ray))
+        xs, ys = zip(*places, strict=True)
+        if max(xs) > min(xs) and max(ys) > min(ys):
+            self._selected((min(xs), min(ys), max(xs), max(ys)))
+
+    def close(self) -> None:
+        """Let the threads go."""
+        self._drags.close()
+        self._clicks.close()
+
+    def show(self, view: View, on_show: OnShow | None, book: Book, findings: Sequence[AnyFinding] = ()) -> None:
+        """Have the tool of the view on the surface on show and no other, and the results that were kept there."""
+        land = Land(book.relief(on_show), on_show, view.colour_by != "origin") if on_show is not None else None
+        with self._lock:
+            self._land = land
+            self._show_tools(view, land if view.step in ("measure", "gauge") else None)
+            self._kept.show(findings if view.step in ("measure", "review") and land is not None else (), view)
+            self._show_mark(view, land)
+            self._show_selection(view, land)
+            if on_show is None:
+                self._clip.remove()
+            else:
+                self._clip.show(view, on_show)
+            self._listen_to_rectangles(view.selecting and view.step == "surface" and land is not None)
+            self._redraw()
+
+    def resize(self) -> None:
+        """The camera has moved: handles keep their size on the screen."""
+        self._drags.ask(self._redraw)
+
+    def aim(self, before: Pose) -> None:
+        """Have the camera, once it rests where it was, turn about what is in the middle and come no nearer than that.
+
+        It looks at a level between the lowest and the highest: nearing that, it would go through what stands higher.
+        """
+        land, pose = self._land, self._eye.pose
+        if land is None or not pose.is_same(before):
+            return
+        direction = pose.look_at - pose.position
+        share = land_nearby(self._read, land, pose.position, direction).reached(pose.position, direction)
+        if share is not None and pose.is_same(self._eye.pose):  # reading took time, and the camera may be elsewhere
+            self._eye.aim(pose.position + direction * share)
+
+    def _show_tools(self, view: View, land: Land | None) -> None:
+        if land is None or view.tool != "profile":
+            self._lines.remove()
+        else:
+            self._lines.show(view, land, self._looked_at())
+        for tool in (self._places, self._level):
+            if land is None:
+                tool.remove()
+            else:
+                tool.show(view, land, self._looked_at())
+
+    def _show_mark(self, view: View, land: Land | None) -> None:
+        place = view.why if view.explains and land is not None else None
+        if place is None:
+            if self._mark is not None:
+                self._mark.remove()
+                self._mark = None
+            return
+        self._mark = self._mark or PlaceMark(self._client.scene, colours(view.dark).mark)
+        self._mark.place = place
+
+    def _show_selection(self, view: View, land: Land | None) -> None:
+        """The selection's outline, where it is what is counted."""
+        box = view.selection if view.step == "surface" and land is not None else None
+        if box is None:
+            if self._outline is not None:
+                self._outline.remove()
+                self._outline = None
+            return
+        self._outline = self._outline or DrapedOutline(self._client.scene)
+        self._outline.box_um = box
+
+    def _redraw(self) -> None:
+        with self._lock:
+            if self._land is None:
+                return
+            gaze = Gaze.of(self._eye.pose, self._eye.um_per_pixel() * 1e-3)
+            with self._client.atomic():
+                for tool in (self._lines, self._places, self._level, self._kept, self._clip, self._mark, self._outline):
+                    if tool is not None:
+                        tool.draw(self._land, gaze)
+
+    # ---------------------------------------------------------------- what the operator does
+
+    def _dragged(self, name: str, point: np.ndarray, last: bool) -> None:
+        """On viser's loop: leave the work to the thread; of events that wait only the newest counts."""
+        eye = self._eye.pose.position
+        self._drags.ask(lambda: self._move(name, eye, point - eye, last))
+
+    def _move(self, name: str, origin: np.ndarray, direction: np.ndarray, last: bool) -> None:
+        with self._lock:
+            if self._land is None:
+                return
+            place = self._land.hit(origin, direction) or self._level_place(origin, direction)
+            if name.startswith(f"{CLIP}/"):
+                self._clip.drag(name, origin, direction, self._land.on_show)
+            elif name.startswith("profile/"):
+                self._lines.drag(name, place)
+            elif name.startswith("cursor/"):
+                self._lines.drag_cursor(name, place)
+            else:
+                (self._level if name.startswith("level/") else self._places).drag(name, place, self._land, last)
+        self._redraw()
+
+    def _level_place(self, origin: np.ndarray, direction: np.ndarray) -> Place:
+        """Beside the surface: where the ray meets its lowest level, drawn to the edge."""
+        if self._land is None or abs(direction[2]) < 1e-9:
+            return 0.0, 0.0
+        x, y, _ = origin - direction * (origin[2] / direction[2])
+        return self._land.clamped((float(x) * 1e3, float(y) * 1e3))
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        origin, direction = np.asarray(event.ray_origin, float), np.asarray(event.ray_direction, float)
+        self._clicks.ask(lambda: self._pick(origin, direction))
+
+    def _pick(self, origin: np.ndarray, direction: np.ndarray) -> None:
+        land = self._land
+        place = land.hit(origin, direction) if land is not None else None
+        if land is None or place is None:
+            return
+        place = land_nearby(self._read, land, origin, direction).hit(origin, direction) or place
+        with self._lock:
+            if self._lines.put_cursor(place, _ON_LINE_PX * self._eye.um_per_pixel()):
+                return
+            self._places.put(place)
+        self._redraw()
+        if self._picked is not None:
+            self._picked(*place)
+
+    def _looked_at(self) -> Place:
+        x, y, _ = self._eye.pose.look_at * 1e3
+        return float(x), float(y)
+
+    def _in_sight(self, land: Land) -> Land:
+        """What of a surface lies round the point looked at, as far as the shorter side of the canvas reaches."""
+        x, y = self._looked_at()
+        reach_um = self._eye.um_per_pixel() * min(self._eye.canvas_px) / 2
+        return land.within((x - reach_um, y - reach_um, x + reach_um, y + reach_um))

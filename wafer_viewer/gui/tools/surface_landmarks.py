@@ -1,0 +1,227 @@
+"""What stands out of a surface: its rows that show most, its levels, faces and bumps, found on its coarse heights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wafer_viewer.gui.scene.heightfield import Floats, Land, Place
+
+PATCH_SHARES = (1 / 6, 1 / 9, 1 / 12, 1 / 18, 1 / 30)
+"""Sides of the squares that faces are looked for with, largest first, as shares of the shorter side."""
+_BUMP_SHARES = (1 / 3, 1 / 4, 1 / 6, 1 / 9, 1 / 14, 1 / 22)
+_LEAST_PATCH_PX, _ROOM_ROUND_BUMP, _STANDS_OUT = 4, 1.25, 1.5
+_FLAT, _LEAST_FLAT, SAME_LEVEL, _APART = 0.04, 0.002, 0.12, 0.25
+"""Shares of the range of heights: within which a patch is flat (for certain), patches are level, or are not."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Patches:
+    """Squares of a surface that are measured all over: middles in um [n, 2], and for each its mean height, the spread
+    of its heights, what of that its tilt leaves (`rough`), and the tilt (um per um)."""
+
+    side_um: float
+    places: Floats
+    level: Floats
+    spread: Floats
+    rough: Floats
+    tilt: Floats
+
+    def only(self, good: NDArray[np.bool_]) -> Patches:
+        """Those of them."""
+        kept = (values[good] for values in (self.places, self.level, self.spread, self.rough, self.tilt))
+        return Patches(self.side_um, *kept)
+
+    def nearest(self, to: Place) -> int:
+        """The number of the one nearest to a place."""
+        return int(np.argmin(np.hypot(self.places[:, 0] - to[0], self.places[:, 1] - to[1])))
+
+    def middle(self, number: int) -> Place:
+        """The middle of one."""
+        x, y = self.places[number]
+        return float(x), float(y)
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+def patches(land: Land, share: float) -> Patches:
+    """The squares with that share of the surface's shorter side, half a side apart."""
+    rows, cols = land.heights.shape
+    side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share) // 2 * 2)
+    step, half = side // 2, side // 2
+    z = land.heights - land.on_show.z0_um
+    n, total, squares = (_box_sums(layer, (side, side), step) for layer in (land.there.astype(float), z, z * z))
+    left, top = _box_sums(z, (side, half), step), _box_sums(z, (half, side), step)
+    row, col = np.nonzero(n > 0.98 * side * side)
+    mean = total[row, col] / side**2
+    variance = np.maximum(squares[row, col] / side**2 - mean**2, 0)
+    # Half a square's mean differs from the other half's by the tilt times half a side.
+    across = [2 * (total[row, col] - 2 * part[row, col]) / side**2 for part in (left, top)]
+    tilted = (across[0] ** 2 + across[1] ** 2) / 3
+    x, y = land.place(row * step + (side - 1) / 2, col * step + (side - 1) / 2)
+    return Patches(
+        side_um=side * land.pixel_um,
+        places=np.stack([x, y], axis=1),
+        level=mean,
+        spread=np.sqrt(variance),
+        rough=np.sqrt(np.maximum(variance - tilted, 0)),
+        tilt=np.hypot(*across) / (half * land.pixel_um),
+    )
+
+
+def first_line(land: Land, near: Place) -> tuple[Place, Place]:
+    """A profile to begin with: along x, near the middle of what is looked at, where it shows most."""
+    x0, y0, x1, y1 = land.bounds_um
+    x, y = land.inner(near)
+    half = 0.32 * (x1 - x0)
+    x = min(max(x, x0 + half * 1.1), x1 - half * 1.1)
+    t = np.linspace(x - half, x + half, 200)
+    rows = y + np.linspace(0, 0.3, 13)[:, None] * np.array([1.0, -1.0]) * (y1 - y0)
+    best = max(rows.ravel().tolist(), key=lambda row: _worth(land, t, row))
+    return land.clamped((x - half, best)), land.clamped((x + half, best))
+
+
+def _worth(land: Land, x_um: Floats, y_um: float) -> float:
+    """How much a row shows: its measured share, more where it climbs; rows that differ by little are alike."""
+    y = np.full_like(x_um, y_um)
+    there = land.measured(x_um, y)
+    if not there.any():
+        return 0.0
+    climb = float(np.ptp(land.z_um(x_um, y)[there])) / max(span_um(land), 1e-9)
+    return round(float(there.mean()) * (1 + min(climb, 1.5)), 1)
+
+
+def plateaus(land: Land, near: Place) -> tuple[Place, Place, float]:
+    """Middles of an upper and a lower plateau near a place, and the side of the squares that fit on both.
+
+    They are on the two levels that most of the surface lies on, so that a bump on the upper one is none of them.
+    """
+    for share in PATCH_SHARES:
+        found = patches(land, share)
+        flat = found.only(_small(found.spread, land))
+        levels = _two_levels(flat.level, span_um(land))
+        if levels is None:
+            continue
+        low, high = (flat.only(np.abs(flat.level - level) <= SAME_LEVEL / 2 * span_um(land)) for level in levels)
+        upper = high.middle(high.nearest(land.inner(near)))
+        return upper, low.middle(low.nearest(upper)), flat.side_um
+    (x, y), side_um = land.inner(near), _least_side(land)
+    return (x, y + 2 * side_um), (x, y - 2 * side_um), side_um
+
+
+def _small(spread: Floats, land: Land) -> NDArray[np.bool_]:
+    """Which spreads are those of flat patches: about as small as the smallest, which are noise alone."""
+    if len(spread) == 0:
+        return np.zeros(0, bool)
+    noise, span = float(np.percentile(spread, 10)), span_um(land)
+    return spread <= min(_FLAT * span, max(2 * noise, _LEAST_FLAT * span))
+
+
+def _two_levels(levels: Floats, span: float) -> tuple[float, float] | None:
+    """The level that most values lie at, and of those well apart from it the fullest; lower first."""
+    if len(levels) < 2:
+        return None
+    full = np.count_nonzero(np.abs(levels[:, None] - levels[None, :]) <= SAME_LEVEL / 2 * span, axis=1)
+    first = float(levels[np.argmax(full)])
+    apart = np.abs(levels - first) >= _APART * span
+    if not apart.any():
+        return None
+    second = float(levels[np.argmax(np.where(apart, full, 0))])
+    return min(first, second), max(first, second)
+
+
+def face(land: Land, near: Place) -> tuple[Place, float]:
+    """The middle of a flat face near a place, and the side of a square that fits on it."""
+    for share in PATCH_SHARES:
+        found = patches(land, share)
+        flat = found.only(_small(found.rough, land))
+        if len(flat):
+            return flat.middle(flat.nearest(land.inner(near))), flat.side_um
+    return land.inner(near), _least_side(land)
+
+
+def two_faces(land: Land, near: Place) -> tuple[Place, Place, float]:
+    """Middles of the steepest even face and of the levellest one beside it, and the side of the squares."""
+    for share in PATCH_SHARES[1:]:
+        found = patches(land, share)
+        even = found.only(_small(found.rough, land))
+        if len(even) < 2:
+            continue
+        steep = even.middle(int(np.argmax(even.tilt)))
+        apart = np.hypot(even.places[:, 0] - steep[0], even.places[:, 1] - steep[1]) >= even.side_um
+        rest = even.only(apart)
+        if len(rest):
+            level = rest.only(rest.tilt <= np.percentile(rest.tilt, 30))
+            return steep, level.middle(level.nearest(steep)), even.side_um
+    (x, y), side_um = land.inner(near), _least_side(land)
+    return (x - side_um, y), (x + side_um, y), side_um
+
+
+def bump(land: Land, near: Place) -> tuple[Place, float]:
+    """The middle and the radius of what stands out most of surroundings that are even, up or down.
+
+    Where nothing does, as among bumps side by side, something small and high near a place.
+    """
+    rows, cols = land.heights.shape
+    best, middle, radius_um = _STANDS_OUT, None, 0.0
+    for share in _BUMP_SHARES:
+        side = max(_LEAST_PATCH_PX, round(min(rows, cols) * share))
+        found = _standing_out(land, side)
+        if found is not None and found[0] > best:
+            best, middle, radius_um = *found, 0.5 * _ROOM_ROUND_BUMP * side * land.pixel_um
+    return (middle, radius_um) if middle is not None else (_high(land, near), 1.5 * _LEAST_PATCH_PX * land.pixel_um)
+
+
+def _high(land: Land, near: Place) -> Place:
+    """A high place near another."""
+    side = _LEAST_PATCH_PX
+    levels = _box_sums(land.heights - land.on_show.z0_um, (side, side), 1)
+    row, col = np.nonzero(levels >= np.percentile(levels, 98))
+    x, y = land.place(row + (side - 1) / 2, col + (side - 1) / 2)
+    away = np.hypot(x - land.inner(near)[0], y - land.inner(near)[1])
+    # The top of the nearest: of the high places about as near the highest.
+    reach = away <= away.min() + 4 * side * land.pixel_um
+    best = int(np.argmax(np.where(reach, levels[row, col], -np.inf)))
+    return float(x[best]), float(y[best])
+
+
+def _standing_out(land: Land, side: int) -> tuple[float, Place] | None:
+    """How far the best square of `side` pixels stands out of the ring round it, for the ring's spread, and where."""
+    z, wide, step = land.heights - land.on_show.z0_um, 2 * side, max(1, side // 4)
+    if min(z.shape) < wide:
+        return None
+    there = _box_sums(land.there.astype(float), (wide, wide), step)
+    total, squares = (_box_sums(layer, (wide, wide), step) for layer in (z, z * z))
+    edge = side // 2
+    inner = z[edge : z.shape[0] - (wide - side - edge), edge : z.shape[1] - (wide - side - edge)]
+    mine, mine2 = (
+        _box_sums(layer, (side, side), step)[: there.shape[0], : there.shape[1]] for layer in (inner, inner**2)
+    )
+    n = wide**2 - side**2
+    ring = (total - mine) / n
+    spread = np.sqrt(np.maximum((squares - mine2) / n - ring**2, 0))
+    out = np.abs(mine / side**2 - ring) / (spread + 0.02 * span_um(land))
+    out[there < 0.98 * wide**2] = 0
+    row, col = np.unravel_index(int(np.argmax(out)), out.shape)
+    middle = land.place(float(row * step + wide / 2), float(col * step + wide / 2))
+    return float(out[row, col]), middle
+
+
+def span_um(land: Land) -> float:
+    """The range of heights, a few outliers aside."""
+    return land.on_show.facts.high_um - land.on_show.facts.low_um
+
+
+def _least_side(land: Land) -> float:
+    return max(_LEAST_PATCH_PX, min(land.heights.shape) * PATCH_SHARES[-1]) * land.pixel_um
+
+
+def _box_sums(layer: Floats, sides: tuple[int, int], step: int) -> Floats:
+    """Sums over the boxes of `sides` (rows, cols) pixels that begin every `step` pixels."""
+    rows, cols = sides
+    sums = np.pad(layer, ((1, 0), (1, 0))).cumsum(axis=0).cumsum(axis=1)
+    boxes = sums[rows:, cols:] - sums[:-rows, cols:] - sums[rows:, :-cols] + sums[:-rows, :-cols]
+    return boxes[::step, ::step]

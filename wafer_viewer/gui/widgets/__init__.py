@@ -1,0 +1,1 @@
+"""Controls, HTML, icons, style and the guard round callbacks."""

@@ -1,0 +1,268 @@
+"""The page's widgets: viser's own, put in rows, sent only when they change, and heard only when a person moved them."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Generator, Sequence
+from typing import Any, Generic, Literal, Protocol, TypeVar
+
+import viser
+
+from wafer_viewer.gui.widgets.error_guard import Teller, guarded
+from wafer_viewer.gui.widgets.style import by_id
+
+T = TypeVar("T")
+Gui = viser.GuiApi
+QUIET_S = 0.7
+"""For so long after a person moved a widget, the session's slightly older value does not move it back."""
+
+TIGHT_ROW = 3
+"""Buttons in a row from which on there is no room to spare beside their words."""
+
+
+class Cell:
+    """A piece of HTML on the page."""
+
+    def __init__(self, gui: Gui, content: str = "", padded: bool = True) -> None:
+        self._padded = padded
+        self._content = content
+        self._handle = gui.add_html(self._framed(content))
+
+    def show(self, content: str) -> None:
+        """Put `content` in its place, if it is not what stands there already."""
+        if content != self._content:
+            self._content = content
+            self._handle.content = self._framed(content)
+
+    def _framed(self, content: str) -> str:
+        return f'<div class="wv">{content}</div>' if self._padded and content else content
+
+
+class Drawn(Teller, Protocol):
+    """A page that is being drawn."""
+
+    @property
+    def as_of_s(self) -> float:
+        """Of when what is drawn is, by the monotonic clock."""
+        ...
+
+
+class Field(Generic[T]):
+    """A form widget: `show` gives it the session's value, `on_change` hears what a person puts in.
+
+    What is older than the last thing put in is not shown, however long the drawing of it took.
+    """
+
+    def __init__(self, handle: Any, on_change: Callable[[Any], None], page: Drawn, failed: str) -> None:
+        self.handle = handle
+        self.edited = False
+        """Whether a person put something in that `show` has not come upon since."""
+        self._page = page
+        self._touched_at = -QUIET_S
+        self._known: T = handle.value
+        """What the widget holds as far as was shown or heard: viser has what was put in before it tells."""
+        self._on_change = guarded(page, failed)(on_change)
+        handle.on_update(self._update)
+
+    @property
+    def value(self) -> T:
+        """What the widget holds."""
+        return self.handle.value
+
+    def show(self, value: T) -> None:
+        """Show a value, unless a person is just moving the widget, or has moved it since the value was read."""
+        if time.monotonic() - self._touched_at <= QUIET_S or self._page.as_of_s <= self._touched_at:
+            return
+        if not _alike(self._known, self.handle.value):  # put in, and not heard of yet
+            return
+        self.edited = False
+        if not _alike(value, self.handle.value):
+            self._known = self.handle.value = value
+
+    def enable(self, enabled: bool) -> None:
+        """Whether a person may change it."""
+        set_prop(self.handle, "disabled", not enabled)
+
+    def _update(self, event: Any) -> None:
+        self._known = self.handle.value
+        if event.client is not None:
+            self._touched_at, self.edited = time.monotonic(), True
+            self._on_change(event)
+            self._touched_at = time.monotonic()  # what was read meanwhile may be of before or after
+
+
+def set_prop(handle: Any, name: str, value: Any) -> None:
+    """Set a property of a viser handle, sending it only when it changes."""
+    if name == "disabled" and handle._impl.uuid in _barred:
+        _barred[handle._impl.uuid] = value
+    elif getattr(handle, name) != value:
+        setattr(handle, name, value)
+
+
+_barred: dict[str, bool] = {}
+"""Widgets that their browser may not use now, with what their own part of the page says of them."""
+
+
+def bar(handle: Any) -> None:
+    """Disable a widget whatever its part of the page says, until `unbar`."""
+    if handle._impl.uuid not in _barred:
+        own = handle.disabled
+        set_prop(handle, "disabled", True)
+        _barred[handle._impl.uuid] = own
+
+
+def unbar(handle: Any) -> None:
+    """Leave a widget to its part of the page again."""
+    if handle._impl.uuid in _barred:
+        own = _barred.pop(handle._impl.uuid)
+        if not handle._impl.removed:
+            set_prop(handle, "disabled", own)
+
+
+def button(gui: Gui, label: str, icon: Any, on_click: Callable[[Any], None], disabled: bool = False) -> Any:
+    """A button with its callback."""
+    handle = gui.add_button(label, icon=icon, disabled=disabled)
+    handle.on_click(on_click)
+    return handle
+
+
+def in_a_row(gui: Gui, buttons: Sequence[Any], height_px: int = 32, filled: Any = None) -> None:
+    """Give the buttons just made one row of equal parts, outlined but for the one that is `filled`."""
+    gap_px = 6
+    width = f"calc((100% - 2*var(--mantine-spacing-xs) - {gap_px * (len(buttons) - 1)}px)/{len(buttons)})"
+    rules = "".join(
+        f"div:has(>{by_id(b._impl.uuid)}){{display:inline-block;vertical-align:top;width:{width};margin-right:0!important;"
+        f"margin-left:{'var(--mantine-spacing-xs)' if k == 0 else f'{gap_px}px'}!important}}"
+        + (_high(b, height_px) if b is filled else _outlined(b, height_px))
+        + (_tight(b) if len(buttons) >= TIGHT_ROW else "")
+        for k, b in enumerate(buttons)
+    )
+    gui.add_html(f"<style>{rules}</style>")
+
+
+def outlined(gui: Gui, handle: Any, height_px: int = 36) -> None:
+    """Draw a button as an outline: all but the one that leads on."""
+    gui.add_html(f"<style>{_outlined(handle, height_px)}</style>")
+
+
+def leading(gui: Gui, handle: Any, height_px: int = 44, sticky: bool = True) -> None:
+    """Draw a button as the filled one that leads on; `sticky`: in sight at the panel's foot however long the panel."""
+    at = by_id(handle._impl.uuid)
+    rules = f"{at}{{height:{height_px}px!important}}{at} .mantine-Button-label{{font-size:15.5px!important}}"
+    if sticky:
+        foot = "position:sticky;bottom:0;z-index:3;background:var(--panel);padding:6px 0 8px!important"
+        rules += f"div:has(>{at}){{{foot}}}"
+    gui.add_html(f"<style>{rules}</style>")
+
+
+def duo(gui: Gui) -> None:
+    """The next two widgets share a row."""
+    gui.add_html('<div class="wv-duo"></div>')
+
+
+class Choice:
+    """A button group that shows which one is chosen."""
+
+    def __init__(
+        self, gui: Gui, label: str, options: Sequence[tuple[Any, str]], on_change: Callable[[Any], None]
+    ) -> None:
+        self._keys = [key for key, _ in options]
+        self._titles = [name for _, name in options]
+        self._on_change = on_change
+        self._mark = f"wv-choice-{id(self)}"
+        self._cell = Cell(gui, self._style(0), padded=False)
+        group = gui.add_button_group(label, self._titles)
+        group.on_click(self._click)
+
+    def show(self, key: Any) -> None:
+        """Mark the chosen one; none where `key` is no option."""
+        self._cell.show(self._style(self._keys.index(key) if key in self._keys else -1))
+
+    def _click(self, event: Any) -> None:
+        self._on_change(self._keys[self._titles.index(event.target.value)])
+
+    def _style(self, chosen: int) -> str:
+        group = f"div:has(>.{self._mark})+div button"
+        rest = "height:28px!important;border-color:var(--line)!important;color:var(--ink)!important"
+        this = "background:var(--accent)!important;color:var(--panel)!important;border-color:var(--accent)!important"
+        rules = f"{group}{{{rest}}}{group}:nth-child({chosen + 1}){{{this}}}"
+        return f'<div class="{self._mark}"></div><style>{rules}</style>'
+
+
+@contextlib.contextmanager
+def always_there(gui: Gui) -> Generator[None]:
+    """A place for what must be on the page whichever panels are folded away: viser drops what lies in those."""
+    panel = gui.add_panel()
+    with panel.add_tab("·"):
+        gui.add_html('<div class="wv-ov wv-frame"></div>')
+        yield
+    panel.float(x=0, y=0, width=1, height=1)
+
+
+class Overlay:
+    """A sheet of glass over the scene; negative x, y count from the right and the bottom edge of the scene."""
+
+    def __init__(
+        self, gui: Gui, x_px: int, y_px: int, width_px: int, height_px: int, align: Literal["left", "right"] = "left"
+    ) -> None:
+        self._align = align
+        self._panel = gui.add_panel(visible=False)
+        with self._panel.add_tab("·"):
+            self._cell = Cell(gui, self._framed(""), padded=False)
+        self._place = (x_px, y_px, width_px, height_px)
+        self._move()
+
+    def show(
+        self, content: str, y_px: int | None = None, height_px: int | None = None, width_px: int | None = None
+    ) -> None:
+        """Show `content`, or nothing when it is empty."""
+        x, y, width, height = self._place
+        width, height = width if width_px is None else width_px, height if height_px is None else height_px
+        place = (x, y if y_px is None else y_px, width, height)
+        if place != self._place:
+            self._place = place
+            self._move()
+        self._cell.show(self._framed(content))
+        set_prop(self._panel, "visible", bool(content))
+
+    def _move(self) -> None:
+        x, y, width, height = self._place
+        # viser cuts a panel's content at the bottom unless the panel is 18 px higher.
+        self._panel.float(x=x, y=y, width=width, height=height + 18)
+
+    def _framed(self, content: str) -> str:
+        right = "display:flex;justify-content:flex-end" if self._align == "right" else ""
+        return f'<div class="wv-ov" style="{right}">{content}</div>'
+
+
+def _tight(handle: Any) -> str:
+    """A sign and a word in a third of the left panel."""
+    at = by_id(handle._impl.uuid)
+    label, sign = (
+        f"{at} .mantine-Button-label{{font-size:12.5px}}",
+        f"{at} .mantine-Button-section{{margin-inline-end:4px}}",
+    )
+    return f"{at}{{padding:0 2px!important}}{label}{sign}"
+
+
+def _high(handle: Any, height_px: int) -> str:
+    return f"{by_id(handle._impl.uuid)}{{height:{height_px}px!important;padding:0 6px!important}}"
+
+
+def _outlined(handle: Any, height_px: int) -> str:
+    at = by_id(handle._impl.uuid)
+    return (
+        f"{at}{{height:{height_px}px!important;background:transparent!important;color:var(--ink)!important;"
+        f"border:1px solid var(--line)!important;padding:0 6px!important}}"
+        f"{at}:hover{{background:var(--fill)!important}}{at}[data-disabled]{{color:var(--ink3)!important}}"
+    )
+
+
+def _alike(a: Any, b: Any) -> bool:
+    """Whether two values of a widget look the same, numbers up to the noise of computing."""
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(_alike(p, q) for p, q in zip(a, b, strict=True))
+    if isinstance(a, int | float) and isinstance(b, int | float):
+        return abs(a - b) <= 1e-9 * max(1.0, abs(a), abs(b))
+    return a == b

@@ -1,0 +1,93 @@
+"""The one place where the page catches what goes wrong: the operator reads what stopped and how to mend it.
+
+What this program foresaw is told in its own sentence; anything else is told shortly, with the details in the log.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future
+from typing import Any, Protocol
+
+from wafer_viewer.gui.widgets.html import Tone
+from wafer_viewer.model.errors import HeldByAnother, MotionStopped, WaferViewerError
+from wafer_viewer.session.state.snapshot import Fault
+
+log = logging.getLogger("wafer_viewer.gui")
+_numbers = itertools.count(1)
+
+
+class Teller(Protocol):
+    """Whoever shows the operator a note."""
+
+    def tell(self, fault: Fault) -> None:
+        """Show a note until it is dealt with."""
+        ...
+
+    def say(self, title: str, text: str, tone: Tone = "good") -> None:
+        """Show news that go by themselves."""
+        ...
+
+
+def guarded(page: Teller, name: str) -> Callable[[Callable[..., Any]], Callable[..., None]]:
+    """Wrap a callback of the page; `name` is what stopped, such as 'Import stopped'.
+
+    A callback that answers with a future (a verb of the session) is watched until that is done.
+    """
+
+    def wrap(callback: Callable[..., Any]) -> Callable[..., None]:
+        @functools.wraps(callback)
+        def run(*args: Any, **kwargs: Any) -> None:
+            try:
+                outcome = callback(*args, **kwargs)
+            except Exception as fault:  # noqa: BLE001 - the one wide catch of the page
+                tell_failure(page, name, fault)
+            else:
+                if isinstance(outcome, Future):
+                    outcome.add_done_callback(lambda done: _look_at(page, name, done))
+
+        return run
+
+    return wrap
+
+
+def tell_failure(page: Teller, name: str, fault: BaseException) -> None:
+    """Tell the operator, in the program's own sentence where it has one; what was called off needs no words."""
+    if isinstance(fault, CancelledError):
+        return
+    if isinstance(fault, HeldByAnother):
+        page.say(name, str(fault), "attention")
+        return
+    if isinstance(fault, MotionStopped):
+        page.say("Stopped", str(fault).replace(" -", " −"), "attention")
+        return
+    if isinstance(fault, WaferViewerError):
+        page.tell(_note(*_headline(name, str(fault))))
+        return
+    log.error("%s", name, exc_info=fault)
+    what = f"Unexpected error: {str(fault) or type(fault).__name__}."
+    page.tell(_note(name, f"{what} The session continues; details are in the log."))
+
+
+def _look_at(page: Teller, name: str, done: Future[Any]) -> None:
+    if done.cancelled():
+        return
+    fault = done.exception()
+    if fault is not None:
+        tell_failure(page, name, fault)
+
+
+def _note(title: str, text: str) -> Fault:
+    return Fault(id=f"page-{next(_numbers)}", title=title, text=text, at=time.strftime("%H:%M:%S"))
+
+
+def _headline(name: str, sentence: str) -> tuple[str, str]:
+    """Title and text: a sentence such as 'Import stopped at stack_041.tif: It is …' brings its own title."""
+    first, colon, rest = sentence.partition(": ")
+    if colon and first.startswith(name.split(maxsplit=1)[0]) and len(first) < 70:
+        return first, rest[:1].upper() + rest[1:]
+    return name, sentence

@@ -1,0 +1,169 @@
+"""Numbers, and pairs of them, that may be left empty: text fields, since viser's number fields cannot be."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Generic, TypeVar
+
+from wafer_viewer.gui.widgets.controls import Gui
+from wafer_viewer.model.errors import WaferViewerError
+
+T = TypeVar("T")
+Pair = tuple[float, float]
+SIDES, PLACE = " × ", ", "
+"""Between two numbers: sides of something, or a place."""
+_BETWEEN = (r"\s*[×xX*]\s*", r"\s*;\s*", r"\s*,\s+", r"\s+", r",")
+NOT_GIVEN, NOT_KNOWN, NO_FILTER, NO_LIMIT = "not given", "not known", "no filter", "no limit"
+EMPTY: dict[str, str] = {
+    **dict.fromkeys(("Repeats s, µm", "Drift u, µm", "Sample, °C"), NOT_KNOWN),
+    **dict.fromkeys(("S-filter, µm", "L-filter, µm", "λc, µm", "λs, µm"), NO_FILTER),
+    "Chip over, µm": "4 σ of the edge",
+    "Site width, µm": "a quarter",
+    "Site height, µm": "a quarter",
+    **dict.fromkeys(("Limit, ± µm", "Blocks, °C", "Tolerance, µm", "Next in, days", "Tolerance"), NOT_GIVEN),
+    **dict.fromkeys(("Step, µm", "U (k = 2), µm", "Nominal, µm"), NOT_GIVEN),
+    **dict.fromkeys(("Pixel, µm", "z step, µm"), NOT_GIVEN),
+    "NA": NOT_KNOWN,
+    "Light, µm": "0.55",
+    "Size, mm": "not given: width × height",
+    "Lower limit": NO_LIMIT,
+    "Upper limit": NO_LIMIT,
+    "Pitch, µm": "not given: x × y",
+    "Die, µm": "as the pitch",
+    "Corner, µm": "not given: x, y",
+    **dict.fromkeys(("From, µm", "To, µm"), "none: x, y"),
+}
+"""Fields that may be left empty, by their labels, and what they say in grey then: what happens without a number."""
+
+
+class _Optional(Generic[T]):
+    """A text field that stands for a value, or for None where it is left empty.
+
+    Parameters
+    ----------
+    gui : viser.GuiApi
+        Where it is made.
+    label : str
+        Its name with the unit, ``Pixel, µm``; errors name the field by it.
+    value : T or None
+        What to begin with.
+    read, write : callable
+        Value of a text, and text of a value. `read` raises WaferViewerError for a text that is neither.
+    hint : str or None
+        More of it, and what happens where it is empty.
+    """
+
+    def __init__(
+        self,
+        gui: Gui,
+        label: str,
+        value: T | None,
+        read: Callable[[str], T | None],
+        write: Callable[[T | None], str],
+        hint: str | None,
+    ) -> None:
+        if label not in EMPTY:
+            raise ValueError(
+                f"The label {label!r} is missing in EMPTY: the page would not say what happens without it."
+            )
+        self.read, self._write = read, write
+        self.handle = gui.add_text(label, write(value), hint=hint)
+
+    @property
+    def value(self) -> T | None:
+        """What is typed, None where nothing is. Raises WaferViewerError for a text that stands for no value."""
+        return self.read(self.handle.value)
+
+    @value.setter
+    def value(self, value: T | None) -> None:
+        self.handle.value = self._write(value)
+
+
+class OptionalNumber(_Optional[float]):
+    """A number; `limits` are those of `number_of`."""
+
+    def __init__(
+        self, gui: Gui, label: str, value: float | None = None, *, hint: str | None = None, **limits: Any
+    ) -> None:
+        super().__init__(gui, label, value, lambda text: number_of(text, label, **limits), text_of, hint)
+
+
+class OptionalPair(_Optional[Pair]):
+    """Two numbers, both greater than `over`; `between` stands between them: ``" × "`` of sides, ``", "`` of a place."""
+
+    def __init__(
+        self,
+        gui: Gui,
+        label: str,
+        value: Pair | None = None,
+        *,
+        over: float | None = None,
+        between: str = SIDES,
+        hint: str | None = None,
+    ) -> None:
+        read, write = partial(pair_of, name=label, over=over), partial(pair_text, between=between)
+        super().__init__(gui, label, value, read, write, hint)
+
+
+def pair_of(text: str, name: str, *, over: float | None = None) -> Pair | None:
+    """Return the two numbers that were typed, None where nothing was.
+
+    Between them stands ×, x, a semicolon, a comma or a blank. Raises WaferViewerError with a sentence that names the
+    field, the text and the limit.
+    """
+    bare = text.strip()
+    if not bare:
+        return None
+    parts = next((found for by in _BETWEEN if len(found := re.split(by, bare)) == 2), [])
+    values = [number_of(part, name, over=over) for part in parts]
+    if len(values) != 2 or values[0] is None or values[1] is None:
+        raise WaferViewerError(f"{name}: {bare!r} are no two numbers. Type two, such as 12.5 × 8, or leave it empty.")
+    return values[0], values[1]
+
+
+def pair_text(value: Pair | None, between: str = SIDES) -> str:
+    """Return two numbers as they stand in a field, empty for None."""
+    return "" if value is None else between.join(text_of(number) for number in value)
+
+
+def number_of(
+    text: str,
+    name: str,
+    *,
+    over: float | None = None,
+    least: float | None = None,
+    most: float | None = None,
+    whole: bool = False,
+) -> float | None:
+    """Return the number that was typed, None where nothing was. A comma is a decimal point.
+
+    Raises WaferViewerError with a sentence that names the field, the text and the limit.
+    """
+    bare = "".join(text.split()).replace(",", ".").replace("\u2212", "-")
+    if not bare:
+        return None
+    try:
+        value = float(bare)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise WaferViewerError(f"{name}: {text.strip()!r} is not a number. Type one, or leave the field empty.")
+    if whole and not value.is_integer():
+        raise WaferViewerError(f"{name} is {value:g}: it must be a whole number, or empty.")
+    if over is not None and value <= over:
+        raise WaferViewerError(f"{name} is {value:g}: it must be over {over:g}, or empty.")
+    if least is not None and value < least:
+        raise WaferViewerError(f"{name} is {value:g}: it must be at least {least:g}, or empty.")
+    if most is not None and value > most:
+        raise WaferViewerError(f"{name} is {value:g}: it must be at most {most:g}, or empty.")
+    return value
+
+
+def text_of(value: float | None) -> str:
+    """Return a number as it stands in a field, empty for None."""
+    if value is None:
+        return ""
+    return f"{int(value)}" if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))

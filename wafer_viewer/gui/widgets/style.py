@@ -1,0 +1,79 @@
+"""Colours and sizes of the page, in one place: two palettes, and the style sheet that lays viser out."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from wafer_viewer.gui.widgets.static_files import read_static
+
+LIGHT = {
+    "panel": "#FFFFFF",
+    "ink": "#15202B",
+    "ink2": "#445463",
+    "ink3": "#5C6B7E",
+    "line": "#DCE3EA",
+    "fill": "#F3F6F9",
+    "accent": "#0B6E99",
+    "accent-soft": "#E2F0F7",
+    "good": "#18794E",
+    "good-soft": "#E2F4EA",
+    "attention": "#8A5300",
+    "attention-soft": "#FFF1D6",
+    "fault": "#B42318",
+    "fault-soft": "#FDE8E6",
+    "scene-in": "#F7F9FB",
+    "scene-out": "#D5DDE6",
+    "button": "#0B6E99",
+    "button-ink": "#FFFFFF",
+    "glass": "rgba(255,255,255,.86)",
+}
+DARK = {
+    "panel": "#161B21",
+    "ink": "#E9EEF3",
+    "ink2": "#B2BECA",
+    "ink3": "#8F9EAD",
+    "line": "#2A323B",
+    "fill": "#1E252D",
+    "accent": "#58BDE8",
+    "accent-soft": "#123243",
+    "good": "#4CC38A",
+    "good-soft": "#10301F",
+    "attention": "#F0B45B",
+    "attention-soft": "#352508",
+    "fault": "#FF8F85",
+    "fault-soft": "#3E1714",
+    "scene-in": "#262E37",
+    "scene-out": "#0B0F13",
+    "button": "#1B78A6",
+    "button-ink": "#FFFFFF",
+    "glass": "rgba(22,27,33,.86)",
+}
+BRAND = {False: (4, 44, 61), True: (29, 127, 174)}
+"""viser takes the colour as the eighth shade of ten and draws a lighter one: these come out as the accent."""
+RGB_OF_TONE = {"attention": (217, 130, 0), "fault": (180, 35, 24), "busy": (11, 110, 153), "good": (24, 121, 78)}
+
+SHEETS = "page.css", "gauge.css", "side_by_side.css", "file_dialog.css", "tour.css"
+HEADER_PX, LEFT_PX, RIGHT_PX = 56, 300, 404
+PROFILE_PX = 268
+"""Height of the bottom panel with a curve in it."""
+
+
+def palette(dark: bool) -> dict[str, str]:
+    """The colours of a theme by name."""
+    return DARK if dark else LIGHT
+
+
+def sheet(dark: bool, bottom_px: int) -> str:
+    """The style element of the whole page; `bottom_px` of the scene are given to the panel with a curve."""
+    colours = ";".join(f"--{name}:{value}" for name, value in palette(dark).items())
+    return f"<style>:root,[data-mantine-color-scheme]{{{colours};--bottom:{bottom_px}px}}\n{_page_css()}</style>"
+
+
+def by_id(uuid: str) -> str:
+    """The selector of the element with an id; an id that begins with a digit has to be escaped."""
+    return f"#\\3{uuid[0]} {uuid[1:]}" if uuid[0].isdigit() else f"#{uuid}"
+
+
+@cache
+def _page_css() -> str:
+    return "\n".join(read_static(*SHEETS))
