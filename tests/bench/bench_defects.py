@@ -3,7 +3,7 @@
     python tests/bench/bench_defects.py [--quick] [--seed N]
     python tests/bench/bench_defects.py --speed [--quick]     9 and 165 Mpx from disk, alone and on two workers
 
-Made-up patterned wafers (tests/measure/noisy_wafer.py): dies 360 px wide, up to half a pixel off their places, normal
+Made-up patterned wafers (tests/support/noisy_wafer.py): dies 360 px wide, up to half a pixel off their places, normal
 noise, 2 % of the pixels unmeasured, a bow of 10 um, pixels of 0.5 um; bumps and pits that show in the heights only.
 Goals: 0.95 captured of 6 sigma and 6 px, and of 3 sigma and 20 px; at most 0.1 false a mm2; 9 Mpx in 6 s on two cores,
 165 Mpx in 120 s, 3 GB. Heights from focus err in patches: what that does is measured by bench_defects_truth.py.
@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.bench.defects_speed import show_speed
 from tests.bench.tables import Cell, met, percent, show
-from tests.measure.noisy_wafer import Planted, Wafer, scattered, wafer
+from tests.support.noisy_wafer import Planted, Wafer, scattered, wafer
 from wafer_viewer.measure.defects.inspection import inspect
 from wafer_viewer.model.inspection.defect import Inspection
 

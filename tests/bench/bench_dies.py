@@ -20,7 +20,7 @@ import numpy as np
 
 from tests.bench.die_scenes import LATTICES, NO_LATTICES, Dice, Thrown
 from tests.bench.tables import show
-from tests.measure.patterned import Wafer
+from tests.support.patterned_surface import Wafer
 from wafer_viewer.measure.dies.die_lattice import find_dies
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.inspection.die_grid import DieGrid

@@ -22,8 +22,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.bench.tables import met, percent, show
-from tests.measure.bumped import bumped
-from tests.measure.pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
+from tests.support.bumped_surface import bumped
+from tests.support.made_up_pictures import all_of, chipped_edge, covered, die, disc, edge, kerf, strip
 from wafer_viewer.measure.edges.circular_edges import find_circle
 from wafer_viewer.measure.edges.rectangle_edges import DieEdges, die_edges
 from wafer_viewer.measure.edges.straight_edges import find_edge, find_edge_any_way

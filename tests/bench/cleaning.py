@@ -26,7 +26,7 @@ from scipy.ndimage import gaussian_filter
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.reconstruct.noisy_maps import noisy_step, rmse  # noqa: E402
+from tests.support.noisy_maps import noisy_step, rmse  # noqa: E402
 from tests.truth.layouts import PILLBOX, TUNING, Layout, take  # noqa: E402
 from wafer_viewer.model.spec import replace  # noqa: E402
 from wafer_viewer.model.surface.height_map import Origin  # noqa: E402

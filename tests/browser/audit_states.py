@@ -6,18 +6,18 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from tests.browser import fake_session as fake
-from tests.browser import operator_session as operator
 from tests.browser.audit import Act, Group, State, Visit
-from tests.browser.compared_session import ComparedSession
-from tests.browser.fake_session import FakeSession
-from tests.browser.gauge_blocks import certificate
-from tests.browser.gauge_session import TERMS, GaugeSession, checked, correctable, worked_out
-from tests.browser.inspected_session import inspected_session, repeating_session
-from tests.browser.inspected_states import whole_wafer
-from tests.browser.measuring_session import MeasuringSession
 from tests.browser.screen_list import EXPIRED, moving, noted
-from tests.browser.seen_session import SeenSession
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions import operator_session as operator
+from tests.browser.sessions.compared_session import ComparedSession
+from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.sessions.gauge_blocks import certificate
+from tests.browser.sessions.gauge_session import TERMS, GaugeSession, checked, correctable, worked_out
+from tests.browser.sessions.inspected_session import inspected_session, repeating_session
+from tests.browser.sessions.inspected_states import whole_wafer
+from tests.browser.sessions.measuring_session import MeasuringSession
+from tests.browser.sessions.seen_session import SeenSession
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.guided_tour import TOUR_LOT
 from wafer_viewer.session.state.gauge_state import GaugeState

@@ -10,8 +10,8 @@ from contextlib import ExitStack
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.browser.fake_session import FakeSession
 from tests.browser.screens import FLAGS, dismiss_viser_warning
+from tests.browser.sessions.fake_session import FakeSession
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 

@@ -13,20 +13,20 @@ from typing import Any
 
 from playwright.sync_api import Page
 
-from tests.browser import fake_session as fake
-from tests.browser import operator_session as operator
-from tests.browser.compared_session import ComparedSession
-from tests.browser.fake_session import FakeSession
-from tests.browser.gauge_blocks import certificate
-from tests.browser.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
-from tests.browser.handed_session import with_golden, with_other_tool
-from tests.browser.inspected_session import inspected_session, repeating_session
-from tests.browser.inspected_states import failed, held_elsewhere, inspected_as, whole_wafer
-from tests.browser.measuring_session import MeasuringSession
-from tests.browser.reviewed_session import reviewed_session
-from tests.browser.seen_session import SeenSession, a_focus_curve, came_to
-from tests.browser.shaped_session import ShapedSession
-from tests.browser.stitched_session import StitchedSession
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions import operator_session as operator
+from tests.browser.sessions.compared_session import ComparedSession
+from tests.browser.sessions.fake_session import FakeSession
+from tests.browser.sessions.gauge_blocks import certificate
+from tests.browser.sessions.gauge_session import TERMS, GaugeSession, a_study, checked, correctable
+from tests.browser.sessions.handed_session import with_golden, with_other_tool
+from tests.browser.sessions.inspected_session import inspected_session, repeating_session
+from tests.browser.sessions.inspected_states import failed, held_elsewhere, inspected_as, whole_wafer
+from tests.browser.sessions.measuring_session import MeasuringSession
+from tests.browser.sessions.reviewed_session import reviewed_session
+from tests.browser.sessions.seen_session import SeenSession, a_focus_curve, came_to
+from tests.browser.sessions.shaped_session import ShapedSession
+from tests.browser.sessions.stitched_session import StitchedSession
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, SavedView
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.state.gauge_state import GaugeState

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, Page
 
-from tests.browser import fake_session as fake
 from tests.browser.audit import Group, State, Themes, both_themes, look_over, opened
 from tests.browser.audit_states import GROUPS
+from tests.browser.sessions import fake_session as fake
 
 pytestmark = [
     pytest.mark.browser,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.measuring_session import MeasuringSession
+from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, go_to, press, title_is
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.app import start

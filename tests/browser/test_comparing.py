@@ -10,8 +10,8 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.steps import eventually, notes, press
-from tests.reconstruct.compared import a_texture
-from tests.session.compared_datasets import dataset_of, two_datasets
+from tests.support.compared_surfaces import a_texture
+from tests.support.datasets.compared_datasets import dataset_of, two_datasets
 from wafer_viewer.gui.app import start
 from wafer_viewer.session.session import Session
 

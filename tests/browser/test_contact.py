@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser import fake_session as fake
+from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import eventually
 from wafer_viewer.gui.app import start
 

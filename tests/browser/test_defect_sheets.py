@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.inspected_session import repeating_session
+from tests.browser.sessions.inspected_session import repeating_session
 from tests.browser.steps import eventually, go_to
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser import fake_session as fake
-from tests.browser.reviewed_session import reviewed_session
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.reviewed_session import reviewed_session
+from tests.browser.sessions.stitched_session import StitchedSession
 from tests.browser.steps import eventually, go_to, notes, numbers, press, text_field, title_is
-from tests.browser.stitched_session import StitchedSession
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.overlays.screenshot import PRINT_WIDTH_PX
 from wafer_viewer.model.errors import DatasetError

@@ -14,8 +14,8 @@ import tifffile
 from playwright.sync_api import Locator, Page, expect
 from scipy import ndimage
 
-from tests.browser.fake_session import a_job
-from tests.browser.gauge_blocks import CERTIFICATE_TOML
+from tests.browser.sessions.fake_session import a_job
+from tests.browser.sessions.gauge_blocks import CERTIFICATE_TOML
 from tests.browser.steps import eventually, go_to, press, set_numbers, text_field, title_is
 from tests.browser.test_exchange import a_part
 from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader

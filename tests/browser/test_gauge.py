@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from tests.browser.conftest import PATIENCE_MS
-from tests.browser.gauge_blocks import CERTIFICATE_TOML, dataset_of_blocks
+from tests.browser.sessions.gauge_blocks import CERTIFICATE_TOML, dataset_of_blocks
 from tests.browser.steps import (
     camera_at_rest,
     drag_at,

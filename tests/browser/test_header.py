@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser import fake_session as fake
+from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import title_is
 from wafer_viewer.gui.page.header import STEPS, TITLES
 

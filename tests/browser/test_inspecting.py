@@ -11,8 +11,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.steps import go_to, press
-from tests.measure.virtual_part import virtual_part
-from tests.session.compared_datasets import dataset_of
+from tests.support.datasets.compared_datasets import dataset_of
+from tests.support.virtual_part import virtual_part
 from wafer_viewer.model.surface.height_map import Origin
 from wafer_viewer.session.session import Session
 

@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser import fake_session as fake
-from tests.browser.fake_session import FakeSession
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.fake_session import FakeSession
 from tests.browser.steps import eventually, go_to, press, put, text_field, title_is, type_into
 from wafer_viewer.gui import app
 from wafer_viewer.gui.app import start

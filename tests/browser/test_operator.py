@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser import fake_session as fake
-from tests.browser import operator_session as day
 from tests.browser.conftest import dismiss_viser_warning
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions import operator_session as day
 from tests.browser.steps import eventually, notes, press, put, set_numbers, text_field, title_is, type_into
 from tests.test_house import ROOT
 from wafer_viewer.model.spec import replace

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.points_dataset import FIELD, REFUSED_UM, points_dataset
+from tests.browser.sessions.points_dataset import FIELD, REFUSED_UM, points_dataset
 from tests.browser.steps import (
     camera_at_rest,
     drag_at,

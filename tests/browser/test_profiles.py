@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.measuring_session import MeasuringSession
+from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import eventually, numbers, press, put, set_numbers
 from wafer_viewer.gui.app import start
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser import fake_session as fake
+from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import eventually, go_to, press, title_is
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.recipe import Recipe

@@ -9,8 +9,8 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, notes, title_is
-from tests.session.judged_datasets import PIXEL_UM, RESULT, judged_dataset, released_job
-from tests.store.inspections import defect, inspection
+from tests.support.datasets.inspections import defect, inspection
+from tests.support.datasets.judged_datasets import PIXEL_UM, RESULT, judged_dataset, released_job
 from wafer_viewer.model.inspection.defect import Defect, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid, DieStatus
 from wafer_viewer.model.region import Point, Region

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.inspected_session import InspectedSession, inspected_session
+from tests.browser.sessions.inspected_session import InspectedSession, inspected_session
 from tests.browser.steps import eventually, notes, title_is
 
 pytestmark = [

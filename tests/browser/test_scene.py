@@ -11,8 +11,8 @@ import viser
 from PIL import Image
 from playwright.sync_api import Browser
 
-from tests.gui.stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
-from tests.gui.test_scene import until
+from tests.gui.scenes.test_scene_view import until
+from tests.support.page_stand_in import PIXEL_UM, MemoryShelf, StandIn, grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.draw.colormaps import table
 from wafer_viewer.gui.scenes.scene_view import SceneView
 from wafer_viewer.gui.security.access_guard import open_server

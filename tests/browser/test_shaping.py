@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser.shaped_session import ShapedSession
+from tests.browser.sessions.shaped_session import ShapedSession
 from tests.browser.steps import go_to, press, title_is
 from wafer_viewer.model.measurement.tools import TOOLS
 

@@ -10,15 +10,15 @@ from typing import Any
 
 import pytest
 
-from tests.browser import fake_session as fake
-from tests.browser.compared_session import ComparedSession
-from tests.browser.gauge_session import GaugeSession
-from tests.browser.inspected_session import inspected_session
-from tests.browser.measuring_session import MeasuringSession
 from tests.browser.recording import Recording, answers_later, groups_of, verbs_of
-from tests.browser.seen_session import SeenSession
-from tests.browser.shaped_session import ShapedSession
-from tests.browser.stitched_session import GrowingSession, StitchedSession
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.compared_session import ComparedSession
+from tests.browser.sessions.gauge_session import GaugeSession
+from tests.browser.sessions.inspected_session import inspected_session
+from tests.browser.sessions.measuring_session import MeasuringSession
+from tests.browser.sessions.seen_session import SeenSession
+from tests.browser.sessions.shaped_session import ShapedSession
+from tests.browser.sessions.stitched_session import GrowingSession, StitchedSession
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.job.review_notes import SavedView
 from wafer_viewer.session.api import SessionApi

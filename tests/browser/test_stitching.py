@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser import fake_session as fake
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.stitched_session import StitchedSession
 from tests.browser.steps import eventually, go_to, title_is
-from tests.browser.stitched_session import StitchedSession
 from tests.browser.test_recipe import choose, dropdown
 
 pytestmark = [

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.browser import fake_session as fake
+from tests.browser.sessions import fake_session as fake
 from tests.browser.steps import eventually, notes
 from wafer_viewer.model.errors import MotionStopped
 from wafer_viewer.rigs.rig_config import RigConfig

@@ -10,10 +10,10 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.bench.big_mosaic import RESULT, big_dataset
-from tests.browser.fake_session import FakeSession
+from tests.browser.sessions.fake_session import FakeSession
 from tests.browser.slow_line import SlowLine
 from tests.browser.steps import click_the_surface, eventually, go_to
-from tests.gui.stand_in import grid, height_map, job_and_plan, snapshot_of
+from tests.support.page_stand_in import grid, height_map, job_and_plan, snapshot_of
 from wafer_viewer.gui.app import start
 from wafer_viewer.gui.scene.lod import surface_tiles
 from wafer_viewer.gui.scene.send_window import MOST_BYTES

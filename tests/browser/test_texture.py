@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.measuring_session import MeasuringSession
+from tests.browser.sessions.measuring_session import MeasuringSession
 from tests.browser.steps import go_to, set_numbers, title_is, type_into
 
 pytestmark = [

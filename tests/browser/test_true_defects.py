@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.steps import eventually, notes, press, text_field
-from tests.measure.noisy_wafer import Planted, wafer
+from tests.support.noisy_wafer import Planted, wafer
 from wafer_viewer.session.session import Session
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.formats.npz_file import write_npz

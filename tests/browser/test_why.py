@@ -8,7 +8,7 @@ from concurrent.futures import Future
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.browser.seen_session import SeenSession, a_focus_curve
+from tests.browser.sessions.seen_session import SeenSession, a_focus_curve
 from tests.browser.steps import click_the_surface, eventually, go_to, title_is
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.surface.focus_curve import FocusCurve

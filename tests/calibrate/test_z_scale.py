@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.measure.gauge_repeats import CALIBRATION, certificate, repeats, signed
+from tests.support.gauge_repeats import CALIBRATION, certificate, repeats, signed
 from wafer_viewer.calibrate.z_scale import scale_correction
 from wafer_viewer.measure.gauge.gauge_check import gauge_check, refusal
 from wafer_viewer.model.acquisition.calibration import OpticalSetup

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.measure.surfaces import STEP_UM, gauge_blocks
+from tests.support.surfaces import STEP_UM, gauge_blocks
 from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
 from wafer_viewer.measure.verdict import (
     judge,

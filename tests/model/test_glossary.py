@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.paths import ROOT
 from wafer_viewer.cli.app import main
 from wafer_viewer.model.glossary import GLOSSARY, find_terms, glossary_markdown
 
-ROOT = Path(__file__).parent.parent.parent
 PACKAGE = ROOT / "wafer_viewer"
 
 

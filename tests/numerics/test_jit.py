@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numba.core.errors import NumbaError
 
+from tests.support.paths import PACKAGE
 from wafer_viewer.numerics.jit import KERNEL_ROOMS, bare_kernel, cache_folder, source_fingerprint
 
 
@@ -24,9 +25,6 @@ def _make_an_array(n):
     return np.zeros(n)
 
 
-PACKAGE = Path(__file__).parents[2] / "wafer_viewer"
-
-
 def test_the_cache_can_be_moved_and_belongs_to_this_state_of_the_sources(monkeypatch, tmp_path):
     monkeypatch.setenv("WAFER_VIEWER_CACHE", str(tmp_path))
     assert cache_folder() == tmp_path / "kernels" / source_fingerprint()
@@ -35,7 +33,7 @@ def test_the_cache_can_be_moved_and_belongs_to_this_state_of_the_sources(monkeyp
 def test_a_change_of_any_kernel_source_changes_the_fingerprint(monkeypatch):
     before = source_fingerprint()
     read = Path.read_bytes
-    changed = next((PACKAGE / "rigs/virtual").glob("noise.py"))
+    changed = next((PACKAGE / "rigs/virtual").rglob("value_noise.py"))
     monkeypatch.setattr(Path, "read_bytes", lambda f: read(f) + b"#" * (f == changed))
     assert source_fingerprint() != before
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.store.samples import Source, make_surface
+from tests.support.datasets.samples import Source, make_surface
 from wafer_viewer.store.mosaic import layout
 from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
 

@@ -25,7 +25,7 @@ AS_STEEP = 0.5
 """Of an edge's typical steepness: what is less steep is no part of the edge."""
 U_SUBPIXEL_PX = 0.002
 """Standard uncertainty (k = 1) of an edge for where it lies between two pixels, on steps blurred by 0.7 px or more:
-`tests/measure/test_edges.py` looks for a larger one."""
+`tests/measure/edges/test_subpixel_edges.py` looks for a larger one."""
 MOST_APART = 4
 Responses = NDArray[np.float32]
 

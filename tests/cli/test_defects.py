@@ -1,0 +1,190 @@
+"""Defects from the command line: JSON, files, a status by limits, and bad input in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.patterned_surface import Wafer, made
+from wafer_viewer.cli.app import main
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.golden_die import GoldenDie, GoldenHeader
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.spec import replace as spec_replace
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.defect_recipes import save_defect_recipe
+from wafer_viewer.store.records.golden_dies import open_golden, save_golden
+from wafer_viewer.store.tables.klarf_reader import read_klarf
+
+WAFER = Wafer(unmeasured_fraction=0.0)
+AT_UM = (480.0, 420.0)
+GIVEN = ("--pitch-um", "201.3", "147.7", "--origin-um", "31.7", "22.9", "--size-um", "173", "121")
+
+
+def bumped(surface: HeightMap) -> HeightMap:
+    """With a dome, 12 um high and 60 um across."""
+    rows, cols = surface.z_um.shape
+    x = surface.x0_um + np.arange(cols)[None, :] * surface.pixel_um
+    y = surface.y0_um - np.arange(rows)[:, None] * surface.pixel_um
+    inside = 1 - ((x - AT_UM[0]) ** 2 + (y - AT_UM[1]) ** 2) / 30.0**2
+    z = (surface.z_um + 12 * np.sqrt(np.clip(inside, 0, None))).astype(np.float32)
+    return replace(surface, z_um=z, z_raw_um=z)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("wafers")
+    write_npz(bumped(made(WAFER)), path / "bumped.npz")
+    write_npz(made(WAFER, gap=Region.rectangle(700, 500, 1100, 900)), path / "gap.npz")
+    return path
+
+
+def test_the_defect_is_told_counted_and_handed_over(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = {what: str(tmp_path / f"w.{what}") for what in ("klarf", "csv", "training")}
+    flags = [word for what, path in out.items() for word in (f"--{what}", path)]
+    golden = ("--save-golden", str(tmp_path / "std"))
+    status = main(["measure", "defects", str(folder / "bumped.npz"), *flags, *golden, "--max-per-die", "0"])
+    told = json.loads(capsys.readouterr().out)
+    worst = told["inspection"]["defects"][0]
+    assert (status, worst["kind"], told["inspection"]["grid"]["by"]) == (1, "particle", "found")
+    assert worst["die"] in told["verdict"]["failing"]
+    assert not any(worst["number"] in place["numbers"] for place in told["repeats"])
+    assert worst["center"] == pytest.approx(AT_UM, abs=2.0)
+    klarf = read_klarf(out["klarf"])
+    assert len(klarf.defects) == told["verdict"]["counted"]
+    with Path(out["csv"]).open() as file:
+        assert len(list(csv.DictReader(file))) == len(told["inspection"]["defects"])
+    with (Path(out["training"]) / "features.csv").open() as file:
+        row = next(csv.DictReader(file))
+    heights = np.load(Path(out["training"]) / row["heights"])
+    assert row["class"] == "particle"
+    assert np.nanmax(heights) - np.nanmedian(heights) > 8
+    assert open_golden(told["files"]["golden"]).header.version == 1
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *GIVEN, "--other", out["klarf"]]) < 2
+    beside = json.loads(capsys.readouterr().out)["other"]
+    assert beside["places"] == len(klarf.defects)
+    assert worst["number"] in beside["matched"].values()
+
+
+def test_within_its_limits_the_status_is_0(folder: Path, capsys: pytest.CaptureFixture[str]):
+    flags = ("--max-per-die", "50", "--sensitivity", "0.2", *GIVEN)
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 0
+    assert json.loads(capsys.readouterr().out)["inspection"]["recipe"]["sensitivity"] == 0.2
+
+
+def test_a_wafer_with_a_missing_field_is_not_clean(folder: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["measure", "defects", str(folder / "gap.npz"), *GIVEN]) == 1
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+    assert verdict["not_inspected"]
+    assert "not clean" in verdict["why"][0]
+
+
+def test_areas_that_a_recipe_names_are_left_out_and_told(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    recipe = tmp_path / "areas.toml"
+    call = ["measure", "defects", str(folder / "bumped.npz"), *GIVEN, "--sensitivity", "0.2"]
+    main(call)
+    worst = json.loads(capsys.readouterr().out)["inspection"]["defects"][0]
+    at = ", ".join(f"[{worst['in_die'][0] + off}, {worst['in_die'][1] + off}]" for off in (-36, 36))
+    recipe.write_text(f'[[excluded]]\nkind = "rectangle"\npoints = [{at}]')
+    main([*call, "--recipe", str(recipe)])
+    found = json.loads(capsys.readouterr().out)["inspection"]
+    assert all(defect["center"] != pytest.approx(AT_UM, abs=30.0) for defect in found["defects"])
+    assert any(note.startswith("Left out of every die, as the recipe asks: 1 area") for note in found["notes"])
+
+
+@pytest.mark.parametrize(
+    ("flags", "sentence"),
+    [
+        (("--pitch-um", "200", "150"), "give both, or neither"),
+        (("--size-um", "200", "150"), "go with their pitch and origin"),
+        (("--sensitivity", "3"), "sensitivity is 3.0: it must be between 0 and 1"),
+        (("--recipe", "gone.toml"), "gone.toml cannot be read"),
+        (("--golden", "gone.golden.npz"), "gone.golden.npz does not exist"),
+        (("--golden", "x.golden.npz", "--against", "form"), "leave --golden or --against form out"),
+        (("--other", "gone.klarf"), "gone.klarf does not exist"),
+        (("--max-per-die", "-1"), "max_per_die is -1: it must be at least 0"),
+    ],
+)
+def test_bad_input_is_one_sentence(
+    folder: Path, capsys: pytest.CaptureFixture[str], flags: tuple[str, ...], sentence: str
+):
+    assert main(["measure", "defects", str(folder / "bumped.npz"), *flags]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert sentence in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_a_golden_die_of_another_product_is_refused(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    recipe = tmp_path / "r.toml"
+    for product, flags in (("A", ("--save-golden", str(tmp_path / "std"))), ("B", ())):
+        recipe.write_text(f'product = "{product}"')
+        golden = () if flags else ("--golden", str(tmp_path / "std.1.golden.npz"))
+        status = main(
+            ["measure", "defects", str(folder / "bumped.npz"), "--recipe", str(recipe), *GIVEN, *flags, *golden]
+        )
+        assert (status == 2) == bool(golden)
+    assert "is of product 'A' and this wafer is of 'B'" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def dataset(folder: Path) -> Path:
+    """A dataset of product LX-7, with a golden die and a recipe that names it beside."""
+    from wafer_viewer.session.files.surface_import import import_surface
+    from wafer_viewer.store.dataset.scan_record import read_record, write_record
+
+    path = import_surface(folder / "bumped.npz", folder / "w7.wafer")
+    record = read_record(path)
+    write_record(path, spec_replace(record, job=spec_replace(record.job, product="LX-7")))
+    save_defect_recipe(folder, DefectRecipe(product="LX-7", name="keen", sensitivity=0.2, golden="lx7"))
+    return path
+
+
+@pytest.mark.slow
+def test_the_recipe_of_the_product_is_taken_by_itself_with_its_golden_die(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    torn = dataset.parent / "recipes" / "LX-7-torn.defects.toml"
+    torn.write_text("sensitvity = 0.5")
+    assert main(["measure", "defects", str(dataset), *GIVEN]) == 2
+    torn.unlink()
+    refused = capsys.readouterr().err
+    assert "LX-7-torn.defects.toml: unknown key 'sensitvity'" in refused
+    assert "Recipe 'keen' of LX-7 is used" in refused
+    assert "no golden die 'lx7'" in refused
+    plain = tmp_path / "plain.toml"
+    plain.write_text('product = "LX-7"')
+    golden = dataset.parent / "golden" / "lx7"
+    assert main(["measure", "defects", str(dataset), *GIVEN, "--recipe", str(plain), "--save-golden", str(golden)]) < 2
+    assert "is used because" not in capsys.readouterr().err
+    assert main(["measure", "defects", str(dataset), *GIVEN]) < 2
+    told = json.loads(capsys.readouterr().out)["inspection"]
+    assert (told["recipe"]["name"], told["reference"], told["recipe"]["sensitivity"]) == ("keen", "golden", 0.2)
+
+
+@pytest.mark.parametrize(
+    ("header", "says"),
+    [
+        ({"product": "LX-8"}, "is of product 'LX-8' and this wafer is of 'LX-7': choose a golden die of this product"),
+        ({"pixel_um": 1.0}, "has pixels of 1 um and this surface of 2 um"),
+        ({"width_um": 120.0}, "has dies of 120 x 121 um and this wafer of 173 x 121 um"),
+    ],
+)
+def test_a_golden_die_of_something_else_is_refused_in_a_sentence(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], header: dict[str, object], says: str
+):
+    own = {"product": "LX-7", "pixel_um": made(WAFER).pixel_um, "width_um": 173.0, "height_um": 121.0, "dies": 9}
+    layer = np.zeros((12, 17), np.float32)
+    path = save_golden(GoldenDie(GoldenHeader(**own | header), *[layer] * 4), tmp_path / "std")
+    assert main(["measure", "defects", str(dataset), *GIVEN, "--golden", str(path)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert says in captured.err

@@ -1,0 +1,155 @@
+"""Gauge-block checks from the command line: as JSON with a status, signed, over days, and the z scale by them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.support.datasets.gauge_scans import CALIBRATION, CORNERS, RIG, scan_of_blocks, surface
+from tests.support.gauge_repeats import record
+from tests.support.paths import ASSETS
+from wafer_viewer.cli.app import main
+from wafer_viewer.model.spec import replace
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.formats.npz_file import write_npz
+from wafer_viewer.store.records.calibrations import calibration_in_force
+from wafer_viewer.store.records.gauge_checks import GAUGE_LOG, sign
+
+CERTIFICATE = ASSETS / "gauge" / "step.toml"
+CHECK = ("--certificate", str(CERTIFICATE), "--field", "1", *CORNERS)
+
+
+@pytest.fixture
+def scans(tmp_path):
+    return [str(scan_of_blocks(tmp_path, seed, 0.3)) for seed in (1, 2, 3)]
+
+
+@pytest.fixture
+def told(capsys: pytest.CaptureFixture[str]):
+    """Runs a command that answers; gives its status and what it says."""
+
+    def run(*argv: str):
+        status = main(list(argv))
+        out = capsys.readouterr()
+        assert out.err == ""
+        return status, json.loads(out.out)
+
+    return run
+
+
+@pytest.fixture
+def refused(capsys: pytest.CaptureFixture[str]):
+    """Runs a command that refuses; gives its one sentence."""
+
+    def run(*argv: str) -> str:
+        assert main(list(argv)) == 2
+        out = capsys.readouterr()
+        assert (out.out, out.err.count("\n")) == ("", 1)
+        return out.err
+
+    return run
+
+
+def test_a_check_says_error_en_and_verdict_with_its_status(scans, told):
+    status, said = told("measure", "gauge", *scans, *CHECK, "--limit-um", "1", "--temperature-c", "21")
+    assert (status, said["verdict"], said["simulated"]) == (0, "pass", True)
+    assert said["deviation"]["value_um"] == pytest.approx(0.3, abs=0.05)
+    assert said["reference"]["value_um"] == pytest.approx(399.88 * (1 + 11.5e-6))
+    assert abs(said["en"]) > 1
+    assert "too small" in said["en_why"]
+    assert {line["of"] for line in said["budget"]} == {"scale", "measurement", "reference"}
+    assert said["not_evaluated"]
+    assert told("measure", "gauge", *scans, *CHECK, "--limit-um", "0.1")[0] == 1
+    status, said = told("measure", "gauge", *scans, *CHECK)
+    assert (status, said["verdict"]) == (1, "no verdict")
+
+
+def test_surface_files_are_repeats_too(tmp_path, told):
+    for seed in (1, 2):
+        write_npz(surface(seed), tmp_path / f"{seed}.npz")
+    files = [str(tmp_path / f"{seed}.npz") for seed in (1, 2)]
+    status, said = told("measure", "gauge", *files, "--certificate", str(CERTIFICATE), *CORNERS, "--limit-um", "1")
+    assert (status, len(said["repeats"])) == (0, 2)
+
+
+def test_a_signed_check_is_in_log_and_results_and_makes_history(scans, tmp_path, told, refused):
+    folder, terms = str(tmp_path), ("--limit-um", "1", "--tolerance-um", "10")
+    for name, of in (("Ann", scans[:1]), ("Bob", scans[1:])):
+        _, said = told("measure", "gauge", *of, *CHECK, *terms, "--sign", name)
+        assert (said["signed_by"], said["capability"]["n"]) == (name, 1 if name == "Ann" else 3)
+    assert "is in the check that Ann signed" in refused("measure", "gauge", *scans, *CHECK, "--sign", "Cy")
+    assert (tmp_path / GAUGE_LOG).read_text().count("\n") == 2
+    (kept,) = Dataset.open(scans[-1]).result("default").findings().items
+    assert (kept.name, kept.signed_by, kept.n) == ("Gauge check 1", "Bob", 2)
+    status, said = told("measure", "gauge", "--log", folder, "--serial", "V-1000", "V-1400", "--tolerance-um", "10")
+    assert status == 0
+    assert [point["signed_by"] for point in said["chart"]["points"]] == ["Ann", "Bob"]
+    assert (said["rig"], said["capability"]["n"], said["capability"]["capable"]) == (RIG, 3, None)
+
+
+def test_the_z_scale_is_shown_then_set_by_a_person(scans, tmp_path, told, refused):
+    folder = str(tmp_path)
+    assert "no signed check" in refused("calibrate", "z", folder)
+    told("measure", "gauge", *scans, *CHECK, "--sign", "Ann")
+    _, offered = told("calibrate", "z", folder)
+    assert offered["recorded"] is False
+    assert calibration_in_force(tmp_path, RIG, CALIBRATION) == CALIBRATION
+    _, done = told("calibrate", "z", folder, "--by", "Ann", "--why", "yearly")
+    assert done["recorded"] is True
+    corrected = calibration_in_force(tmp_path, RIG, CALIBRATION)
+    assert corrected.z_scale == pytest.approx(done["factor"])
+    assert "corrected by this check already" in refused("calibrate", "z", folder, "--by", "Ann")
+    again = scan_of_blocks(tmp_path, 9, calibration=corrected)
+    assert "so a comparison with it checks nothing" in refused("measure", "gauge", str(again), *CHECK)
+
+
+@pytest.mark.parametrize(
+    ("change", "argv", "said"),
+    [
+        ({"calibration": None}, CHECK, "no check without a calibration"),
+        ({"calibration": replace(CALIBRATION, due="2026-01-02")}, CHECK, "was due on 2026-01-02"),
+        ({"taken": "2100-01-01"}, CHECK, "expired on 2099-12-31"),
+        ({"error_um": -30.0}, CHECK, "other blocks"),
+        ({}, CHECK[2:], "give --certificate"),
+        ({}, CHECK[:-5], "One face makes no step"),
+        ({}, (*CHECK, "--limit-um", "0"), "limit_um is 0.0"),
+        ({}, (*CHECK, "--sign", " "), "signed with a name"),
+    ],
+)
+def test_what_is_no_check_is_refused_in_one_sentence(tmp_path, refused, change, argv, said):
+    scan = scan_of_blocks(tmp_path, 1, **change)
+    assert said in refused("measure", "gauge", str(scan), *argv)
+    assert not (tmp_path / GAUGE_LOG).exists()
+
+
+def test_the_same_scan_twice_is_no_repeat(tmp_path, refused):
+    scan = str(scan_of_blocks(tmp_path, 1))
+    assert "a repeat is a new scan" in refused("measure", "gauge", scan, scan, *CHECK)
+
+
+def test_scans_of_two_rigs_are_no_repeats(tmp_path, refused):
+    write_npz(surface(1), tmp_path / "other.npz")
+    scan = str(scan_of_blocks(tmp_path, 2))
+    assert "several rigs" in refused("measure", "gauge", scan, str(tmp_path / "other.npz"), *CHECK)
+
+
+def test_a_history_is_of_one_pair_of_blocks_on_one_rig(tmp_path, told, refused):
+    for rig in ("Rig 1", "Rig 2"):
+        sign(tmp_path, replace(record("2026-06-01", 400.0), rig=rig))
+    assert "A1 A2 on Rig 1; A1 A2 on Rig 2" in refused("measure", "gauge", "--log", str(tmp_path))
+    assert told("measure", "gauge", "--log", str(tmp_path), "--rig", "Rig 2")[1]["rig"] == "Rig 2"
+    assert "no signed checks" in refused("measure", "gauge", "--log", str(tmp_path), "--serial", "A1")
+
+
+def test_a_drift_out_of_the_limit_is_told_with_status_1(tmp_path, told):
+    for day, error_um in enumerate([0.0, 0.021, 0.04, 0.059, 0.08], 1):
+        sign(tmp_path, record(f"2026-06-{day:02d}", 400.0 + error_um))
+    status, said = told("measure", "gauge", "--log", str(tmp_path))
+    assert status == 1
+    assert "before the next check is due" in said["chart"]["warnings"][0]
+
+
+def test_a_history_of_nothing_is_refused(tmp_path, refused):
+    assert "nothing to check" in refused("measure", "gauge")
+    assert "no signed checks" in refused("measure", "gauge", "--log", str(tmp_path))

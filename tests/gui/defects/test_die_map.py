@@ -1,0 +1,224 @@
+"""The map of dies and the Pareto chart in Review: what is listed is on them, and what is chosen on them is listed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import pytest
+
+from tests.browser.sessions import fake_session as fake
+from tests.browser.sessions.inspected_session import GRID, PLANTED, found
+from tests.browser.sessions.inspected_states import wafer_of
+from wafer_viewer.draw.charts.defect_map import die_frame
+from wafer_viewer.draw.charts.defect_symbols import KINDS
+from wafer_viewer.gui.defects.die_map import DefectMap, die_at
+from wafer_viewer.gui.presenters.review.defect_map import MOST_SIGNS, counts_of, fills_by_class, map_html
+from wafer_viewer.gui.presenters.review.defect_pareto import chart_of, pareto_html
+from wafer_viewer.gui.state.defect_list_state import DefectListing, next_die, next_kind
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.state.inspection_state import InspectionState
+
+INSPECTION = found(PLANTED)
+ALL = DefectListing()
+
+
+def judged(*numbers: int):
+    """The defects, some of them judged."""
+    return tuple(replace(d, judgement="real") if d.number in numbers else d for d in INSPECTION.defects)
+
+
+class Reviewer:
+    """A page with the map alone: what is chosen, and what is gone to."""
+
+    def __init__(self, inspection=INSPECTION) -> None:
+        self.gui, self.made = self, []
+        self.view, self.picks, self.gone_to, self.said = View(step="review"), {}, [], []
+        self.session = SimpleNamespace(snapshot=None)
+        self.inspect(inspection)
+        self.map = DefectMap(self)
+        self.map.on_chosen(self._go_to)
+
+    def inspect(self, inspection, **state) -> None:
+        state = InspectionState(inspection, **state)
+        self.session.snapshot = dataclasses.replace(fake.measured(), findings=(), inspection=state)
+
+    def add_folder(self, *_, **__):
+        return MagicMock(visible=False)
+
+    def add_html(self, content: str):
+        self.made.append(SimpleNamespace(content=content))
+        return self.made[-1]
+
+    def on_pick(self, what, then) -> None:
+        self.picks[what] = then
+
+    def change(self, **changes) -> None:
+        self.view = dataclasses.replace(self.view, **changes)
+
+    def say(self, title, *_) -> None:
+        self.said.append(title)
+
+    def press(self, name: str) -> None:
+        next(command for command in self.map.commands() if command.name == name).act()
+
+    def show(self) -> str:
+        self.map.show(self.session.snapshot, self.view)
+        return self.made[-1].content
+
+    def _go_to(self, key: str) -> None:
+        self.gone_to.append(key)
+        self.change(review=key)
+
+
+def test_keys_go_from_die_to_die_by_rows_from_the_top_to_those_with_open_defects():
+    page = Reviewer()
+    seen = []
+    for _ in range(9):
+        page.press("Next die with open defects")
+        seen.append(page.view.defects.die)
+    assert seen == ["-2,0", "-1,0", "0,0", "1,0", "-2,-1", "-1,-1", "0,-1", "1,-1", "-2,0"]
+    page.press("Previous die with open defects")
+    assert page.view.defects.die == "1,-1"
+    assert page.gone_to[1] == "defect 1"
+    page.inspect(replace(INSPECTION, defects=judged(*range(1, 9))))
+    page.press("Next die with open defects")
+    assert page.said == ["No die to go to"]
+
+
+def test_a_die_whose_defects_are_judged_is_passed_over_and_left_in_its_place():
+    assert next_die(judged(1), ALL, 1) == "-2,0"
+    assert next_die(judged(1), DefectListing(die="-1,0"), 1) == "0,0"
+    assert next_die(judged(1), DefectListing(die="-1,0"), -1) == "-2,0"
+    assert next_die(judged(1), DefectListing(kind="particle"), 1) == "-2,-1"
+    assert next_die(judged(*range(1, 9)), ALL, 1) is None
+
+
+def test_a_key_lists_class_after_class_and_then_all():
+    page = Reviewer()
+    for kind in ["particle", "residue", "pit", "scratch", "edge chip", "pattern", "unmeasured", ""]:
+        page.press("Show only the next class")
+        assert page.view.defects.kind == kind
+    assert next_kind(INSPECTION.defects, DefectListing(kind="tilted die")) == ""
+
+
+def test_a_click_on_a_die_lists_it_alone_and_a_second_click_all():
+    page = Reviewer()
+    x, y = (float(um) for um in GRID.to_stage(1, 0, 50.0, 50.0))
+    page.picks["defect-at"](f"{x},{y}")
+    assert (page.view.defects.die, page.gone_to) == ("1,0", ["defect 2"])
+    assert "wv-die-on" in page.show()
+    page.picks["defect-at"](f"{x},{y}")
+    assert page.view.defects.die == ""
+    assert "wv-die-on" not in page.show()
+    page.picks["defect-kind"]("pit")
+    assert page.view.lists_some
+    page.picks["defect-all"]("")
+    assert not page.view.lists_some
+
+
+def test_a_street_and_a_place_beside_the_dies_are_no_die():
+    x, y = (float(um) for um in GRID.to_stage(1, 0, 50.0, 50.0))
+    street_um = GRID.width_um + GRID.street_x_um / 2
+    assert die_at(INSPECTION, x, y) == "1,0"
+    assert die_at(INSPECTION, *(float(um) for um in GRID.to_stage(1, 0, street_um, 50.0))) == ""
+    assert die_at(INSPECTION, x + 100 * GRID.pitch_x_um, y) == ""
+
+
+def test_the_defect_under_review_stays_where_it_is_listed_still():
+    page = Reviewer()
+    page.change(review="defect 4")
+    page.picks["defect-kind"]("particle")
+    assert page.gone_to == []
+    page.picks["defect-kind"]("pit")
+    assert page.gone_to == ["defect 3"]
+
+
+def test_the_map_is_drawn_again_only_when_something_of_it_changed(monkeypatch):
+    drawn = []
+    monkeypatch.setattr("wafer_viewer.gui.defects.die_map.map_html", lambda *args: f"{len(drawn.append(1) or drawn)}")
+    page = Reviewer()
+    page.show()
+    page.change(review="defect 3")
+    page.show()
+    page.change(defects=DefectListing(sort="height"))
+    page.show()
+    assert len(drawn) == 1
+    page.change(defects=DefectListing(map_by="count"))
+    page.show()
+    page.inspect(replace(INSPECTION, defects=judged(1)))
+    page.show()
+    assert len(drawn) == 3
+
+
+def test_there_is_no_map_of_dies_elsewhere_or_without_dies():
+    page = Reviewer()
+    assert page.map.show(page.session.snapshot, page.view)
+    assert not page.map.show(page.session.snapshot, View(step="surface"))
+    page.inspect(replace(INSPECTION, grid=None, dies=()))
+    assert not page.map.show(page.session.snapshot, page.view)
+
+
+def test_by_class_every_defect_has_its_sign_and_by_count_every_die_its_number():
+    frame = die_frame(INSPECTION)
+    by_class = map_html(frame, INSPECTION, judged(1), ALL)
+    assert len(re.findall("data-d=", by_class)) == len(PLANTED)
+    assert "D1 · Particle, real defect" in by_class
+    by_count = map_html(frame, INSPECTION, INSPECTION.defects, DefectListing(map_by="count"))
+    assert "data-d=" not in by_count
+    assert by_count.count("</text>") == 7  # an area without heights is no defect
+    assert "12 clean" in by_count
+    assert "1 not scanned" in by_count
+
+
+def test_what_is_not_listed_is_not_on_the_map():
+    page = Reviewer()
+    page.change(defects=DefectListing(kind="pit"))
+    assert page.show().count("data-d=") == 1
+    page.change(defects=DefectListing(die="0,0"))
+    assert page.show().count("data-d=") == len(PLANTED)  # other dies are still to be seen and chosen
+
+
+def test_of_too_many_defects_each_die_has_the_colour_of_its_commonest_class():
+    wafer = wafer_of(17, 640)
+    assert len(wafer.defects) > MOST_SIGNS
+    text = map_html(die_frame(wafer), wafer, wafer.defects, ALL)
+    assert "data-d=" not in text
+    assert "commonest class" in text
+    fills = fills_by_class(INSPECTION.defects)
+    assert fills["0,0"].colour == KINDS["scratch"].colour
+
+
+def test_an_area_without_heights_counts_as_no_defect_in_map_and_chart():
+    assert counts_of(INSPECTION.defects)["-2,0"] == 0
+    rows = re.findall(r"</svg> ([A-Z][a-z ]+)</span>.*?<b>(\d+)</b><small>(.*?)</small>", chart())
+    assert rows[0] == ("Particle", "2", "29 %")
+    assert rows[-2][2] == "100 %"
+    assert rows[-1] == ("Unmeasured", "1", "")
+
+
+@pytest.mark.parametrize("kind", ["pit", "unmeasured"])
+def test_the_class_that_is_listed_alone_is_pressed(kind):
+    pressed = re.findall(r'aria-pressed="true" data-pick="defect-kind" data-k="([a-z ]+)"', chart(kind))
+    assert pressed == [kind]
+
+
+def test_the_chart_goes_by_the_operators_word():
+    told = (replace(INSPECTION.defects[0], judged_kind="residue"), *INSPECTION.defects[1:])
+    assert re.search(r"Residue</span>.*?<b>2</b>", pareto_html(told, ""))
+    assert pareto_html((), "") == ""
+
+
+def test_the_chart_is_of_what_is_listed_of_every_class():
+    state = InspectionState(replace(INSPECTION, defects=judged(1, 3)))
+    real = chart_of(state, DefectListing(kind="pit"), "accepted")
+    assert re.findall(r'data-k="([a-z ]+)"', real) == ["particle", "pit"]
+    assert chart_of(state, DefectListing(die="0,0"), "accepted") == ""
+    assert chart_of(state, DefectListing(sort="height"), "all") is chart_of(state, ALL, "all")
+
+
+def chart(kind: str = "") -> str:
+    return pareto_html(INSPECTION.defects, kind)

@@ -1,0 +1,156 @@
+"""The form of an inspection: there and back, what it says of false defects, recipes, golden dies and limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from html import unescape
+
+import pytest
+
+from tests.browser.sessions.fake_defect_files import a_shelf
+from tests.browser.sessions.inspected_session import GRID, PLANTED, found
+from wafer_viewer.gui.defects.inspection_form_text import expectation, golden_table, more, unreadable, which_recipe
+from wafer_viewer.gui.presenters.review.defect_limits import limits_of, text_of, verdict
+from wafer_viewer.gui.presenters.review.inspection_form_values import (
+    FORM,
+    FOUND,
+    GIVEN,
+    GOLDEN,
+    DefectForm,
+    against_of,
+    dies_of,
+    form_of,
+    recipe_of,
+)
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.inspection.class_rules import ClassRules
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.spec import replace
+
+INSPECTION = found(PLANTED)
+KEPT = DefectRecipe(
+    name="keen",
+    product="LX-7",
+    sensitivity=0.7,
+    scales_px=(0.0, 2.5),
+    evidence="picture",
+    golden="lx7.2",
+    min_area_px=9,
+    rules=ClassRules(scratch_ratio=6.0),
+    limits=DefectLimits(max_per_die=3, max_per_mm2=0.1),
+)
+
+
+def test_a_recipe_is_the_same_after_the_form():
+    form = form_of(KEPT, None)
+    assert (form.compare, form.golden, form.scales_px) == (GOLDEN, "lx7.2", "0, 2.5")
+    assert recipe_of(form, KEPT) == KEPT
+    assert recipe_of(form_of(DefectRecipe(), None), DefectRecipe()) == DefectRecipe()
+
+
+def test_the_dies_of_an_inspection_stand_there_to_be_given_again():
+    form = dataclasses.replace(form_of(DefectRecipe(), INSPECTION), dies=GIVEN)
+    grid = dies_of(form)
+    assert (grid.pitch_x_um, grid.width_um, grid.x0_um) == (GRID.pitch_x_um, GRID.width_um, GRID.x0_um)
+    assert dies_of(dataclasses.replace(form, dies=FOUND)) == "found"
+    assert dies_of(DefectForm()) is None
+    assert (against_of(form), against_of(dataclasses.replace(form, compare=FORM))) == ("dies", "form")
+
+
+def test_dies_without_a_size_are_as_large_as_their_pitch():
+    grid = dies_of(DefectForm(dies=GIVEN, pitch_um="300 × 200", corner_um="0, 0", angle_deg=90.0))
+    assert (grid.width_um, grid.height_um) == (300.0, 200.0)
+    assert grid.angle_rad == pytest.approx(1.5708, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("form", "says"),
+    [
+        (DefectForm(dies=GIVEN), "The pitch of the dies is not given: type it"),
+        (DefectForm(dies=GIVEN, pitch_um="0 × 9"), "Pitch, µm is 0: it must be over 0"),
+        (DefectForm(dies=GIVEN, pitch_um="9 × 9"), "The corner of the dies is not given"),
+        (
+            DefectForm(dies=GIVEN, pitch_um="9 × 9", corner_um="0, 0", size_um="10 × 9"),
+            "a die is at most as large as the pitch",
+        ),
+    ],
+)
+def test_dies_that_are_none_are_told_in_a_sentence(form: DefectForm, says: str):
+    with pytest.raises(MeasureError, match=says):
+        dies_of(form)
+
+
+@pytest.mark.parametrize(
+    ("form", "says"),
+    [
+        (DefectForm(compare=GOLDEN), "No golden die is chosen"),
+        (DefectForm(scales_px="0, wide"), "The scales '0, wide' are not numbers"),
+        (DefectForm(scales_px="0, 41"), "at least one scale, each at most 40 px"),
+        (DefectForm(scales_px="0", max_per_die="few"), "'few' is not a number of defects per die"),
+        (DefectForm(scales_px="0", max_per_die="1.5"), "give a whole number"),
+        (DefectForm(scales_px="0", max_per_mm2="-1"), "it must be at least 0"),
+        (DefectForm(scales_px="0", max_per_mm2="nan"), "it must be at least 0"),
+    ],
+)
+def test_a_form_that_makes_no_recipe_is_told_in_a_sentence(form: DefectForm, says: str):
+    with pytest.raises(MeasureError, match=says):
+        recipe_of(form, DefectRecipe())
+
+
+def test_turning_the_dial_says_what_it_costs_here_and_on_a_whole_wafer():
+    said = expectation(0.5, INSPECTION)
+    assert "0.040 per mm², under 0.1 here, 2\u202f800 on a wafer of 300 mm" in said
+    assert "2\u202f800" not in expectation(0.8, INSPECTION)
+    assert "after the first inspection" in expectation(0.5, None)
+
+
+def test_the_form_says_which_recipe_it_stands_for():
+    shelf = a_shelf()
+    standard = shelf.recipe_of("LX-7")
+    assert standard is not None
+    assert standard.name == "standard"
+    assert which_recipe(standard, standard, shelf, True) == "Recipe “standard” of LX-7, as saved."
+    assert "Applied automatically" in which_recipe(standard, standard, shelf, False)
+    turned = replace(standard, sensitivity=0.9)
+    assert "changed, not saved" in which_recipe(standard, turned, shelf, False)
+    assert "As no recipe of LX-7" in which_recipe(DefectRecipe(), replace(turned, name=""), shelf, False)
+    assert "As the surface was inspected" in which_recipe(turned, turned, shelf, True)
+    other = DefectRecipe(product="LX-9")
+    assert "No recipe of LX-9 is kept" in which_recipe(other, other, shelf, False)
+    assert "Without a product" in which_recipe(other, DefectRecipe(), shelf, False)
+    assert shelf.recipe_of("") is None
+    assert unreadable(shelf) == ""
+    assert unreadable(dataclasses.replace(shelf, problems=("torn",))).startswith("1 recipe file cannot be read")
+
+
+def test_golden_dies_of_the_product_are_listed_and_the_newest_follows_its_name():
+    table = golden_table(a_shelf(), "LX-7", "lx7")
+    assert table.count("<tr class=") == 3
+    assert 'data-k="lx7"' in table
+    assert 'data-k="lx7.2"' in table
+    assert "version 3, the newest" in table
+    assert "1 of other products are not listed" in table
+    assert "No golden die is kept" in golden_table(a_shelf(), "LX-9", "")
+
+
+def test_what_is_folded_away_is_told_in_a_line():
+    assert "no limits" in more(form_of(DefectRecipe(), None), False)
+    line = more(form_of(KEPT, None), False)
+    assert "Picture; scales 0, 2.5 px; dies: the job's, or found; at most 3 per die and 0.1 per mm²" in unescape(line)
+    assert "scales" not in more(form_of(KEPT, None), True)
+
+
+def test_limits_are_typed_and_lead_to_a_verdict():
+    limits = limits_of("3", " 0.5 ")
+    assert limits == DefectLimits(max_per_die=3, max_per_mm2=0.5)
+    assert text_of(limits) == ("3", "0.5")
+    assert limits_of("", " ") == DefectLimits()
+    assert verdict(INSPECTION) == ""
+    beyond = verdict(replace(INSPECTION, recipe=DefectRecipe(limits=limits)))
+    assert "Not within the limits" in beyond
+    assert "so not clean" in beyond
+    assert "per mm²," in beyond
+    scanned = tuple(replace(die, state="whole") for die in INSPECTION.dies)
+    loose = DefectLimits(max_per_die=9)
+    assert "Within the limits" in verdict(replace(INSPECTION, dies=scanned, recipe=DefectRecipe(limits=loose)))

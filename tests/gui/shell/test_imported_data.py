@@ -1,0 +1,123 @@
+"""Data taken elsewhere: the sample on the rig's stage is another, and nothing of the page lays one over the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.browser.sessions import fake_session as fake
+from wafer_viewer.gui.page.header import _state as header_state
+from wafer_viewer.gui.scenes.acquire_scene import acquire_contents
+from wafer_viewer.gui.shell.field_map import FieldMap
+from wafer_viewer.gui.shell.map_clicks import MapClicks
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.session.state.snapshot import Snapshot
+
+DIES = (((-1000.0, -1000.0), (0.0, -1000.0), (0.0, 0.0), (-1000.0, 0.0)),)
+
+
+def snapshot(*, imported: bool) -> Snapshot:
+    measured = fake.measured()
+    overview = replace(fake.an_overview(), dies_um=DIES)
+    data = replace(measured.dataset, imported=imported, simulated=not imported)
+    return replace(measured, dataset=data, overview=overview)
+
+
+def map_of(shown: Snapshot, step: Any) -> str:
+    cells: list[Any] = []
+
+    def add_html(content: str) -> Any:
+        cells.append(SimpleNamespace(content=content))
+        return cells[-1]
+
+    drawing = FieldMap(SimpleNamespace(add_html=add_html))
+    drawing.show(shown, View(step=step))
+    return "".join(cell.content for cell in cells)
+
+
+def outline_of(svg: str) -> int:
+    return svg.count("<polygon") + svg.count("<path")
+
+
+def test_the_map_of_imported_data_shows_neither_the_sample_on_the_stage_nor_its_dies():
+    own, foreign = (map_of(snapshot(imported=imported), "surface") for imported in (False, True))
+    nothing_else = map_of(replace(snapshot(imported=True), overview=None), "surface")
+    assert foreign == nothing_else
+    assert outline_of(own) > outline_of(foreign)
+
+
+def test_the_map_of_the_plan_shows_the_sample_on_the_stage_whatever_is_open():
+    assert map_of(snapshot(imported=True), "plan") == map_of(snapshot(imported=False), "plan")
+
+
+def test_real_data_lie_on_no_virtual_wafer_either():
+    shown = snapshot(imported=False)
+    real = replace(shown, dataset=replace(shown.dataset, simulated=False))
+    assert real.rig.simulated
+    assert real.dataset_overview is None
+
+
+def test_a_surface_file_is_drawn_by_its_own_extent():
+    shown = snapshot(imported=True)
+    of_file = replace(shown, dataset=replace(shown.dataset, fields=(), states={}, stamps={}))
+    assert "<svg" in map_of(of_file, "surface")
+    assert "<svg" not in map_of(replace(of_file, surface=None), "surface")
+
+
+@pytest.mark.parametrize("fields", [True, False])
+def test_the_first_picture_of_the_scene_holds_no_sample(fields: bool):
+    shown = snapshot(imported=True)
+    data = replace(shown.dataset, stamps={}, **({} if fields else {"fields": (), "states": {}}))
+    waiting = replace(shown, dataset=data, surface=None)
+    book: Any = SimpleNamespace(facts_known=lambda _: {})
+    contents = acquire_contents(book, waiting, View(step="surface"), None)
+    assert not [item for item in contents.items if item.name.startswith(("sample/", "stage"))]
+    own = replace(waiting, dataset=replace(fake.measured().dataset, stamps={}))
+    assert [item for item in acquire_contents(book, own, View(step="surface"), None).items if "sample/" in item.name]
+
+
+def test_the_header_says_imported_over_imported_data_and_the_rig_where_it_can_move():
+    shown = snapshot(imported=True)
+    assert "Imported" in header_state(shown, View(step="surface"))
+    assert "SIMULATED" not in header_state(shown, View(step="surface"))
+    for step in ("plan", "acquire"):
+        assert "SIMULATED" in header_state(shown, View(step=step))
+    for state in ("moving", "scanning", "fault"):
+        busy = replace(shown, rig=replace(shown.rig, state=state))
+        assert "SIMULATED" in header_state(busy, View(step="surface"))
+    simulated = replace(shown, dataset=replace(shown.dataset, simulated=True))
+    assert "SIMULATED" in header_state(simulated, View(step="surface"))
+    assert "SIMULATED" in header_state(snapshot(imported=False), View(step="surface"))
+
+
+class _Page:
+    """As much of a page as a click on the map asks for."""
+
+    def __init__(self, shown: Snapshot, step: Any) -> None:
+        self.view, self.moves = View(step=step), []
+        self.session = SimpleNamespace(snapshot=shown, move_to=lambda **place: self.moves.append(place))
+        self.gui = SimpleNamespace(add_modal=lambda title: self.moves.append(title))
+        self.picks: dict[str, Any] = {}
+
+    def on_pick(self, what: str, act: Any) -> None:
+        self.picks[what] = act
+
+    def ask(self, failed: str, future: Any) -> None: ...
+
+
+def clicked(shown: Snapshot, step: str, what: str, key: str) -> list[Any]:
+    page: Any = _Page(shown, step)
+    MapClicks(page, SimpleNamespace())
+    page.picks[what](key)
+    return page.moves
+
+
+def test_a_click_on_the_map_moves_the_stage_to_fields_of_this_rig_alone():
+    for step, imported, moves in (("acquire", False, 1), ("acquire", True, 0), ("plan", True, 1)):
+        shown = replace(snapshot(imported=imported), scan=None)
+        number = (shown.draft.plan if step == "plan" else shown.dataset).fields[0].number
+        assert len(clicked(shown, step, "field", str(number))) == moves, (step, imported)
+    assert clicked(replace(snapshot(imported=True), scan=None), "acquire", "place", "90000,90000") == []

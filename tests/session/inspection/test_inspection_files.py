@@ -1,0 +1,249 @@
+"""Recipes, golden dies and files of defects: kept beside the datasets, written, read, and laid over what was found."""
+
+from __future__ import annotations
+
+import errno
+from concurrent.futures import Future
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from tests.support.datasets.compared_datasets import two_datasets
+from tests.support.datasets.inspections import GRID, defect, inspection
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import DatasetError, HeldByAnother, MeasureError
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.dataset_library import Library
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.files.file_jobs import FileWork
+from wafer_viewer.session.inspection.defect_export import hand_over, keep_golden
+from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
+from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper
+from wafer_viewer.session.inspection.klarf_overlay import compared, lattice_for
+from wafer_viewer.session.state.snapshot import Snapshot
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.inspection_file import read_inspection, write_inspection
+from wafer_viewer.store.tables.klarf_reader import read_klarf
+from wafer_viewer.store.tables.klarf_writer import write_klarf
+
+FOUND = inspection(defect(1, "1,1", 300.0, 400.0), defect(2, "1,1", 500.0, 300.0))
+
+
+class AtOnce:
+    """A compute host that does what it is asked at once."""
+
+    def run(self, work: str, task, *args) -> Future:
+        done: Future = Future()
+        try:
+            done.set_result(task(*args))
+        except (DatasetError, MeasureError) as fault:
+            done.set_exception(fault)
+        return done
+
+    lead = run
+
+    def cancel(self, work: str) -> None: ...
+
+
+class Bench:
+    """The parts of a session that keep defects and what belongs to them, on its thread."""
+
+    def __init__(self, path: Path) -> None:
+        self.folder, self.desk = path.parent, Desk(Snapshot())
+        notices, compute = Notices(self.desk), AtOnce()
+        self.library = Library(self.desk, self.folder)
+        self.defects = DefectKeeper(self.desk, notices, self.library, compute)
+        files = FileWork(self.desk, notices, self.library, compute)
+        self.keeper = DefectFilesKeeper(self.desk, self.library, files, self.folder)
+        self.do(self.library.open, path)
+        self.do(self.defects.open)
+        self.do(self.keeper.open)
+
+    def do(self, verb, *args):
+        return self.desk.do(verb, *args).result(20)
+
+    @property
+    def shelf(self):
+        return self.desk.snapshot.shelf
+
+    def close(self) -> None:
+        self.do(self.library.close)
+        self.desk.close()
+
+
+@pytest.fixture(scope="module")
+def inspected(tmp_path_factory) -> Path:
+    """A dataset of which something was found."""
+    path = two_datasets(tmp_path_factory.mktemp("files"))[0]
+    write_inspection(Dataset.open(path).result("default").path, FOUND)
+    return path
+
+
+@pytest.fixture
+def bench(inspected):
+    made = Bench(inspected)
+    yield made
+    made.close()
+
+
+def test_recipes_are_kept_renamed_and_deleted_and_that_saved_last_is_taken_by_itself(bench):
+    keen = DefectRecipe(product="LX-7", name="keen", sensitivity=0.7)
+    path = bench.do(bench.keeper.save_recipe, keen)
+    assert path.parent == bench.folder / "recipes"
+    assert bench.shelf.recipe_of("LX-7") == keen
+    bench.do(bench.keeper.rename_recipe, keen, "night")
+    night = replace(keen, name="night")
+    assert bench.shelf.recipes == (night,)
+    path.with_name("LX-7-torn.defects.toml").write_text("sensitvity = 1")
+    bench.do(bench.keeper.refresh)
+    assert bench.shelf.recipes == (night,)
+    assert "unknown key 'sensitvity'" in bench.shelf.problems[0]
+    bench.do(bench.keeper.delete_recipe, night)
+    assert bench.shelf.recipes == ()
+
+
+def test_limits_hold_for_what_was_found_and_can_be_undone(bench, inspected):
+    strict = DefectLimits(max_per_die=1)
+    bench.do(bench.defects.limit, strict)
+    assert read_inspection(Dataset.open(inspected).result("default").path).recipe.limits == strict
+    bench.do(bench.defects.undo)
+    assert bench.desk.snapshot.inspection.inspection.recipe.limits == DefectLimits()
+
+
+def test_defects_go_out_as_they_are_judged(bench, tmp_path):
+    bench.do(bench.defects.judge, 1, "nuisance", "pit", None)
+    klarf = bench.do(bench.keeper.write, "klarf", tmp_path / "w.klarf")
+    kept = read_klarf(klarf)
+    assert [(d.number, d.bin, d.class_name) for d in kept.defects] == [(1, 2, "Pit"), (2, 0, "Particle")]
+    table = bench.do(bench.keeper.write, "csv", tmp_path / "w.csv").read_text()
+    assert ",pit,particle," in table.splitlines()[1]
+    folder = bench.do(bench.keeper.write, "training", tmp_path / "set")
+    assert (folder / "0002.npy").exists()
+    assert bench.desk.snapshot.works == ()
+    with pytest.raises(DatasetError, match="exists already: give the name of a new folder"):
+        bench.do(bench.keeper.write, "training", tmp_path / "set")
+
+
+@pytest.mark.parametrize("what", ["klarf", "csv", "training"])
+def test_a_place_that_cannot_be_written_to_is_told_in_a_sentence(bench, tmp_path, what):
+    with pytest.raises(DatasetError, match=r"cannot be written: its folder does not exist"):
+        bench.do(bench.keeper.write, what, tmp_path / "gone" / "w.out")
+    assert bench.desk.snapshot.works == ()
+
+
+@pytest.mark.parametrize("what", ["klarf", "csv", "training"])
+def test_a_full_disk_is_told_and_nothing_is_left_there(bench, tmp_path, monkeypatch, what):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(DatasetError, match="the disk is full: free some space"):
+        bench.do(bench.keeper.write, what, tmp_path / "w.out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_not_inspected_is_not_handed_over(tmp_path):
+    path = two_datasets(tmp_path)[1]
+    with pytest.raises(DatasetError, match="after was not inspected for defects yet: inspect it first"):
+        hand_over(path, "default", "klarf", tmp_path / "w.klarf")
+    write_inspection(Dataset.open(path).result("default").path, replace(FOUND, grid=None, dies=()))
+    with pytest.raises(MeasureError, match="has none: inspect die to die first"):
+        keep_golden(path, "default", "lx7")
+    with pytest.raises(DatasetError, match="write a CSV"):
+        hand_over(path, "default", "klarf", tmp_path / "w.klarf")
+
+
+def test_places_on_a_surface_that_is_another_by_now_are_cut_out_of_none(inspected, tmp_path):
+    kept = Dataset.open(inspected).result("default").path
+    write_inspection(kept, replace(FOUND, mark="of an older surface"))
+    for asked in ((hand_over, "training", tmp_path / "set"), (keep_golden, "lx7")):
+        with pytest.raises(DatasetError, match="reconstructed since it was inspected: inspect it again"):
+            asked[0](inspected, "default", *asked[1:])
+    assert hand_over(inspected, "default", "csv", tmp_path / "w.csv").exists()
+    write_inspection(kept, FOUND)
+
+
+def test_what_another_tool_found_is_laid_over_and_matched(bench, tmp_path):
+    more = replace(FOUND, defects=(FOUND.defects[0], defect(7, "2,1", 50.0, 60.0)))
+    other = bench.do(bench.keeper.lay_over, write_klarf(more, tmp_path / "other.klarf"), None, 25.0)
+    assert other.matched(FOUND.defects) == {1: 1}
+    ((missed, place),) = other.unmatched(FOUND.defects)
+    assert (missed.number, missed.col, missed.row) == (7, 2, 1)
+    at = more.defects[1].center
+    assert (place.points[0].x_um, place.points[0].y_um) == pytest.approx((at.x_um, at.y_um), abs=0.01)
+    told = compared(other, FOUND)
+    assert (told["matched"], told["not_found_here"], told["not_in_file"]) == ({"1": 1}, [7], [2])
+    assert bench.shelf.other is other
+    bench.do(bench.keeper.take_away)
+    assert bench.shelf.other is None
+
+
+def test_it_goes_when_another_surface_is_looked_at(bench, tmp_path):
+    bench.do(bench.keeper.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 25.0)
+    bench.do(bench.keeper.open)
+    assert bench.shelf.other is None
+
+
+def shortened(text: str) -> str:
+    return text[: len(text) // 2]
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (shortened, "is cut off, it has no EndOfFile"),
+        (lambda text: "", "is not a KLARF file"),
+        (lambda text: text.replace("DiePitch", "DiePith"), "it has no record DiePitch"),
+        (lambda text: text.replace(" 1 2 ", " 1 3 ", 1), "its summary counts 3 defects and 2 are listed"),
+        (lambda text: text.replace("DiePitch 1000.000000 800", "DiePitch 1000000 800000"), "in another unit"),
+        (lambda text: text.replace("DiePitch 1000.000000", "DiePitch 1200.000000"), "is of another product, or"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_in_a_sentence(bench, tmp_path, damage, says):
+    path = write_klarf(FOUND, tmp_path / "other.klarf")
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(DatasetError, match=says):
+        bench.do(bench.keeper.lay_over, path, None, 25.0)
+    assert bench.shelf.other is None
+
+
+def test_a_distance_of_nothing_is_refused(bench, tmp_path):
+    with pytest.raises(DatasetError, match="within 0 um: give more than 0"):
+        bench.do(bench.keeper.lay_over, write_klarf(FOUND, tmp_path / "other.klarf"), None, 0.0)
+
+
+def test_another_numbering_of_dies_is_told_by_the_wafers_center(tmp_path):
+    center_um = (130.0, -40.0)
+    lies = Alignment(shift_x_um=-center_um[0], shift_y_um=-center_um[1], n_marks=2)
+    theirs = replace(GRID, x0_um=GRID.x0_um + GRID.pitch_x_um, y0_um=GRID.y0_um - 2 * GRID.pitch_y_um)
+    path = write_klarf(replace(FOUND, grid=theirs), tmp_path / "other.klarf", Sample(), center_um=center_um)
+    read = read_klarf(path)
+    assert read.defects[0].col == 0
+    grid, by = lattice_for(read, lies, FOUND, path.name)
+    assert by == "dies by the wafer's centre"
+    assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
+    at_zero = write_klarf(replace(FOUND, grid=theirs), tmp_path / "zero.klarf")
+    grid, by = lattice_for(read_klarf(at_zero), None, FOUND, path.name)
+    assert by.endswith("taken to be at the stage's zero")
+    assert read_klarf(at_zero).matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
+    grid, by = lattice_for(read, lies, None, path.name)
+    assert read.matched(FOUND.defects, 1.0, grid) == {1: 1, 2: 2}
+    assert by.startswith("its own dies")
+
+
+def test_one_who_only_watches_may_write_a_file_and_keep_nothing(bench, tmp_path):
+    files = DefectFiles(bench.desk.do, bench.keeper)
+    whole = SimpleNamespace(
+        snapshot=bench.desk.snapshot, defects=DefectVerbs(bench.desk.do, bench.defects, files, None)
+    )
+    watcher = seat(whole, lambda: "b").defects.files
+    assert watcher.write("csv", tmp_path / "w.csv").result(20).exists()
+    for asked in (watcher.keep_golden("lx7"), watcher.save_recipe(DefectRecipe(product="LX-7"))):
+        with pytest.raises(HeldByAnother):
+            asked.result(20)

@@ -1,0 +1,182 @@
+"""Released jobs: how one comes to be, what stays as it is, aligning a wafer, and the next one."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.session.conftest import small_job
+from tests.support.datasets.released import DIE, SETTLED, engineered, release_of
+from wafer_viewer.model.acquisition.alignment import Alignment
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.spec import decode, encode, replace
+from wafer_viewer.model.surface.recipe import Recipe
+from wafer_viewer.rigs.virtual.rig import CALIBRATION, SETUP, virtual_limits
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.planning.job_commands import JobKeeper
+from wafer_viewer.session.planning.job_releases import list_released, write_released
+from wafer_viewer.session.planning.plan_editor import Drafting
+from wafer_viewer.session.planning.preflight import look_round, stops
+from wafer_viewer.session.state.snapshot import RigStatus, Snapshot
+
+LIMITS = virtual_limits(540, 720)
+LEFT, RIGHT = (-1990.0, 5.0), (2010.0, 5.0)
+
+
+@pytest.fixture
+def desk():
+    rig = RigStatus(state="ready", limits=LIMITS, calibration=CALIBRATION, setup=SETUP)
+    made = Desk(Snapshot(rig=rig))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def drafting(desk, tmp_path):
+    return Drafting(desk, tmp_path)
+
+
+@pytest.fixture
+def taken_up(drafting, tmp_path):
+    """A released job, taken up from its file."""
+    drafting.load(write_released(tmp_path, release_of(small_job())))
+    return drafting
+
+
+def draft(desk):
+    return desk.now.draft
+
+
+def test_a_release_settles_what_was_auto_and_forgets_the_wafer(desk, drafting, tmp_path):
+    job = replace(engineered(small_job()), sample=Sample(wafer_id="W1", lot="L1", operator="me", width_um=6000.0))
+    drafting.edit(job)
+    path = drafting.release(SETTLED, (2.5, 0.9))
+    kept = decode(path.read_text(), type(job), path.name)
+    assert (path.parent.name, path.name) == ("jobs", "wafer-A.toml")
+    assert kept.released
+    assert not kept.recipe.has_auto
+    assert (kept.recipe.window, kept.recipe.stitching.stage_error_um) == (9, 2.5)
+    assert kept.strategy == draft(desk).plan.strategy == "z_snake"
+    assert kept.sample == Sample(width_um=6000.0)
+    assert kept.features == (DIE,)
+    assert draft(desk).job == kept
+    assert decode(encode(kept), type(kept), "again") == kept
+
+
+def test_a_revision_is_never_overwritten(desk, drafting):
+    drafting.edit(engineered(small_job()))
+    drafting.release(SETTLED, None)
+    drafting.copy()
+    assert not draft(desk).job.released
+    drafting.edit(replace(draft(desk).job, revision="A"))
+    with pytest.raises(PlanError, match=r"Revision A of wafer is released already .*: choose another revision"):
+        drafting.release(SETTLED, None)
+    drafting.edit(replace(draft(desk).job, revision="B"))
+    assert drafting.release(SETTLED, None).name == "wafer-B.toml"
+
+
+@pytest.mark.parametrize(
+    ("change", "settled", "words"),
+    [
+        ({"revision": " "}, SETTLED, "no revision"),
+        ({"marks": None}, SETTLED, "two corners"),
+        ({"features": ()}, SETTLED, "no feature"),
+        ({"features": (replace(DIE, places=()),)}, SETTLED, "'die over street' has no place"),
+        ({}, Recipe(), "'auto'"),
+        ({}, None, "no surface"),
+    ],
+)
+def test_what_is_missing_for_a_release_is_said(drafting, tmp_path, change, settled, words):
+    drafting.edit(replace(engineered(small_job()), **change))
+    with pytest.raises(PlanError, match=words):
+        drafting.release(settled, None)
+    assert list_released(tmp_path) == ()
+
+
+def test_released_jobs_are_listed_by_product_newest_revision_first(desk, drafting, tmp_path):
+    for product, revision in (("wafer", "A"), ("Anchor", "1"), ("wafer", "B")):
+        write_released(tmp_path, replace(release_of(small_job()), product=product, revision=revision))
+    (tmp_path / "jobs" / "plan.toml").write_text(encode(small_job()))
+    (tmp_path / "jobs" / "torn.toml").write_text("product = ")
+    JobKeeper(desk, drafting, tmp_path).refresh()
+    listed = [(e.product, e.revision, e.n_fields, e.n_features) for e in desk.now.operating.jobs]
+    assert listed == [("Anchor", "1", 2, 1), ("wafer", "B", 2, 1), ("wafer", "A", 2, 1)]
+
+
+def test_a_released_job_takes_names_and_nothing_else(desk, taken_up):
+    job = draft(desk).job
+    named = replace(job, sample=replace(job.sample, wafer_id="W9", operator="K. Adler"))
+    taken_up.edit(named)
+    assert draft(desk).job.sample.wafer_id == "W9"
+    for change in ({"exposures_us": (50.0,)}, {"features": ()}, {"product": "other"}, {"sample": Sample(notch="up")}):
+        with pytest.raises(PlanError, match="released and stays as it is"):
+            taken_up.edit(replace(named, **change))
+    with pytest.raises(PlanError, match="stays as it is"):
+        taken_up.centre_on_stage()
+    assert draft(desk).job == named
+    taken_up.copy()
+    taken_up.edit(replace(draft(desk).job, exposures_us=(50.0,)))
+    assert draft(desk).job.exposures_us == (50.0,)
+
+
+def align(drafting):
+    drafting.mark(0, *LEFT)
+    drafting.mark(1, *RIGHT)
+
+
+def test_two_corners_align_the_wafer_and_move_its_fields(desk, taken_up):
+    taken_up.mark(1, *RIGHT)
+    assert draft(desk).seen_um == (None, RIGHT)
+    assert draft(desk).job.alignment is None
+    taken_up.mark(0, *LEFT)
+    found = draft(desk).job.alignment
+    assert (found.n_marks, found.residual_um) == (2, pytest.approx(0, abs=1e-6))
+    on_stage, planned = draft(desk).plan.fields, release_of(small_job()).all_fields()
+    assert [(a.x_um - b.x_um, a.y_um - b.y_um) for a, b in zip(on_stage, planned, strict=True)] == [
+        (pytest.approx(10), pytest.approx(5))
+    ] * 2
+    taken_up.mark(0, -1980.0, 5.0)
+    assert draft(desk).job.alignment.residual_um == pytest.approx(5)
+    taken_up.unmark()
+    assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
+
+
+def test_corners_that_make_no_alignment_are_refused_and_can_be_marked_again(desk, taken_up):
+    taken_up.mark(0, *LEFT)
+    with pytest.raises(PlanError, match="turned by"):
+        taken_up.mark(1, 0.0, 2010.0)
+    assert draft(desk).job.alignment is None
+    taken_up.mark(1, *RIGHT)
+    assert draft(desk).job.alignment.n_marks == 2
+    with pytest.raises(PlanError, match="no corner 3"):
+        taken_up.mark(2, 0.0, 0.0)
+
+
+def test_another_wafer_is_aligned_anew(desk, taken_up):
+    job = draft(desk).job
+    taken_up.edit(replace(job, sample=replace(job.sample, wafer_id="W1", operator="me")))
+    align(taken_up)
+    aligned = draft(desk).job
+    assert stops(look_round(desk.now, None, "2026-11-21")) == ()
+    taken_up.edit(replace(aligned, sample=replace(aligned.sample, operator="you")))
+    assert draft(desk).job.alignment is not None, "the operator's name moves no wafer"
+    now = draft(desk).job
+    taken_up.edit(replace(now, sample=replace(now.sample, wafer_id="W2")))
+    assert (draft(desk).job.alignment, draft(desk).seen_um) == (None, (None, None))
+    align(taken_up)
+    taken_up.next_wafer()
+    now = draft(desk)
+    assert (now.job.sample.wafer_id, now.job.sample.operator, now.job.alignment) == ("", "you", None)
+    assert not now.can_undo, "what was of the last wafer cannot come back"
+    assert [c.what for c in stops(look_round(desk.now, None, "2026-11-21"))] == ["Sample", "Alignment"]
+
+
+def test_a_plan_that_is_opened_again_waits_for_a_person(desk, drafting):
+    drafting.reopen(replace(engineered(small_job()), alignment=Alignment(n_marks=2)))
+    assert draft(desk).job.alignment is None, "the wafer may have been taken off meanwhile"
+    drafting.reopen(small_job())
+    assert [c.what for c in stops(look_round(desk.now, None, "2026-11-21"))] == ["Sample"]
+    drafting.edit(replace(small_job(), exposures_us=(50.0,)))
+    assert not draft(desk).confirmed
+    drafting.confirm()
+    assert stops(look_round(desk.now, None, "2026-11-21")) == ()

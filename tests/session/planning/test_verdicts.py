@@ -1,0 +1,101 @@
+"""When a surface is judged: once it is whole, once only, and anew when it is another one."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from tests.browser.sessions import operator_session as day
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices
+from wafer_viewer.session.planning import verdicts as module
+from wafer_viewer.session.planning.verdicts import Judge
+from wafer_viewer.session.state.operator_state import Operating
+from wafer_viewer.session.state.snapshot import Work
+
+STITCHING = (Work("w1", "Stitching the fields"),)
+PATIENCE_S = 20.0
+
+
+@pytest.fixture
+def verdicts(monkeypatch):
+    """What the next judgements come to; each waits until `go` is set."""
+    made = SimpleNamespace(answers=[], n=0, go=threading.Event())
+    made.go.set()
+
+    def verdict_of(data, result, *, keep):
+        made.go.wait(PATIENCE_S)
+        made.n += 1
+        answer = made.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr(module, "verdict_of", verdict_of)
+    return made
+
+
+@pytest.fixture
+def desk(verdicts):
+    made = Desk(day.judged(None))
+    made.do(made.change, operating=Operating()).result()
+    library = SimpleNamespace(dataset=None, result=None, shown=made.now.dataset)
+    judge = Judge(made, library, Notices(made))
+    yield made
+    verdicts.go.set()
+    made.close()
+    judge.close()
+
+
+def change(desk, **fields):
+    desk.do(lambda: desk.change(**fields)).result()
+
+
+def came_to(desk, verdict):
+    return desk.wait_until(lambda now: now.operating.verdict == verdict and not now.operating.judging, PATIENCE_S)
+
+
+def test_a_surface_is_judged_when_it_is_whole_and_once(desk, verdicts):
+    verdicts.answers, verdicts.go = [day.PASS], threading.Event()
+    change(desk, works=STITCHING)
+    change(desk, works=())
+    desk.wait_until(lambda now: now.operating.judging, PATIENCE_S)
+    verdicts.go.set()
+    came_to(desk, day.PASS)
+    change(desk, works=(Work("w2", "Export"),))
+    change(desk, works=())
+    came_to(desk, day.PASS)
+    assert verdicts.n == 1, "other work on the same surface asks for no other verdict"
+
+
+def test_another_surface_is_judged_anew_and_none_without_a_dataset(desk, verdicts):
+    verdicts.answers = [day.PASS, day.FAIL]
+    change(desk, works=())
+    came_to(desk, day.PASS)
+    surface = desk.now.surface
+    change(desk, works=STITCHING, surface=dataclasses.replace(surface, stamp=surface.stamp + 1))
+    desk.wait_until(lambda now: now.operating.verdict is None, PATIENCE_S)
+    change(desk, works=())
+    came_to(desk, day.FAIL)
+    change(desk, dataset=None, surface=None)
+    came_to(desk, None)
+
+
+def test_what_cannot_be_judged_is_told(desk, verdicts):
+    verdicts.answers = [MeasureError("The disk is gone: look at it.")]
+    change(desk, works=())
+    told = desk.wait_until(lambda now: now.faults, PATIENCE_S)
+    assert (told.faults[0].title, told.faults[0].text) == ("There is no verdict", "The disk is gone: look at it.")
+
+
+def test_without_a_feature_nothing_is_judged(desk, verdicts):
+    data = desk.now.dataset
+    change(desk, dataset=dataclasses.replace(data, job=replace(data.job, features=())))
+    change(desk, works=())
+    assert verdicts.n == 0
+    assert desk.now.operating == Operating()

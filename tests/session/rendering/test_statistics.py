@@ -1,0 +1,121 @@
+"""Statistics of what is shown: a surface, a part of it, the points that a clip leaves, a brushed range of heights."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.support.page_stand_in import MemoryShelf, height_map
+from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.measurement.levelling import Datum
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.surface.clipping import Clip, Slab
+from wafer_viewer.model.surface.height_map import HeightMap, Origin, PartOfMosaic
+from wafer_viewer.session.rendering import render_statistics
+from wafer_viewer.session.rendering.render_dispatch import paint
+from wafer_viewer.session.rendering.render_request import PaintRequest, Source, Statistics
+
+PIXEL = 0.5
+ROWS, COLS = 120, 160
+
+
+@pytest.fixture
+def surface() -> HeightMap:
+    """Level ground at 2 um with two pillars of 20 and 21 um, and a hole; confidence grows to the right."""
+    z = np.full((ROWS, COLS), 2.0)
+    z[20:40, 30:50], z[60:70, 100:105], z[80:100, 10:40] = 20.0, 21.0, np.nan
+    made = height_map(z, PIXEL)
+    return dataclasses.replace(made, confidence=np.broadcast_to(np.linspace(0, 1, COLS, dtype=np.float32), z.shape))
+
+
+def counted(surface: HeightMap, **asked: object) -> Statistics:
+    request = PaintRequest(Source(Path("x"), "default", 0, 1), "statistics", **asked)  # pyright: ignore[reportArgumentType]
+    return msgspec.msgpack.decode(paint(MemoryShelf({0: surface}), request), type=Statistics)
+
+
+def test_a_surface_in_numbers(surface: HeightMap):
+    told, there = counted(surface), np.isfinite(surface.z_um)
+    assert (told.rows, told.cols, told.n_heights, told.n_points) == (ROWS, COLS, there.sum(), there.sum())
+    assert told.measured_fraction == pytest.approx(there.mean())
+    assert told.unmeasured == (("no texture", pytest.approx(600 / ROWS / COLS)),)
+    assert (told.lowest_um, told.highest_um) == (2.0, 21.0)
+    assert told.mean_um == pytest.approx(surface.z_um[there].mean(), rel=1e-5)
+    assert told.spread_um == pytest.approx(surface.z_um[there].std(ddof=1), rel=1e-4)
+    assert sum(told.counts) == there.sum()
+
+
+def test_what_no_field_covers_is_nobodys_loss(surface: HeightMap):
+    origin = np.where(np.isfinite(surface.z_um), Origin.MEASURED, Origin.NOT_COVERED).astype(np.uint8)
+    told = counted(dataclasses.replace(surface, origin=origin))
+    assert told.measured_fraction == 1.0
+    assert told.unmeasured == ()
+
+
+def test_a_part_of_it(surface: HeightMap):
+    box = (30 * PIXEL, -39 * PIXEL, 49 * PIXEL, -20 * PIXEL)
+    told = counted(surface, box_um=box)
+    assert (told.rows, told.cols) == (20, 20)
+    assert (told.lowest_um, told.highest_um, told.spread_um) == (20.0, 20.0, 0.0)
+    with pytest.raises(MeasureError, match="outside"):
+        counted(surface, box_um=(1e4, 1e4, 1e4 + 1, 1e4 + 1))
+
+
+def test_heights_are_read_from_the_datum(surface: HeightMap):
+    told = counted(surface, datum=Datum(powers=((0, 0),), coefficients=(2.0,)))
+    assert (told.lowest_um, told.highest_um) == (0.0, 19.0)
+
+
+def test_more_points_than_can_be_read_are_means_of_blocks(surface: HeightMap, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(render_statistics, "MOST_POINTS", ROWS * COLS // 4)
+    told = counted(surface)
+    assert told.block_px == 2
+    assert told.n_heights == pytest.approx(np.isfinite(surface.z_um).sum(), rel=0.02)
+    assert (told.rows, told.cols) == (ROWS, COLS)
+
+
+def test_a_brushed_range_is_told_with_its_places(surface: HeightMap):
+    told = counted(surface, brush_um=(15.0, 30.0)).brushed
+    assert told is not None
+    assert (told.n_points, told.n_places) == (400 + 50, 2)
+    assert told.fraction == pytest.approx(450 / np.isfinite(surface.z_um).sum())
+    assert told.mean_um == pytest.approx((400 * 20 + 50 * 21) / 450)
+    assert told.places[0] == pytest.approx((29.5 * PIXEL, -39.5 * PIXEL, 49.5 * PIXEL, -19.5 * PIXEL))
+    nothing = counted(surface, brush_um=(5.0, 6.0)).brushed
+    assert nothing is not None
+    assert (nothing.n_points, nothing.mean_um, nothing.places) == (0, None, ())
+
+
+def test_each_point_is_left_out_for_one_reason(surface: HeightMap):
+    there = np.isfinite(surface.z_um)
+    clip = Clip(heights_um=(0.0, 10.0), least_confidence=0.5)
+    told = counted(surface, clip=clip)
+    high, low = there & (surface.z_um > 10), there & (surface.confidence < 0.5)
+    assert told.left_out == {"box": 0, "height": high.sum(), "confidence": (low & ~high).sum(), "slab": 0}
+    assert told.n_points == told.n_heights - sum(told.left_out.values())
+    assert (told.lowest_um, told.highest_um) == (2.0, 2.0)
+    assert sum(told.counts) == there.sum()
+
+
+def test_before_a_slab_is_the_right_hand_of_its_way(surface: HeightMap):
+    there, y = np.isfinite(surface.z_um), -50 * PIXEL
+    line = Region.line(0.0, y, 70.0, y, 4 * PIXEL)
+    told = counted(surface, clip=Clip(slab=Slab(line, "hide")))
+    assert told.left_out["slab"] == there[53:].sum()
+    assert counted(surface, clip=Clip(slab=Slab(line, "show"))).left_out["slab"] == 0
+    turned = Region.line(70.0, y, 0.0, y, 4 * PIXEL)
+    assert counted(surface, clip=Clip(slab=Slab(turned, "pale"))).left_out["slab"] == there[:48].sum()
+
+
+def test_a_part_of_a_surface_is_a_surface(surface: HeightMap):
+    part = PartOfMosaic(surface, Region.rectangle(30 * PIXEL, -39 * PIXEL, 49 * PIXEL, -20 * PIXEL))
+    whole = part.window()
+    assert part.shape == whole.shape == (20, 20)
+    assert (part.x0_um, part.y0_um) == (whole.x0_um, whole.y0_um) == (15.0, -10.0)
+    assert (whole.z_um == 20.0).all()
+    strip = part.window(Region.rectangle(15.0, -12.0, 24.5, -11.0))
+    assert strip.shape == (3, 20)
+    assert strip.y0_um == -11.0

@@ -1,0 +1,77 @@
+"""The defects of a surface in its report: by die, by class, the largest listed; nothing unknown looks clean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.datasets.inspections import defect, inspection
+from tests.support.datasets.judged_datasets import RESULT, judged_dataset, released_job
+from wafer_viewer.model.inspection.defect import DefectRecipe
+from wafer_viewer.model.inspection.defect_limits import DefectLimits
+from wafer_viewer.model.report import ReportOrder, Section
+from wafer_viewer.session.reporting.report import contents, report_of
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.records.inspection_file import write_inspection
+from wafer_viewer.store.records.report_file import report_html
+
+ORDER = ReportOrder(parts=("defects",))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "coupon.wafer"
+    judged_dataset(path, 12.3, released_job())
+    return path
+
+
+def test_without_an_inspection_there_is_no_such_part(dataset: Path):
+    assert report_of(dataset, RESULT, ORDER).sections == ()
+    assert contents(dataset, RESULT)["defects"].nothing
+
+
+def test_it_tells_dies_classes_and_what_is_not_known(dataset: Path):
+    found = inspection(
+        defect(1, "0,0", 100.0, 50.0, judgement="real", judged_by="RB"),
+        defect(2, "0,0", 200.0, 50.0, judged_kind="residue", size_resolved=False),
+        defect(3, "2,1", 10.0, 10.0, kind="unmeasured"),
+        states={"1,1": "not scanned"},
+        notes=("Only the strongest are listed.",),
+    )
+    write_inspection(Dataset.open(dataset).result(RESULT).path, found)
+    report = report_of(dataset, RESULT, ORDER)
+    section: Section = report.sections[0]
+    assert section.table is not None
+    assert [row[:3] for row in section.table.rows] == [("1", "particle", "0,0"), ("2", "residue", "0,0")]
+    assert [row[-1] for row in section.table.rows] == ["real RB", ""]
+    assert section.table.rows[1][4] == "not resolved"
+    assert "Not or only partly scanned, so not clean: 1,1." in section.sentences
+    assert section.sentences[-1] == "Only the strongest are listed."
+    assert dict(section.pairs)["Limits"] == "none set"
+    page = report_html(report)
+    assert "Die 0,0: 2 defects" in page
+    assert "Die 1,1: not scanned" in page
+    assert "stroke-dasharray" in page
+    assert contents(dataset, RESULT)["defects"].words == "2 defects, 1 judged"
+
+
+def test_all_dies_lie_on_one_and_what_repeats_is_said(dataset: Path):
+    on = ("0,0", "1,0", "2,0", "0,1")
+    same = [defect(n, die, 300.0 + n, 200.0, kind="pattern") for n, die in enumerate(on, 1)]
+    write_inspection(Dataset.open(dataset).result(RESULT).path, inspection(*same, defect(9, "1,1", 700.0, 500.0)))
+    report = report_of(dataset, RESULT, ORDER)
+    said = " ".join(report.sections[0].sentences)
+    assert "Place 1, x 302.5, y 200.0 µm of the die: pattern in 4 of 6 whole dies" in said
+    page = report_html(report)
+    assert "All dies overlaid, their defects by class. Rings: places that repeat." in page
+    assert page.count("<title>Place 1, in 4 of 6 whole dies</title>") == 1
+    assert "<title>D9, Particle, die 1,1</title>" in page
+
+
+def test_the_limits_of_the_recipe_are_held_and_said(dataset: Path):
+    strict = DefectRecipe(limits=DefectLimits(max_per_die=1))
+    found = inspection(defect(1, "0,0", 100.0, 50.0), defect(2, "0,0", 200.0, 50.0), recipe=strict)
+    write_inspection(Dataset.open(dataset).result(RESULT).path, found)
+    section: Section = report_of(dataset, RESULT, ORDER).sections[0]
+    assert dict(section.pairs)["Limits"] == "not within. More than 1 defect on 1 die: 0,0."

@@ -1,0 +1,206 @@
+"""Reports: what stands on them, that they stand alone, and that the same dataset makes the same bytes."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.support.datasets.grid_dataset import RESULT
+from tests.support.datasets.samples import CALIBRATION, make_job, make_plan
+from wafer_viewer.cli.app import main
+from wafer_viewer.measure.tools.step_height import step_height
+from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.job.review_notes import Judgement, Notebook
+from wafer_viewer.model.job.verdict import Judged, WaferVerdict
+from wafer_viewer.model.measurement.feature import Feature
+from wafer_viewer.model.measurement.measurements import Findings
+from wafer_viewer.model.quantity import Quantity
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section
+from wafer_viewer.model.spec import replace
+from wafer_viewer.model.surface.height_map import HeightMap
+from wafer_viewer.session.core.surface_summary import save_summary, summarise
+from wafer_viewer.session.reporting import report, results_section
+from wafer_viewer.session.reporting.report import contents, gather, make_report, report_of
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.scan_record import JOURNAL, ScanRecord, write_record
+from wafer_viewer.store.mosaic.zarr_mosaic import write_mosaic
+from wafer_viewer.store.records.report_file import report_html
+from wafer_viewer.store.records.review_notes import write_notebook
+
+UPPER, LOWER = Region.rectangle(-60, -30, -20, 30), Region.rectangle(20, -30, 60, 30)
+
+
+def surface() -> HeightMap:
+    """A step of 12 um in the middle, with a hole in it."""
+    x = np.mgrid[:240, :320][1]
+    z = (np.where(x < 160, 12.0, 0.0) + np.random.default_rng(2).normal(0, 0.05, x.shape)).astype(np.float32)
+    z[20:60, 20:60] = np.nan
+    return HeightMap(
+        z_um=z,
+        z_raw_um=z.copy(),
+        confidence=np.ones(z.shape, np.float32),
+        all_in_focus=np.full(z.shape, 120, np.uint8),
+        origin=np.where(np.isfinite(z), 0, 12).astype(np.uint8),
+        pixel_um=0.5,
+        x0_um=-79.75,
+        y0_um=59.75,
+    )
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory) -> Path:
+    """A stitched dataset with a judged result; its names are not kind to HTML."""
+    path = tmp_path_factory.mktemp("data") / "die & street.wafer"
+    path.mkdir()
+    (path / JOURNAL).touch()
+    job = replace(make_job(), sample=Sample(name="<script>alert(1)</script>", lot="L7", wafer_id="W3"))
+    record = ScanRecord(
+        software_version="1", taken="2026-03-01T10:00:00", simulated=True, calibration=CALIBRATION, job=job,
+        plan=make_plan(job),
+    )  # fmt: skip
+    write_record(path, record)
+    result, made = Dataset.open(path).result(RESULT), surface()
+    write_mosaic(result.mosaic_path, made)
+    save_summary(result, summarise(result.mosaic(), 2, RESULT))
+    step = replace(step_height(made, UPPER, LOWER), name="Die <b>", number=1)
+    result.save_findings(Findings(items=(step,)))
+    write_notebook(result.path, Notebook(judgements=(Judgement(key="result 1", verdict="accepted", note="a burr"),)))
+    return path
+
+
+def test_the_same_dataset_makes_the_same_bytes_on_the_command_line_too(dataset, tmp_path, capsys):
+    first = make_report(dataset, RESULT, ReportOrder(), tmp_path / "one.html")
+    assert main(["report", str(dataset), "-o", str(tmp_path / "two.html")]) == 0
+    assert first.read_bytes() == (tmp_path / "two.html").read_bytes()
+    assert "two.html" in capsys.readouterr().out
+
+
+def test_progress_is_told_by_section_and_a_stopped_report_leaves_nothing(dataset, tmp_path):
+    told: list[float] = []
+    out = tmp_path / "whole.html"
+    assert make_report(dataset, RESULT, ReportOrder(), out, progress=told.append, should_stop=lambda: False) == out
+    assert told == sorted(told)
+    assert len(told) >= 8
+    assert told[-1] == 1.0
+    told.clear()
+    with pytest.raises(ComputeError, match="The report was stopped"):
+        make_report(
+            dataset, RESULT, ReportOrder(), tmp_path / "half.html",
+            progress=told.append, should_stop=lambda: len(told) >= 3,
+        )  # fmt: skip
+    assert len(told) == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.html"]
+
+
+def test_a_report_stands_alone_and_runs_nothing(dataset):
+    text = report_html(report_of(dataset, RESULT, ReportOrder()))
+    assert "<script" not in text
+    assert "&lt;script&gt;alert(1)" in text
+    assert re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)', text) == []
+    assert "http" not in text.replace("http-equiv", "")
+
+
+def test_what_was_measured_and_thought_of_it_stands_on_it(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(parts=("results",)))
+    ((number, name, kind, value, place, thought),) = report.sections[0].table.rows
+    assert (number, name, place, thought) == ("1", "Die <b>", "0.0, 0.0", "accepted · a burr")
+    assert kind == "Step height, measured heights"
+    assert value.startswith("12.0")
+    (sheet,) = report.sections[0].sheets
+    assert (sheet.number, sheet.title, sheet.value) == ("1", "Die <b>", value)
+    assert sheet.picture.startswith("data:image/jpeg")
+    assert sheet.budget is None, "without a calibration there is none"
+    assert ("Lot", "L7") in report.facts
+    assert report.simulated
+
+
+def a_verdict() -> WaferVerdict:
+    feature = Feature(name="die", nominal_um=12.0, lower_limit_um=11.0, upper_limit_um=13.0)
+    measured = Quantity(value=12.01, unit="um")
+    judged = Judged(feature=feature, measured=measured, word="inconclusive", why="No uncertainty.")
+    return WaferVerdict(word="inconclusive", next="Calibrate.", items=(judged,), job="Coupon B")
+
+
+def test_the_verdict_on_a_wafer_and_its_features_stand_first(dataset):
+    noted = Notebook(judgements=(Judgement(key="feature die", verdict="accepted", note="measured by hand"),))
+    material = dataclasses.replace(gather(dataset, RESULT), verdict=a_verdict(), notebook=noted)
+    told = results_section.verdict(material)
+    (row,) = told.table.rows
+    assert row[:3] == ("F1", "die", "11 to 13\u202fµm, guard band")
+    assert row[-2:] == ("INCONCLUSIVE", "accepted · measured by hand")
+    assert (told.word, told.beside) == ("inconclusive", "Coupon B · Calibrate.")
+    assert told.sentences == ("die: No uncertainty.",)
+    assert ("Verdict", "INCONCLUSIVE, Coupon B") in report._facts(material)
+    assert gather(dataset, RESULT).verdict is None
+
+
+def test_simulated_stands_only_where_it_is_true(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(parts=("plan",)))
+    real = Report(report.title, report.below, False, report.facts, report.sections)
+    assert "SIMULATED" in report_html(report)
+    assert "SIMULATED" not in report_html(real)
+
+
+def test_only_what_was_ordered_goes_in_and_in_that_order(dataset):
+    report = report_of(dataset, RESULT, ReportOrder(title="Lot 7", parts=("calibration", "results")))
+    assert report.title == "Lot 7"
+    assert [section.title for section in report.sections] == ["Calibration", "Results"]
+
+
+def test_whether_lengths_are_calibrated_is_asked_of_the_day_of_the_scan(dataset):
+    calibration = report_of(dataset, RESULT, ReportOrder(parts=("calibration",))).sections[0]
+    assert calibration.sentences == ()  # due in 2027, and today may be later
+    assert dict(calibration.pairs)["z scale"] == "1.01 ± 0.001 (k = 2)"
+
+
+def test_pictures_at_print_size_go_in_where_there_are_some(dataset):
+    order = ReportOrder(parts=("pictures",))
+    assert report_of(dataset, RESULT, order).sections == ()
+    taken = dataset.with_name(f"{dataset.stem}-picture-1.png")
+    Image.new("RGB", (3000, 1000), (10, 90, 120)).save(taken)
+    figures = report_of(dataset, RESULT, order).sections[0].figures
+    taken.unlink()
+    assert [figure.caption for figure in figures] == [taken.stem]
+    assert len(figures[0].url) < 60_000
+
+
+def test_every_part_says_beforehand_what_it_would_hold(dataset):
+    said = contents(dataset, RESULT)
+    assert set(said) == set(PARTS)
+    assert said["results"] == Holds("1 result, 1 judged")
+    assert said["surface"] == Holds("320 × 240 points")
+    assert said["pictures"] == Holds("no pictures yet: key P takes one", nothing=True)
+
+
+def test_a_part_without_anything_says_so_and_features_count_as_what_they_are(dataset, monkeypatch):
+    material = dataclasses.replace(gather(dataset, RESULT), findings=(), info=None)
+    monkeypatch.setattr(report, "gather", lambda *_: material)
+    said = contents(dataset, RESULT)
+    assert {part for part, holds in said.items() if holds.nothing} == {
+        *("verdict", "results", "defects", "profiles", "gauge", "pictures", "surface")
+    }
+    assert (said["results"].words, said["surface"].words) == ("no results yet", "not stitched yet")
+    rejected = Notebook(judgements=(Judgement(key="feature die", verdict="rejected"),))
+    material = dataclasses.replace(material, verdict=a_verdict(), notebook=rejected)
+    assert contents(dataset, RESULT)["verdict"] == Holds("INCONCLUSIVE, 1 feature, 1 judged")
+
+
+def test_a_part_with_nothing_in_it_says_so():
+    empty = Section("Results", empty="No results were kept.")
+    shown = Section("Pictures", figures=(Figure("data:image/jpeg;base64,", "One"),))
+    text = report_html(Report("a", "b", False, (), (empty, shown)))
+    assert "No results were kept." in text
+    assert text.count("<figure>") == 1
+
+
+def test_what_is_no_dataset_is_refused_in_one_sentence(tmp_path, capsys):
+    assert main(["report", str(tmp_path), "-o", str(tmp_path / "r.html")]) == 2
+    assert "is not a dataset" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

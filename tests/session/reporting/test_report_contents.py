@@ -1,0 +1,188 @@
+"""A report of everything: verdict over dies, results of every kind with budgets, curves, checksums, signatures."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from tests.support.datasets.judged_datasets import RESULT, STEP, judged_dataset, released_job
+from tests.support.gauge_repeats import signed
+from wafer_viewer.cli.app import main
+from wafer_viewer.measure.registry import measured
+from wafer_viewer.model.measurement.feature import Die, Dies
+from wafer_viewer.model.measurement.levelling import Levelling
+from wafer_viewer.model.measurement.measurements import Findings
+from wafer_viewer.model.region import Region
+from wafer_viewer.model.report import PART_TITLES, ReportOrder
+from wafer_viewer.model.spec import replace
+from wafer_viewer.session.measurement.measurement_numbers import numbers_of
+from wafer_viewer.session.reporting.report import make_report, report_of
+from wafer_viewer.store.dataset import digests
+from wafer_viewer.store.dataset.dataset import Dataset
+from wafer_viewer.store.dataset.digests import digests_of_result
+from wafer_viewer.store.records.report_file import report_html
+
+FACE = Region.rectangle(-50, -30, -10, 30)
+KINDS = (
+    ("step", STEP.places),
+    ("profile", (Region.line(-50, 0, 50, 0, 2),)),
+    ("flatness", (FACE,)),
+    ("texture", (FACE,)),
+    ("volume", (FACE,)),
+    ("distance", (Region.point(-40, 0), Region.point(40, 0))),
+    ("roughness", (Region.line(-50, 5, -5, 5),)),
+    ("angle", STEP.places),
+    ("point", (Region.point(-30, 0),)),
+)
+DIES = Dies(
+    width_um=50, height_um=28, listed=(Die(name="0,0", x_um=-55, y_um=-30), Die(name="0,<1>", x_um=-55, y_um=2))
+)
+ON_DIE = replace(
+    STEP, per_die=True, places=(Region.rectangle(5, 2, 45, 26), Region.rectangle(65, 2, 105, 26)), upper_limit=12.5
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "coupon.wafer"
+    judged_dataset(path, 12.3, released_job(ON_DIE, dies=DIES), operator="K. Adler")
+    result = Dataset.open(path).result(RESULT)
+    found = [measured(result.mosaic(), tool, places, True) for tool, places in KINDS]
+    kept = [replace(finding, number=n, name=f"{KINDS[n - 1][0]} {n}") for n, finding in enumerate(found, 1)]
+    result.save_findings(Findings(items=tuple(kept)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(dataset):
+    return report_of(dataset, RESULT, ReportOrder())
+
+
+def section(report, title):
+    return next(section for section in report.sections if section.title == title)
+
+
+def test_every_result_has_a_sheet_with_all_its_numbers_and_its_budget(report):
+    sheets = section(report, "Results").sheets
+    assert [sheet.title for sheet in sheets] == [f"{tool} {n}" for n, (tool, _) in enumerate(KINDS, 1)]
+    step, _, flat, texture, *_ = sheets
+    assert step.budget.heads == ("Contribution", "u, µm", "of u²")
+    assert sum(float(row[2].split()[0]) for row in step.budget.rows[:-1] if "<" not in row[2]) == pytest.approx(
+        100, abs=1
+    )
+    assert dict(flat.pairs)["FLTq"].startswith("0.0")
+    assert {"Sq", "Sz", "Ssk"} <= dict(texture.pairs).keys()
+    assert all(sheet.picture for sheet in sheets)
+
+
+def test_numbers_are_told_of_any_kind_of_result_and_the_main_one_once(dataset):
+    for finding in Dataset.open(dataset).result(RESULT).findings().items:
+        pairs = numbers_of(finding)
+        assert pairs, finding.name
+        names = [name for name, _ in pairs]
+        assert len(set(names)) == len(names)
+        assert not any("Region(" in text or "Length(" in text for _, text in pairs)
+
+
+def test_what_is_not_evaluated_is_told_with_its_result_and_among_the_warnings(report, dataset):
+    missing = [(sheet.number, what) for sheet in section(report, "Results").sheets for what in sheet.missing]
+    warned = section(report, "Warnings").sentences
+    for number, what in missing:
+        assert any(what.rstrip(".") in sentence and number in sentence for sentence in warned)
+    assert any(number == "1" for number, _ in missing), "a step says what its budget leaves out"
+
+
+def test_the_verdict_shows_every_die_with_its_word(report):
+    told = section(report, "Verdict")
+    assert told.word == "pass"
+    assert [row[1] for row in told.table.rows] == ["die over street, die 0,0", "die over street, die 0,<1>"]
+    assert told.figures[0].caption.startswith("2 dies: 2 pass.")
+    assert [(sheet.number, sheet.below) for sheet in told.sheets] == [("F1", "Step height")]
+    assert told.sheets[0].budget.rows[0][0] == "z scale"
+    assert "temperature" in told.sheets[0].missing
+    assert told.figures[0].svg.count("<g ") == 2
+    assert "<1>" not in told.figures[0].svg
+
+
+def test_a_profile_is_drawn_as_a_curve_with_axes(report):
+    figure, rough = section(report, "Profiles").figures
+    assert rough.caption.startswith("7 · roughness 7")
+    assert figure.caption.startswith("2 · profile 2: 12.")
+    assert "Distance along the line, µm" in figure.svg
+    assert len(re.findall(r"[\d.]+ [\d.]+", figure.svg)) > 150
+
+
+def test_data_is_told_by_checksums_that_change_with_it(report, dataset, tmp_path, capsys):
+    rows = {row[0]: row[2] for row in section(report, PART_TITLES["checksums"]).table.rows}
+    assert list(rows) == ["Frames", "Surface", "Results", "Verdict"]
+    main(["check", str(dataset)])
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[-4:]] == list(rows.values())
+    assert all(re.fullmatch("[0-9a-f]{64}", value) for value in rows.values())
+    other = shutil.copytree(dataset, tmp_path / "coupon.wafer")
+    with (other / "journal.jsonl").open("ab") as journal:
+        journal.write(b'{"type":"fault","what":"a knock","time":"2026-03-01T10:00:00"}\n')
+    again = section(report_of(other, RESULT, ReportOrder()), PART_TITLES["checksums"]).table.rows
+    assert [row[0] for row in again if row[2] != rows[row[0]]] == ["Frames"]
+
+
+def test_what_is_too_large_to_be_read_is_told_by_names_and_sizes(dataset, monkeypatch):
+    result = Dataset.open(dataset).result(RESULT)
+    whole = {digest.what: digest.sha256 for digest in digests_of_result(result)}
+    monkeypatch.setattr(digests, "MOST_BYTES", 10_000)
+    large = {digest.what: digest for digest in digests_of_result(result)}
+    assert "names and sizes alone, because they are" in large["Surface"].of
+    assert large["Surface"].sha256 != whole["Surface"]
+    assert large["Verdict"].sha256 == whole["Verdict"]
+
+
+@pytest.mark.slow
+def test_the_same_data_makes_the_same_report_in_another_folder_process_and_time_zone(dataset, tmp_path):
+    first = make_report(dataset, RESULT, ReportOrder(), tmp_path / "first.html")
+    copy = shutil.copytree(dataset, tmp_path / "elsewhere" / dataset.name)
+    words = (sys.executable, "-m", "wafer_viewer", "report", str(copy), "-o", str(tmp_path / "second.html"))
+    zone = {**os.environ, "TZ": "Pacific/Kiritimati", "PYTHONHASHSEED": "7"}
+    subprocess.run(words, check=True, env=zone, capture_output=True)
+    assert first.read_bytes() == (tmp_path / "second.html").read_bytes()
+
+
+def test_it_stands_alone_and_can_be_signed(report):
+    text = report_html(report)
+    assert re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)', text) == []
+    assert "Approved by: name, date, signature" in text
+    assert "<1>" not in text
+    assert text.count("<article") == len(KINDS) + 1, "a sheet of each result and of the feature"
+
+
+def test_heights_over_a_levelled_zero_are_cut_again_from_it(dataset):
+    result = Dataset.open(dataset).result(RESULT)
+    before = result.findings()
+    line = replace(before.items[1], levelling=Levelling(by="region", places=(FACE,)))
+    result.save_findings(Findings(items=(line,)))
+    figure = section(report_of(dataset, RESULT, ReportOrder(parts=("profiles",))), "Profiles").figures[0]
+    result.save_findings(before)
+    assert "levelled by region" in figure.caption
+    assert ">\u221212<" in figure.svg or ">\u221210<" in figure.svg, "the other face lies below this zero"
+
+
+def test_a_gauge_check_among_the_results_stands_in_a_table_with_why_it_was_decided_so(dataset):
+    checked = replace(signed("2026-03-02", 400.1, 400.05), number=7, name="Blocks")
+    result = Dataset.open(dataset).result(RESULT)
+    before = result.findings()
+    result.save_findings(Findings(items=(checked,)))
+    report = report_of(dataset, RESULT, ReportOrder(parts=("results", "gauge")))
+    result.save_findings(before)
+    told = section(report, "Gauge checks")
+    (row,) = told.table.rows
+    assert row[0] == "7"
+    assert "blocks A1, A2, to 2026-12-31; signed by Ann, 2026-03-02 12:00." in told.sentences[0]
+    assert checked.why.replace(" um", "\u202fµm") in told.sentences[0]
+    assert row[-1] == checked.verdict.upper()
+    (sheet,) = section(report, "Results").sheets
+    assert dict(sheet.pairs)["Repeats"] == "2"
+    assert float(dict(sheet.pairs)["En"]) == pytest.approx(checked.en, abs=0.001)
+    assert checked.not_evaluated == sheet.missing
