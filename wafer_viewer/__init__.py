@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from wafer_viewer.measure.truth_comparison import Quality, compare_with_truth
     from wafer_viewer.model.acquisition.calibration import Calibration
     from wafer_viewer.model.acquisition.focus_stack import FieldStack
-    from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, Job, ScanPlan
+    from wafer_viewer.model.acquisition.plan import Field, FieldGrid, FocusSweep, ScanPlan
     from wafer_viewer.model.acquisition.sample import Sample
     from wafer_viewer.model.errors import WaferViewerError
     from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeTerms
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from wafer_viewer.model.inspection.defect_limits import DefectLimits
     from wafer_viewer.model.inspection.defect_verdict import verdict_of
     from wafer_viewer.model.inspection.die_grid import DieGrid
+    from wafer_viewer.model.job.job import Job
     from wafer_viewer.model.measurement.edge_and_bump_shapes import (
         Chipping,
         CircleSize,

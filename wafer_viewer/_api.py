@@ -27,7 +27,7 @@ MODULES = {
     "GaugeRR": "model.gauge.gauge_rr",
     "GaugeTerms": "model.gauge.gauge_check",
     "HeightMap": "model.surface.height_map",
-    "Job": "model.acquisition.plan",
+    "Job": "model.job.job",
     "KerfWidth": "model.measurement.edge_and_bump_shapes",
     "Length": "model.quantity",
     "Levelling": "model.measurement.levelling",

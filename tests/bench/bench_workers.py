@@ -26,9 +26,11 @@ import psutil
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from tests.bench.tables import met, show
-from wafer_viewer.compute.task_runner import Crew, crew_for
+from wafer_viewer.compute.local_or_cluster import crew_for
+from wafer_viewer.compute.task_runner import Crew
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.reconstruct.field_pipeline import warm_up
 from wafer_viewer.rigs.virtual.optics.optics import Optics

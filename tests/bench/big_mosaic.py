@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import HeightMap, Origin, Provenance, pixel_window
 from wafer_viewer.session.core.surface_summary import save_summary, summarise

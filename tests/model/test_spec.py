@@ -6,11 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError, PlanError
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Feature
-from wafer_viewer.model.measurement.measurements import Findings, Length, Profile
+from wafer_viewer.model.measurement.measurements import Length, Profile
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Levy, Recipe

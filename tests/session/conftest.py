@@ -6,8 +6,9 @@ import multiprocessing
 
 import pytest
 
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.session import Session
 
 PATIENCE_S = 240.0

@@ -43,7 +43,7 @@ from wafer_viewer.model.errors import PlanError, RigError
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.devices import Rig
-    from wafer_viewer.model.acquisition.plan import Job
+    from wafer_viewer.model.job.job import Job
     from wafer_viewer.rigs.rig_config import RigConfig
     from wafer_viewer.session.planning.preflight import Check
 

@@ -8,7 +8,7 @@ import msgspec
 
 from wafer_viewer.cli.arguments import levelling_from
 from wafer_viewer.cli.output import print_json
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

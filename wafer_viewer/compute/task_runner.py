@@ -10,7 +10,7 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -190,22 +190,6 @@ class Cluster:
         """What every worker answers; its exception where it cannot."""
         answers: Any = self._client.run(ask, *args, on_error="return")
         return list(answers.values())
-
-
-@contextmanager
-def crew_for(scheduler: str | None = None, workers: int = 1) -> Generator[Crew]:
-    """This process, where there is no scheduler and one worker is enough; otherwise a cluster, or one of our own.
-
-    scheduler: tls://HOST:PORT of a cluster that runs already. Raises ComputeError where it cannot be had.
-    """
-    if scheduler is None and workers == 1:
-        yield Here()
-        return
-    require_tls(scheduler)
-    from wafer_viewer.compute.dask_cluster import client_of
-
-    with client_of(scheduler, workers) as client:
-        yield Cluster(client)
 
 
 def n_local_workers() -> int:

@@ -21,7 +21,8 @@ from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.measure.tools.step_profile import step_profile
 from wafer_viewer.measure.tools.volume import area_volume
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.measurements import AnyFinding, Profile
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.measurement.measurements import Profile
 from wafer_viewer.model.measurement.tool_options import ToolOptions, keywords
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.region import Region

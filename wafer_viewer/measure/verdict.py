@@ -10,9 +10,9 @@ from wafer_viewer.measure.base.uncertainty_budget import LESS_WITH_REPEATS
 from wafer_viewer.measure.registry import measured
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.job.verdict import GRAVEST, Judged, JudgedDie, Word
 from wafer_viewer.model.measurement.feature import Die, Dies, Feature, on_die
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
 from wafer_viewer.model.spec import replace

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Protocol
 
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

@@ -16,6 +16,7 @@ from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.rigs.rig_config import RigConfig
 from wafer_viewer.session.acquisition.rig_client import Instrument, Reports
 from wafer_viewer.session.acquisition.rig_messages import Move, RigReady, SampleSeen, Scan, ScanEnded, Taken
+from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import Desk
 from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name, today
 from wafer_viewer.session.core.notifications import Notices
@@ -49,12 +50,13 @@ class Conductor:
         self.drafting = Drafting(desk, self._folder)
         self.library = Library(desk, self._folder)
         self.reconstruction = Reconstruction(desk, self.notices, self.library, scheduler)
-        self.files = FileWork(desk, self.notices, self.library, self.reconstruction.compute)
+        self.background = BackgroundWork(desk, self.notices, self.reconstruction.compute)
+        self.files = FileWork(desk, self.library, self.background)
         self.book = RecordBook(desk, self.library)
         self.notebook = NotebookKeeper(desk, self.library)
         self.comparing = ComparingKeeper(desk, self.notices, self.library, self.reconstruction.compute)
         self.defects = DefectKeeper(desk, self.notices, self.library, self.reconstruction.compute)
-        self.defect_files = DefectFilesKeeper(desk, self.library, self.files, self._folder)
+        self.defect_files = DefectFilesKeeper(desk, self.library, self.background, self._folder)
         self.jobs = JobKeeper(desk, self.drafting, self._folder)
         self.gauge = GaugeKeeper(desk, self.library, self.book, self._folder)
         self.trials = TrialKeeper(desk, self.notices, self.drafting, self.reconstruction.compute)

@@ -7,8 +7,9 @@ from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
 from wafer_viewer.model.acquisition.focus_stack import Image
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 
-from wafer_viewer.model.acquisition.plan import Job
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.recipe import Recipe

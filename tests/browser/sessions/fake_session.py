@@ -20,11 +20,13 @@ from tests.browser.sessions.fake_sections import FakeSections
 from tests.support.made_up_poses import made_up_poses, stitching_of
 from wafer_viewer.acquire.planner import plan_scan
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import DatasetError, MeasureError, PlanError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve, StepHeight
+from wafer_viewer.model.measurement.measurements import Profile, ProfileCurve
+from wafer_viewer.model.measurement.step import StepHeight
 from wafer_viewer.model.quantity import Contribution, Length
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.field_poses import Doubt, Poses

@@ -17,6 +17,7 @@ from tests.browser.sessions.measuring_session import done as came_to
 from tests.support.page_stand_in import MemoryShelf, StandIn, grid, job_and_plan, snapshot_of
 from wafer_viewer.measure.gauge.run_chart import run_chart
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge.gauge_check import (
     Certificate,
     GaugeCheck,
@@ -26,7 +27,6 @@ from wafer_viewer.model.gauge.gauge_check import (
     ScaleCorrection,
 )
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

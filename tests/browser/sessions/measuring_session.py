@@ -25,8 +25,8 @@ from tests.support.page_stand_in import (
 )
 from wafer_viewer.measure.gauge.find_faces import find_faces
 from wafer_viewer.model.acquisition.calibration import Calibration
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

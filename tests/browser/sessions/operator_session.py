@@ -10,7 +10,7 @@ from tests.browser.sessions import fake_session as fake
 from tests.support.datasets.released import DIE, MARKS, release_of
 from wafer_viewer.measure.verdict import judge, judge_dies, overall, what_next
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.measurement.feature import Dies

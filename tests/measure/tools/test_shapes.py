@@ -13,7 +13,7 @@ from wafer_viewer.measure.tools.circle import circle_size
 from wafer_viewer.measure.tools.die_size import die_size
 from wafer_viewer.measure.tools.kerf import kerf_width
 from wafer_viewer.model.errors import MeasureError
-from wafer_viewer.model.measurement.measurements import Findings
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Origin

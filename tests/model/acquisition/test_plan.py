@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, Leg, PulseTrain, Shot
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Leg, PulseTrain, Shot
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.job.job import Job
 
 
 def test_fields_are_numbered_row_by_row_from_the_top_left():

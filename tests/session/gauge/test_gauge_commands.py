@@ -8,9 +8,10 @@ import pytest
 
 from tests.support.datasets.gauge_scans import CALIBRATION, LOWER, RESULT, RIG, UPPER, scan_of_blocks
 from tests.support.paths import ASSETS
-from wafer_viewer.model.acquisition.plan import Field, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import Field, FocusSweep
 from wafer_viewer.model.errors import DatasetError, MeasureError
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck, GaugeTerms
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.rigs.virtual.rig import CALIBRATION as RIGS_OWN
 from wafer_viewer.rigs.virtual.rig import VirtualRig

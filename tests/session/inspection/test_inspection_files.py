@@ -18,10 +18,10 @@ from wafer_viewer.model.inspection.defect import DefectRecipe
 from wafer_viewer.model.inspection.defect_limits import DefectLimits
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.access_control import seat
+from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import Desk
 from wafer_viewer.session.core.dataset_library import Library
 from wafer_viewer.session.core.notifications import Notices
-from wafer_viewer.session.files.file_jobs import FileWork
 from wafer_viewer.session.inspection.defect_export import hand_over, keep_golden
 from wafer_viewer.session.inspection.inspection_commands import DefectKeeper, DefectVerbs
 from wafer_viewer.session.inspection.inspection_files import DefectFiles, DefectFilesKeeper
@@ -59,7 +59,7 @@ class Bench:
         notices, compute = Notices(self.desk), AtOnce()
         self.library = Library(self.desk, self.folder)
         self.defects = DefectKeeper(self.desk, notices, self.library, compute)
-        files = FileWork(self.desk, notices, self.library, compute)
+        files = BackgroundWork(self.desk, notices, compute)
         self.keeper = DefectFilesKeeper(self.desk, self.library, files, self.folder)
         self.do(self.library.open, path)
         self.do(self.defects.open)

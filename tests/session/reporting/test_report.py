@@ -16,10 +16,10 @@ from wafer_viewer.cli.app import main
 from wafer_viewer.measure.tools.step_height import step_height
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import ComputeError
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.job.review_notes import Judgement, Notebook
 from wafer_viewer.model.job.verdict import Judged, WaferVerdict
 from wafer_viewer.model.measurement.feature import Feature
-from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PARTS, Figure, Holds, Report, ReportOrder, Section

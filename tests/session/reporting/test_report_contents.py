@@ -14,9 +14,9 @@ from tests.support.datasets.judged_datasets import RESULT, STEP, judged_dataset,
 from tests.support.gauge_repeats import signed
 from wafer_viewer.cli.app import main
 from wafer_viewer.measure.registry import measured
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.measurement.feature import Die, Dies
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import PART_TITLES, ReportOrder
 from wafer_viewer.model.spec import replace

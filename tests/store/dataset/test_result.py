@@ -4,7 +4,8 @@ import pytest
 
 from tests.support.datasets.samples import assert_same_surface, make_job, make_plan, make_surface
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.measurement.measurements import Findings, Length, Profile
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.measurement.measurements import Length, Profile
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.recipe import Levy, Recipe
 from wafer_viewer.store.dataset.dataset import Dataset

@@ -5,8 +5,11 @@ from __future__ import annotations
 import csv
 import io
 
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import AreaVolume, Distance, Findings, StepHeight, Texture
+from wafer_viewer.model.measurement.measurements import AreaVolume, Distance
+from wafer_viewer.model.measurement.step import StepHeight
+from wafer_viewer.model.measurement.texture import Texture
 from wafer_viewer.model.quantity import BudgetLine, Contribution, Length, Quantity
 from wafer_viewer.model.region import Region
 from wafer_viewer.store.tables.measurements_csv import findings_csv

@@ -8,10 +8,11 @@ import numpy as np
 
 from tests.support.datasets.inspections import defect, inspection
 from tests.support.datasets.samples import CALIBRATION, SUMMARY, make_frame
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan, Shot
+from wafer_viewer.model.findings import Findings
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import Notebook, SavedView
 from wafer_viewer.model.measurement.feature import Feature
-from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.progress import silent
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.truth.field_grid import Made
-from wafer_viewer.model.acquisition.plan import FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import FocusSweep, ScanPlan
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.result import Result

@@ -9,8 +9,8 @@ import numpy as np
 from tests.support.datasets.released import MARKS, SETTLED
 from tests.support.datasets.samples import CALIBRATION, make_job, make_plan
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.acquisition.sample import Sample
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wafer_viewer.model.acquisition.alignment import Mark, Marks
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Feature
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace

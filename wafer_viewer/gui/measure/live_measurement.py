@@ -10,7 +10,7 @@ from wafer_viewer.gui.tools.region_tools import fits
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.gui.widgets.latest_only import Latest
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.state.snapshot import Snapshot
 

@@ -25,7 +25,7 @@ from wafer_viewer.gui.tools.tool_palette import tool_cards
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, button, leading, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Snapshot

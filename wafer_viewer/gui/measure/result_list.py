@@ -18,7 +18,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.session.state.snapshot import Snapshot
 
 ROUND_PLACES = 2.4

@@ -45,14 +45,22 @@ const side = edge => {{
   const folded = region && !!region.querySelector('[data-dock-minimize-all]');
   return region && [Math.round(region.getBoundingClientRect().width), folded];
 }};
-const drawn = () => {{
-  const scene = document.querySelector('canvas[data-engine]') || document.querySelector('canvas');
-  return scene && scene.clientWidth ? Math.round(1e3 * scene.width / scene.clientWidth) / 1e3 : 0;
+window.wvSized?.disconnect();
+const sized = window.wvSized = new ResizeObserver(() => tell());
+let observed = null;
+const scene = () => {{
+  const canvas = document.querySelector('canvas[data-engine]') || document.querySelector('canvas');
+  if (!canvas || !canvas.clientWidth) return [0, 0];
+  if (canvas !== observed) {{
+    sized.disconnect();
+    sized.observe(observed = canvas);
+  }}
+  return [canvas.clientWidth, canvas.clientHeight];
 }};
 const tell = () => {{
   const now = JSON.stringify({{
     system: navigator.platform, renderer, still: still(), left: side('left'), right: side('right'), window: innerWidth,
-    drawn: drawn(),
+    scene: scene(),
   }});
   const field = document.querySelector('div:has(>.wv-tells)+div input');
   if (now === told || !field) return;
@@ -69,8 +77,7 @@ class Told(msgspec.Struct, frozen=True):
     """A browser's report: of each side panel its width in pixels, and whether it is folded away.
 
     renderer: what draws the scene, empty where the browser does not say; still: whether its user wants less motion.
-    window: width of the page in pixels, 0 as long as the browser has not said. drawn: pixels drawn for a CSS pixel of
-    the scene, 0 before there is one.
+    window: width of the page in CSS pixels, 0 as long as the browser has not said; scene: size of the scene, likewise.
     """
 
     system: str = ""
@@ -79,7 +86,7 @@ class Told(msgspec.Struct, frozen=True):
     renderer: str = ""
     still: bool = False
     window: int = 0
-    drawn: float = 0.0
+    scene: tuple[int, int] = (0, 0)
 
 
 class BrowserEar:
@@ -121,7 +128,7 @@ class BrowserEar:
         self._system = system_name(told.system)
         self._can_fly = may_fly(told)
         self._let_fly(self._can_fly)
-        page.viewport.set_ratio(told.drawn)
+        page.viewport.set_size(*told.scene)
         layout = layout_of(told, page.browser.layout)
         if self._cramped:  # folded for want of room, not by a person
             layout = replace(layout, left_folded=page.browser.layout.left_folded)

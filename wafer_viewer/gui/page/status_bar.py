@@ -13,7 +13,7 @@ from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.rendering.render_request import Statistics
 from wafer_viewer.session.state.control_state import Hands
 from wafer_viewer.session.state.snapshot import RigStatus, Snapshot, SurfaceInfo

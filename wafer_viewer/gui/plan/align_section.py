@@ -12,7 +12,7 @@ from wafer_viewer.gui.plan.alignment_picture import clicked, corner_picture, exp
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.state.snapshot import Draft, Snapshot
 
 FAILED = "The corner was not marked"

@@ -8,7 +8,7 @@ from wafer_viewer.draw.surface.pixel_patch import greys, patch_url
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.acquisition.alignment import Alignment
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 
 SIDE_UM = 300.0
 """How much of the sample the picture shows: a corner, the streets at it, and how far a wafer may lie off its place."""

@@ -11,8 +11,8 @@ from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.plan.job_dialogs import edit, required_job
 from wafer_viewer.gui.widgets.number_field import OptionalPair, Pair
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Die, Dies, on_die
 from wafer_viewer.model.region import Region
 

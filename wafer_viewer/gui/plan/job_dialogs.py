@@ -17,8 +17,8 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell
 from wafer_viewer.model.acquisition.alignment import Mark, Marks
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT

@@ -14,7 +14,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, Field, duo, set_prop
 from wafer_viewer.gui.widgets.debounce import Edits
 from wafer_viewer.gui.widgets.error_guard import guarded
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.planning.preflight import Check
 from wafer_viewer.session.state.snapshot import Snapshot

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import msgspec
 
 from wafer_viewer.gui.widgets.number_field import Pair, pair_of, pair_text
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.state.snapshot import Typed
 

@@ -24,7 +24,7 @@ from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, button, in_a_row, set_prop
 from wafer_viewer.gui.widgets.error_guard import guarded
 from wafer_viewer.model.acquisition.alignment import Marks
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Dies, Feature
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.session.measurement.measurement_numbers import title_of

@@ -9,8 +9,11 @@ from wafer_viewer.draw.charts.defect_symbols import KINDS
 from wafer_viewer.draw.colormaps import PROFILE_COLOURS
 from wafer_viewer.draw.number_format import digits_of_u, number, value_and_u, with_unit
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.measurements import AnyFinding, AreaVolume, GaugeCheck, Profile, StepProfile
+from wafer_viewer.model.measurement.measurements import AreaVolume, Profile
+from wafer_viewer.model.measurement.step import StepProfile
 from wafer_viewer.model.quantity import Quantity
 
 REGION_COLOUR = "#15202B"

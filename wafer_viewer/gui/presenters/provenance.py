@@ -12,11 +12,11 @@ from wafer_viewer.gui.presenters.measurement import averaging, whole
 from wafer_viewer.gui.presenters.site_range import sites
 from wafer_viewer.gui.presenters.texture import roughness, texture
 from wafer_viewer.gui.widgets import html
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.levelling import LevelBy
 from wafer_viewer.model.measurement.measurements import (
-    AnyFinding,
     AreaVolume,
     Distance,
     FaceAngle,
@@ -24,10 +24,9 @@ from wafer_viewer.model.measurement.measurements import (
     PointHeight,
     Profile,
     Radius,
-    StepHeight,
-    StepProfile,
 )
 from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.height_map import LAYER_TITLES

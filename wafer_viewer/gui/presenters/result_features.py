@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from wafer_viewer.draw.number_format import number
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import TOOLS, ToolName
 from wafer_viewer.model.quantity import Length, Quantity, Unit

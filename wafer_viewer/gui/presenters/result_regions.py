@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.measurements import (
-    AnyFinding,
     AreaVolume,
     Distance,
     FaceAngle,
     Flatness,
-    GaugeCheck,
     PointHeight,
     Profile,
     Radius,
-    StepHeight,
-    StepProfile,
 )
 from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.measurement.tools import ToolName
 from wafer_viewer.model.region import Region

@@ -6,7 +6,7 @@ from wafer_viewer.draw.charts.groove_svg import groove_svg
 from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.presenters.measurement import averaging, whole
 from wafer_viewer.gui.widgets import html
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 
 

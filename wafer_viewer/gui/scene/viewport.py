@@ -1,7 +1,8 @@
 """Size of the scene in CSS pixels, the unit of all panels and of everything on glass.
 
 viser's camera counts the pixels of the drawing buffer: on a screen of high resolution they are several to a CSS pixel,
-and fewer than one where viser draws coarser to keep up.
+and fewer than one where viser draws coarser to keep up. It reports them when the camera moves, so that they can be of
+an earlier buffer: the browser reports the size of the scene itself.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ class Viewport:
 
     def __init__(self, camera: Any) -> None:
         self._camera = camera
-        self._ratio = 1.0
+        self._size_px = 0, 0
         self._listeners: list[Callable[[], object]] = []
         camera.on_update(lambda _: self._changed())
 
     @property
     def width_px(self) -> int:
-        """Width in CSS pixels; 0 before the browser has said."""
-        return round(self._camera.image_width / self._ratio)
+        """Width in CSS pixels; that of the drawing buffer before the browser has reported, and 0 before that."""
+        return self._size_px[0] or self._camera.image_width
 
     @property
     def height_px(self) -> int:
-        """Height in CSS pixels; 0 before the browser has said."""
-        return round(self._camera.image_height / self._ratio)
+        """Height in CSS pixels; that of the drawing buffer before the browser has reported, and 0 before that."""
+        return self._size_px[1] or self._camera.image_height
 
     def on_change(self, listener: Callable[[], object]) -> None:
         """Call `listener` when the size may have changed."""
         self._listeners.append(listener)
 
-    def set_ratio(self, drawn: float) -> None:
-        """Set how many pixels of the drawing buffer make a CSS pixel; a ratio that cannot be is ignored."""
-        if drawn > 0 and drawn != self._ratio:
-            self._ratio = drawn
+    def set_size(self, width_px: int, height_px: int) -> None:
+        """Set the size in CSS pixels that the browser has reported; one of nothing is ignored."""
+        if min(width_px, height_px) > 0 and (width_px, height_px) != self._size_px:
+            self._size_px = width_px, height_px
             self._changed()
 
     def _changed(self) -> None:

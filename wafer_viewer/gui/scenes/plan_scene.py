@@ -8,7 +8,7 @@ from wafer_viewer.gui.scene.scene_contents import Contents, corners_of
 from wafer_viewer.gui.scenes.field_outlines import fields_box, planned_items
 from wafer_viewer.gui.scenes.sample_scene import reach_box, sample_box, sample_items
 from wafer_viewer.gui.state.view_state import View
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.session.state.snapshot import Snapshot
 
 _WHOLE_OVER = 0.3

@@ -21,8 +21,8 @@ from wafer_viewer.gui.scene.scene_contents import Contents, OnShow, corners_of
 from wafer_viewer.gui.scenes.pose_cache import PoseBook
 from wafer_viewer.gui.scenes.pose_overlay import pose_items
 from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.levelling import Datum
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.surface.comparison import Face, comparison_of
 from wafer_viewer.session.core.changes import stamp_of
 from wafer_viewer.session.rendering.render_request import Facts, PaintRequest, Source

@@ -15,7 +15,7 @@ from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.tools.region_shapes import outline_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.model.errors import WaferViewerError
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.rendering.render_request import PaintRequest
 from wafer_viewer.session.state.snapshot import Snapshot

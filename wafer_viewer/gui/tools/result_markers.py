@@ -19,7 +19,7 @@ from wafer_viewer.gui.scene.scene_theme import colours
 from wafer_viewer.gui.scene.view_axes import Gaze
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.gui.tools.region_shapes import outline_of
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.region import Region
 
 MOST_SIGNS = 60

@@ -26,8 +26,8 @@ from wafer_viewer.gui.tools.region_tools import LevelTools, PlaceTools
 from wafer_viewer.gui.tools.result_markers import KeptMarks
 from wafer_viewer.gui.widgets.latest_only import Latest
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.levelling import LevelBy, Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.surface.clipping import Box
 

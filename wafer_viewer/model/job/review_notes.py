@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.measurement.levelling import Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.spec import Positive, Spec
 
 Verdict = Literal["open", "accepted", "rejected"]

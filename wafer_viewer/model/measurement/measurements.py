@@ -6,22 +6,15 @@ Every finding has one `main` quantity, the number that stands for it in a list.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wafer_viewer.model.errors import MeasureError, WaferViewerError
-from wafer_viewer.model.gauge.gauge_check import GaugeCheck
-from wafer_viewer.model.inspection.defect import Defect
-from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.measurement import Finding
-from wafer_viewer.model.measurement.site_range import SiteRanges
-from wafer_viewer.model.measurement.step import StepHeight, StepProfile
-from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Point, Region
-from wafer_viewer.model.spec import Fraction, NonNegative, Spec
+from wafer_viewer.model.spec import Fraction, NonNegative
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,33 +151,3 @@ class Flatness(Finding, frozen=True, kw_only=True, tag="flatness"):
     def main(self) -> Quantity:
         """FLTt."""
         return self.flt_t.quantity
-
-
-AnyFinding = (
-    Profile
-    | PointHeight
-    | Distance
-    | StepHeight
-    | StepProfile
-    | FaceAngle
-    | Radius
-    | AreaVolume
-    | Flatness
-    | Texture
-    | Roughness
-    | GaugeCheck
-    | Defect
-    | KerfWidth
-    | DieSize
-    | CircleSize
-    | Chipping
-    | Coplanarity
-    | SiteRanges
-)
-
-
-class Findings(Spec, frozen=True, kw_only=True):
-    """The list of results of one reconstruction: the file ``findings.json``."""
-
-    error: ClassVar[type[WaferViewerError]] = MeasureError
-    items: tuple[AnyFinding, ...] = ()

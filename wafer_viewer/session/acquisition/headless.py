@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from wafer_viewer.model.acquisition.devices import Rig, SampleChanger
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.session.acquisition.rig_messages import Scan, ScanFault, Taken
 from wafer_viewer.session.acquisition.scan_monitor import Steering

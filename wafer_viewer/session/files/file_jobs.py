@@ -6,15 +6,13 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.compute.compute_client import Compute
-from wafer_viewer.compute.watched_tasks import Args, WatchedTask
 from wafer_viewer.model.file_formats import Reading
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.report import ReportOrder
 from wafer_viewer.model.surface.comparison import comparison_of
+from wafer_viewer.session.core.background_work import BackgroundWork
 from wafer_viewer.session.core.command_queue import Desk
 from wafer_viewer.session.core.dataset_library import ENDING, Library, free_name
-from wafer_viewer.session.core.notifications import Notices
 from wafer_viewer.session.files.surface_import import import_surface
 from wafer_viewer.session.reporting.report import make_report
 from wafer_viewer.session.surface.worker_tasks import export_surface, import_images
@@ -23,21 +21,23 @@ from wafer_viewer.session.surface.worker_tasks import export_surface, import_ima
 class FileWork:
     """On the session's thread only."""
 
-    def __init__(self, desk: Desk, notices: Notices, library: Library, compute: Compute) -> None:
-        self._desk, self._notices, self._library, self._compute = desk, notices, library, compute
+    def __init__(self, desk: Desk, library: Library, background: BackgroundWork) -> None:
+        self._desk, self._library, self._background = desk, library, background
 
     def import_images(self, srcs: tuple[Path, ...], options: dict[str, Any], name: str | None) -> Future[Path]:
         """Make a dataset of images; done with its path."""
         folder = self._desk.now.data_folder
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(folder, srcs[0].stem if srcs else "import")
         out = folder / f"{wish}{ENDING}"
-        return self.work(f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options)
+        return self._background.run(
+            f"Import of {out.stem}", import_images, tuple(Path(s).absolute() for s in srcs), out, options
+        )
 
     def import_surface(self, src: Path, says: Reading, name: str | None) -> Future[Path]:
         """Make a dataset of a surface file; done with its path."""
         wish = Path(name).name.removesuffix(ENDING) if name else free_name(self._desk.now.data_folder, src.stem)
         out = self._desk.now.data_folder / f"{wish}{ENDING}"
-        return self.work(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
+        return self._background.run(f"Import of {out.stem}", import_surface, src.absolute(), out, says)
 
     def export_surface(
         self, path: Path, field_number: int | None, every: int | None = None, part: Region | None = None
@@ -48,18 +48,10 @@ class FileWork:
             result = next((c.name for c in self._desk.now.comparisons if c.number == asked[0]), result)
             field_number = -asked[1]
         args = (dataset.path, result, field_number, path.absolute(), every, part)
-        return self.work(f"Export to {path.name}", export_surface, *args)
+        return self._background.run(f"Export to {path.name}", export_surface, *args)
 
     def write_report(self, order: ReportOrder, out: Path) -> Future[Path]:
         """Write the report of the open dataset; done with its path."""
         dataset = self._library.dataset
         args = (dataset.path, self._library.result_name, order, out.absolute())
-        return self.work(f"Report of {dataset.path.stem}", make_report, *args)
-
-    def work(self, title: str, task: WatchedTask[*Args, Path], *args: *Args) -> Future[Path]:
-        """Run a task under a work of its own, which a person can cancel."""
-        work = ""
-        work = self._notices.begin(title, lambda: self._compute.cancel(work))
-        done = self._compute.run(work, task, *args)
-        done.add_done_callback(lambda _: self._desk.note(self._notices.end, work))
-        return done
+        return self._background.run(f"Report of {dataset.path.stem}", make_report, *args)

@@ -7,9 +7,10 @@ from functools import partial
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.calibration import OpticalSetup
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.errors import DatasetError
 from wafer_viewer.model.file_formats import Reading
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop, never, silent
 from wafer_viewer.model.surface.height_map import HeightMap
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT

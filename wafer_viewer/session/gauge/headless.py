@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from wafer_viewer.model.errors import MeasureError, WaferViewerError
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.gauge.gauge_check import Certificate, GaugeCheck, GaugeRecord, GaugeTerms
 from wafer_viewer.model.gauge.run_chart import Capability, RunChart
-from wafer_viewer.model.measurement.measurements import Findings
 from wafer_viewer.model.spec import Spec, replace
 from wafer_viewer.session.gauge import gauge_check as work
 from wafer_viewer.session.state.gauge_state import Faces

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import MeasureError
 from wafer_viewer.model.gauge.gauge_rr import Study
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.measurement.feature import Die, Feature
 from wafer_viewer.model.quantity import Quantity
 from wafer_viewer.session.core.dataset_library import DEFAULT_RESULT

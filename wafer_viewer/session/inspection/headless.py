@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.acquisition.sample import Sample
 from wafer_viewer.model.inspection.defect import DefectRecipe, Inspection
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenDie
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.spec import replace
 from wafer_viewer.model.surface.height_map import Mosaic

@@ -15,9 +15,9 @@ from wafer_viewer.session.state.inspection_resources import SAME_PLACE_UM, Defec
 
 if TYPE_CHECKING:
     from wafer_viewer.model.inspection.golden_die import GoldenHeader
+    from wafer_viewer.session.core.background_work import BackgroundWork
     from wafer_viewer.session.core.command_queue import Desk
     from wafer_viewer.session.core.dataset_library import Library
-    from wafer_viewer.session.files.file_jobs import FileWork
 
 TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "training": "Training set"}
 
@@ -25,8 +25,8 @@ TITLES: dict[Handover, str] = {"klarf": "KLARF", "csv": "Table of defects", "tra
 class DefectFilesKeeper:
     """The shelf of the snapshot; on the session's thread only."""
 
-    def __init__(self, desk: Desk, library: Library, files: FileWork, folder: Path) -> None:
-        self._desk, self._library, self._files, self._folder = desk, library, files, folder
+    def __init__(self, desk: Desk, library: Library, background: BackgroundWork, folder: Path) -> None:
+        self._desk, self._library, self._background, self._folder = desk, library, background, folder
 
     def open(self) -> None:
         """Another surface is looked at: what another tool found on the one before is taken away."""
@@ -66,7 +66,7 @@ class DefectFilesKeeper:
 
     def keep_golden(self, name: str) -> Future[Path]:
         """Have a worker keep the typical die; it is listed when it is there."""
-        done = self._files.work(f"Golden die {name}", keep_golden, *self._looked_at, name)
+        done = self._background.run(f"Golden die {name}", keep_golden, *self._looked_at, name)
         return self._desk.afterwards(done, self.refresh)
 
     def add_golden(self, path: Path) -> GoldenHeader:
@@ -85,7 +85,7 @@ class DefectFilesKeeper:
 
     def write(self, what: Handover, path: Path) -> Future[Path]:
         """Have a worker write the defects to a file or a folder."""
-        return self._files.work(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
+        return self._background.run(f"{TITLES[what]} {path.name}", hand_over, *self._looked_at, what, path.absolute())
 
     def lay_over(self, path: Path, unit: KlarfUnit | None, within_um: float) -> OtherTool:
         """Read a KLARF file and lay its defects over the surface."""

@@ -20,8 +20,8 @@ from wafer_viewer.session.rendering.render_request import PaintRequest, Source
 
 if TYPE_CHECKING:
     from wafer_viewer.model.acquisition.alignment import Alignment
-    from wafer_viewer.model.acquisition.plan import Job
     from wafer_viewer.model.inspection.repeating_defect import RepeatedPlace
+    from wafer_viewer.model.job.job import Job
     from wafer_viewer.session.state.snapshot import OpenDataset, Snapshot, SurfaceInfo
 
 T = TypeVar("T")

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeVar
 
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.measurement.levelling import Datum, Levelling
-from wafer_viewer.model.measurement.measurements import AnyFinding, Finding, Profile, ProfileCurve
+from wafer_viewer.model.measurement.measurements import Finding, Profile, ProfileCurve
 from wafer_viewer.model.measurement.sections import SlabPoints
 from wafer_viewer.model.measurement.tool_options import ToolOptions
 from wafer_viewer.model.measurement.tools import ToolName

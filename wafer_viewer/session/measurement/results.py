@@ -10,23 +10,21 @@ from itertools import count
 from pathlib import Path
 
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding, Findings
+from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Defect
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Chipping, CircleSize, Coplanarity, DieSize, KerfWidth
 from wafer_viewer.model.measurement.measurements import (
-    AnyFinding,
     AreaVolume,
     Distance,
     FaceAngle,
-    Findings,
     Flatness,
-    GaugeCheck,
     PointHeight,
     Profile,
     Radius,
-    StepHeight,
-    StepProfile,
 )
 from wafer_viewer.model.measurement.site_range import SiteRanges
+from wafer_viewer.model.measurement.step import StepHeight, StepProfile
 from wafer_viewer.model.measurement.texture import Roughness, Texture
 from wafer_viewer.model.spec import replace
 from wafer_viewer.session.core.command_queue import Desk

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import DatasetError, PlanError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.revision_trial import Trial
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.progress import Progress

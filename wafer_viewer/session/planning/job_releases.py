@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import ScanPlan
 from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe, Stitching
 from wafer_viewer.session.state.operator_state import JobEntry

@@ -7,9 +7,10 @@ import shutil
 from pathlib import Path
 
 from wafer_viewer.model.acquisition.devices import Overview
-from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import FieldGrid, FocusSweep, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
 from wafer_viewer.model.errors import PlanError, WaferViewerError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import decode, encode, replace
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.core.command_queue import Desk

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.verdict import Judged
 from wafer_viewer.model.measurement.feature import DecisionRule, limits_text
 from wafer_viewer.model.measurement.tool_options import ToolOptions

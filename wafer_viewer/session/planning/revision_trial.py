@@ -15,8 +15,8 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import ComputeError, DatasetError, MeasureError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.revision_trial import NotTried, Trial, TriedWafer, VerdictChange
 from wafer_viewer.model.job.verdict import Judged
 from wafer_viewer.model.measurement.feature import Die, Feature

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.verdict import WaferVerdict
 from wafer_viewer.model.spec import encode
 from wafer_viewer.model.surface.height_map import Provenance

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.inspection.defect import Inspection
 from wafer_viewer.model.job.review_notes import Notebook
 from wafer_viewer.model.job.verdict import Judged, WaferVerdict
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.session.planning.verdicts import kept_verdict
 from wafer_viewer.session.reporting.report_text import regions

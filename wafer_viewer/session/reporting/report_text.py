@@ -7,11 +7,12 @@ from typing import Any, cast
 
 from wafer_viewer.draw.number_format import duration, number, share, size, with_unit
 from wafer_viewer.model.acquisition.calibration import Calibration
-from wafer_viewer.model.acquisition.plan import Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import ScanPlan
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import Judgement, Notebook, key_of_result
 from wafer_viewer.model.job.verdict import Judged, WaferVerdict
 from wafer_viewer.model.measurement.feature import limits_text
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.region import Region
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.height_map import LAYER_TITLES

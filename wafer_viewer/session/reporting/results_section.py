@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 from wafer_viewer.draw.number_format import digits_of_u, number, share
 from wafer_viewer.model.errors import MeasureError
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
 from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
 from wafer_viewer.model.job.verdict import GRAVEST, Judged, WaferVerdict
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.sections import SectionAsked
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import BudgetLine

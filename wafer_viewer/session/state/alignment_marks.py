@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.errors import PlanError
+from wafer_viewer.model.job.job import Job
 
 Place = tuple[float, float]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from wafer_viewer.model.acquisition.plan import Job
 from wafer_viewer.model.inspection.defect import Defect, DefectRecipe
 from wafer_viewer.model.inspection.die_grid import DieGrid
 from wafer_viewer.model.inspection.golden_die import GoldenHeader
 from wafer_viewer.model.inspection.klarf import Klarf, KlarfDefect
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.region import Region
 
 SAME_PLACE_UM = 25.0

@@ -10,9 +10,10 @@ from typing import Literal
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import Overview
 from wafer_viewer.model.acquisition.focus_stack import Image
-from wafer_viewer.model.acquisition.plan import Field, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.acquisition.rig_limits import RigLimits
-from wafer_viewer.model.measurement.measurements import AnyFinding
+from wafer_viewer.model.findings import AnyFinding
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.surface.recipe import Recipe
 from wafer_viewer.session.state.comparison_state import Compared
 from wafer_viewer.session.state.control_state import Hands

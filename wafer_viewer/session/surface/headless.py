@@ -9,10 +9,11 @@ from functools import partial
 from pathlib import Path
 
 from wafer_viewer.compute.dask_worker import attempt
-from wafer_viewer.compute.task_runner import Crew, Here, crew_for, n_local_workers, require_tls
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.compute.local_or_cluster import crew_for
+from wafer_viewer.compute.task_runner import Crew, Here, n_local_workers, require_tls
 from wafer_viewer.model.errors import ComputeError, DatasetError, PlanError, WaferViewerError
 from wafer_viewer.model.file_formats import Reading
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress
 from wafer_viewer.model.surface.focus_curve import FocusCurve
 from wafer_viewer.model.surface.height_map import Mosaic

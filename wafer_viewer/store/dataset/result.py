@@ -9,7 +9,7 @@ from pathlib import Path
 
 from wafer_viewer.model.acquisition.plan import Field
 from wafer_viewer.model.errors import DatasetError
-from wafer_viewer.model.measurement.measurements import Findings
+from wafer_viewer.model.findings import Findings
 from wafer_viewer.model.spec import Spec
 from wafer_viewer.model.surface.comparison import Comparison
 from wafer_viewer.model.surface.field_poses import Poses

@@ -8,8 +8,9 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
-from wafer_viewer.model.acquisition.plan import Field, Job, ScanPlan
+from wafer_viewer.model.acquisition.plan import Field, ScanPlan
 from wafer_viewer.model.errors import DatasetError, WaferViewerError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import Spec, Within, decode
 from wafer_viewer.store.dataset.frame_pages import PageShape
 from wafer_viewer.store.io.checksums import Checksum, damaged, save_json, text_state, unsealed

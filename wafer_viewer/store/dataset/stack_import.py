@@ -17,8 +17,9 @@ import numpy as np
 
 from wafer_viewer.model.acquisition.focus_stack import FieldStack, Frame, FrameStatus, Image
 from wafer_viewer.model.acquisition.optics import WAVELENGTH_UM, depth_of_field_um
-from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, Job, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import MIN_FRAMES, Field, FieldGrid, FocusSweep, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.progress import Progress, ShouldStop
 from wafer_viewer.store.dataset.dataset import Dataset
 from wafer_viewer.store.dataset.filename_patterns import Cell, Slot, stacks_by_cell

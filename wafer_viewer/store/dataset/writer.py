@@ -18,8 +18,9 @@ from wafer_viewer._version import __version__
 from wafer_viewer.model.acquisition.calibration import Calibration, OpticalSetup
 from wafer_viewer.model.acquisition.devices import PulseSummary
 from wafer_viewer.model.acquisition.focus_stack import Frame, FrameStatus, Image
-from wafer_viewer.model.acquisition.plan import Job, Leg, ScanPlan, Shot
+from wafer_viewer.model.acquisition.plan import Leg, ScanPlan, Shot
 from wafer_viewer.model.errors import DatasetError
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.spec import replace
 from wafer_viewer.store.dataset import journal
 from wafer_viewer.store.dataset.dataset import Dataset

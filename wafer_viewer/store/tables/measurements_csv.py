@@ -7,8 +7,9 @@ import io
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from wafer_viewer.model.findings import AnyFinding, Findings
 from wafer_viewer.model.measurement.edge_and_bump_shapes import Bump, Chip, Chipping, Coplanarity
-from wafer_viewer.model.measurement.measurements import AnyFinding, Finding, Findings
+from wafer_viewer.model.measurement.measurements import Finding
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region
 

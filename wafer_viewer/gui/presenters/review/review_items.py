@@ -15,12 +15,12 @@ from wafer_viewer.gui.presenters.verdict import in_short
 from wafer_viewer.gui.state.defect_list_state import DefectListing
 from wafer_viewer.gui.state.view_state import ReviewFilter
 from wafer_viewer.model.acquisition.alignment import Alignment
-from wafer_viewer.model.acquisition.plan import Job
+from wafer_viewer.model.findings import AnyFinding
 from wafer_viewer.model.gauge.gauge_check import GaugeCheck
+from wafer_viewer.model.job.job import Job
 from wafer_viewer.model.job.review_notes import key_of_result, keys_of_features
 from wafer_viewer.model.job.verdict import Judged, Word
 from wafer_viewer.model.measurement.feature import on_die
-from wafer_viewer.model.measurement.measurements import AnyFinding
 from wafer_viewer.model.measurement.tools import TOOLS
 from wafer_viewer.model.quantity import Length, Quantity
 from wafer_viewer.model.region import Region

@@ -1,0 +1,25 @@
+"""Tasks that workers run while the page shows their progress and a button to cancel them."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+
+from wafer_viewer.compute.compute_client import Compute
+from wafer_viewer.compute.watched_tasks import Answer, Args, WatchedTask
+from wafer_viewer.session.core.command_queue import Desk
+from wafer_viewer.session.core.notifications import Notices
+
+
+class BackgroundWork:
+    """Runs tasks on the workers, each under a title of its own. On the session's thread only."""
+
+    def __init__(self, desk: Desk, notices: Notices, compute: Compute) -> None:
+        self._desk, self._notices, self._compute = desk, notices, compute
+
+    def run(self, title: str, task: WatchedTask[*Args, Answer], *args: *Args) -> Future[Answer]:
+        """Run a task; a person can cancel it."""
+        work = ""
+        work = self._notices.begin(title, lambda: self._compute.cancel(work))
+        done = self._compute.run(work, task, *args)
+        done.add_done_callback(lambda _: self._desk.note(self._notices.end, work))
+        return done
