@@ -13,7 +13,7 @@ from wafer_viewer.draw.number_format import number
 from wafer_viewer.gui.page.dialogs import Dialog, open_dataset, open_surface
 from wafer_viewer.gui.page.file_dialog import FileList
 from wafer_viewer.gui.page.page import Page
-from wafer_viewer.gui.surface.shown_statistics import name_of
+from wafer_viewer.gui.presenters.displayed_surface import name_of
 from wafer_viewer.gui.widgets import html
 from wafer_viewer.gui.widgets.controls import Cell, duo
 from wafer_viewer.gui.widgets.number_field import OptionalNumber

@@ -17,18 +17,10 @@ from wafer_viewer.gui.scenes.surface_scene import source_of
 from wafer_viewer.gui.state.view_state import View
 from wafer_viewer.model.errors import WaferViewerError
 from wafer_viewer.model.surface.clipping import Box
-from wafer_viewer.model.surface.comparison import Face, comparison_of
 from wafer_viewer.session.rendering.render_request import PaintRequest, Statistics
 from wafer_viewer.session.state.snapshot import Snapshot, SurfaceInfo
 
 Corners = tuple[tuple[float, float], ...]
-FACES: dict[Face, str] = {
-    Face.DIFFERENCE: "Second − first",
-    Face.FIRST: "First surface",
-    Face.SECOND: "Second surface",
-    Face.BESIDE: "Both surfaces",
-}
-PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
 _KEPT = 64
 _ROUNDED = 200
 """A view is rounded to this part of the surface, so that small moves of the camera count nothing anew."""
@@ -104,13 +96,6 @@ class ShownStatistics:
             self._known = dict(list(self._known.items())[1 - _KEPT :])
             self._known[request] = told
         return self._known[request]
-
-
-def name_of(view: View) -> str:
-    """What is counted, as people say it."""
-    asked = comparison_of(view.show)
-    whole = FACES[asked[1]] if asked is not None else f"Field {view.show}" if view.show else "Stitched surface"
-    return whole + PARTS[view.counted]
 
 
 def _same_part(a: PaintRequest, b: PaintRequest) -> bool:

@@ -13,6 +13,7 @@ from wafer_viewer.draw.number_format import number, share, with_unit
 from wafer_viewer.gui.page.import_export_dialogs import export_dialog
 from wafer_viewer.gui.page.page import Page
 from wafer_viewer.gui.page.verdict_section import VerdictSection
+from wafer_viewer.gui.presenters.displayed_surface import name_of
 from wafer_viewer.gui.scene.lod.surface_tiles import OWN_COLOURS
 from wafer_viewer.gui.scenes.pose_cache import PoseBook
 from wafer_viewer.gui.state.view_state import ColourBy, Counted, View
@@ -20,7 +21,7 @@ from wafer_viewer.gui.surface.clip_section import ClipSection
 from wafer_viewer.gui.surface.heights_section import HeightsSection
 from wafer_viewer.gui.surface.points_section import PointsSection
 from wafer_viewer.gui.surface.recipe_section import RecipeSection
-from wafer_viewer.gui.surface.shown_statistics import ShownStatistics, name_of
+from wafer_viewer.gui.surface.shown_statistics import ShownStatistics
 from wafer_viewer.gui.surface.slice_section import SliceSection
 from wafer_viewer.gui.surface.stitching_section import StitchingSection
 from wafer_viewer.gui.widgets import html

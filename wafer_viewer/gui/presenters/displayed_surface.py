@@ -1,0 +1,21 @@
+"""Name of the surface that a browser shows, and of the part of it that is counted."""
+
+from __future__ import annotations
+
+from wafer_viewer.gui.state.view_state import View
+from wafer_viewer.model.surface.comparison import Face, comparison_of
+
+FACES: dict[Face, str] = {
+    Face.DIFFERENCE: "Second − first",
+    Face.FIRST: "First surface",
+    Face.SECOND: "Second surface",
+    Face.BESIDE: "Both surfaces",
+}
+PARTS = {"all": "", "view": ", in view", "selection": ", selection"}
+
+
+def name_of(view: View) -> str:
+    """Return the name of the counted surface, such as ``Field 5, in view``."""
+    compared = comparison_of(view.show)
+    whole = FACES[compared[1]] if compared is not None else f"Field {view.show}" if view.show else "Stitched surface"
+    return whole + PARTS[view.counted]
